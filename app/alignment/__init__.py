@@ -1,0 +1,1 @@
+"""One Run to observations."""

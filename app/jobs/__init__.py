@@ -1,0 +1,1 @@
+"""Job state, workflow, workers, store."""

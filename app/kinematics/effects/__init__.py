@@ -1,0 +1,1 @@
+"""Everything that moves the measured point off its nominal, one physical cause a file."""

@@ -1,0 +1,110 @@
+"""The machine as `machine.json` states it: chain, axes, targets, tracker noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+
+@dataclass(frozen=True, slots=True)
+class LinearAxis:
+    """A straight axis and its travel."""
+
+    name: str
+    min_mm: float
+    max_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryAxis:
+    """A rotary axis: travel, a point on its axis and its direction (right-handed)."""
+
+    name: str
+    min_deg: float
+    max_deg: float
+    origin_mm: tuple[float, float, float]
+    direction: tuple[float, float, float]
+
+
+Axis = LinearAxis | RotaryAxis
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A reflector and the side that carries it: `tool` or `workpiece`."""
+
+    name: str
+    on: str
+    offset_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerNoise:
+    """Standard deviations of one sample along and across the beam, where it stands and how fast."""
+
+    range_sigma_um: float = 1.0
+    range_ppm: float = 0.3
+    angle_sigma_urad: float = 3.0
+    transverse_sigma_um: float = 4.0
+    rate_hz: float = 500.0
+    stands_on: str = "workpiece"
+
+    def sigma_mm(
+        self, distance_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 2"]:
+        """Return one sample's standard deviation along and across the beam, in mm."""
+        along = self.range_sigma_um + self.range_ppm * distance_mm * 1e-3
+        across = np.hypot(
+            self.angle_sigma_urad * distance_mm * 1e-3, self.transverse_sigma_um
+        )
+        return np.stack([along, across], axis=1) * 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """Nominal machine. The chain runs from workpiece to tool around the base `b`.
+
+    workpiece_side : axes that move the workpiece, in chain order from `w` to `b`
+    tool_side : axes that move the tool, in chain order from `b` to `t`
+    """
+
+    name: str
+    workpiece_side: tuple[str, ...]
+    tool_side: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    targets: tuple[Target, ...]
+    tracker: TrackerNoise
+
+    @property
+    def chain(self) -> str:
+        """Kinematic chain in the notation of ISO 10791-6, `w-…-b-…-t`."""
+        return "-".join(["w", *self.workpiece_side, "b", *self.tool_side, "t"])
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Axes from workpiece to tool."""
+        return self.workpiece_side + self.tool_side
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Axes in the order of position columns: X, Y, Z, then A, B, C."""
+        return tuple(axis.name for axis in self.axes)
+
+    @property
+    def linear_axes(self) -> tuple[LinearAxis, ...]:
+        """The straight axes, in column order."""
+        return tuple(a for a in self.axes if isinstance(a, LinearAxis))
+
+    @property
+    def rotary_axes(self) -> tuple[RotaryAxis, ...]:
+        """The rotary axes, in column order."""
+        return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
+
+    def target(self, name: str = "") -> Target:
+        """Return the target called `name`; the first where no name is given."""
+        for target in self.targets:
+            if target.name == name or not name:
+                return target
+        raise KeyError(name)

@@ -1,0 +1,1 @@
+"""Doing it: recording a Run while the machine moves."""

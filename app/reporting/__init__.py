@@ -1,0 +1,1 @@
+"""An estimate to tables, maps and reports."""

@@ -1,0 +1,1 @@
+"""Machine controllers, one folder a make."""

@@ -1,0 +1,39 @@
+"""Families of device errors. The text says what happened, the likely cause, what to do."""
+
+from __future__ import annotations
+
+
+class DeviceError(Exception):
+    """Anything a device or its link did wrong."""
+
+
+class ConnectionLost(DeviceError):
+    """The link is gone: cable, power, port in use, or no such port."""
+
+
+class DeviceTimeout(DeviceError):
+    """The device did not answer in its time."""
+
+
+class WrongDevice(DeviceError):
+    """Something else answers on the port."""
+
+
+class Refused(DeviceError):
+    """The device understood and said no."""
+
+    def __init__(self, text: str, code: int = 0) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class OutOfTravel(DeviceError):
+    """A position beyond the travel of an axis, refused before the first byte."""
+
+
+class MotionFault(DeviceError):
+    """The controller is in alarm, or did not do what it was told."""
+
+
+class BeamLost(DeviceError):
+    """The tracker has lost its reflector."""

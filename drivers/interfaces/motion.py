@@ -1,0 +1,69 @@
+"""A machine controller that moves the axes along loaded paths or to single positions."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+from drivers.interfaces.device import Device
+from drivers.interfaces.records import MotionStatus, Path
+
+
+class MotionController(Device):
+    """Moves axes. The controller keeps time: Python never feeds setpoints against a clock."""
+
+    @property
+    @abstractmethod
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes in the order of every position, known after `connect`."""
+
+    @property
+    @abstractmethod
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest position of each axis, known after `connect`."""
+
+    @abstractmethod
+    def status(self) -> MotionStatus:
+        """Read state, position, line and alarm."""
+
+    def axis_positions(self) -> tuple[float, ...]:
+        """Read where the axes are."""
+        return self.status().position
+
+    @abstractmethod
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        """Start a straight move. Returns when the controller has taken it; `wait` waits.
+
+        Raises OutOfTravel before the first byte, Refused, MotionFault in alarm.
+        """
+
+    @abstractmethod
+    def load(self, path: Path) -> None:
+        """Hand over a whole path and read it back. Raises OutOfTravel, Refused."""
+
+    @abstractmethod
+    def start(self) -> None:
+        """Run the loaded path from its first row."""
+
+    @abstractmethod
+    def wait(self, timeout_s: float) -> MotionStatus:
+        """Wait until the motion ends (finished, held, aborted, alarm); return the last status.
+
+        Raises DeviceTimeout if it still runs after `timeout_s`, MotionFault in alarm.
+        """
+
+    @abstractmethod
+    def hold(self) -> None:
+        """Feed hold. Idempotent, any thread, any state."""
+
+    @abstractmethod
+    def resume(self) -> None:
+        """Go on after a hold. Does nothing if nothing is held."""
+
+    @abstractmethod
+    def abort(self) -> None:
+        """Stop and forget the path. Idempotent, any thread, any state."""
+
+    @abstractmethod
+    def beat(self) -> None:
+        """Feed the controller's watchdog; it holds the feed when beats stay away."""

@@ -1,0 +1,140 @@
+"""Blocks of data that cross the border of a device: one object a block, never a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answers on the port."""
+
+    maker: str
+    model: str
+    serial_number: str
+    firmware: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSamples:
+    """A block of tracker samples in the tracker's own frame and clock.
+
+    sequence : (n,) int64, unwrapped counter of the device; a step above 1 is a loss
+    device_time_s : (n,) float64, unwrapped clock of the device
+    position_mm : (n, 3) float64
+    status : (n,) int64, 0 is a valid sample, anything else is not to be used
+    """
+
+    sequence: NDArray[np.int64]
+    device_time_s: NDArray[np.float64]
+    position_mm: NDArray[np.float64]
+    status: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    @classmethod
+    def empty(cls) -> TrackerSamples:
+        """Return a block of no samples."""
+        none = np.empty(0, np.int64)
+        return cls(none, np.empty(0), np.empty((0, 3)), none)
+
+    @classmethod
+    def joined(cls, blocks: Sequence[TrackerSamples]) -> TrackerSamples:
+        """Return the blocks one after another."""
+        if not blocks:
+            return cls.empty()
+        return cls(
+            np.concatenate([b.sequence for b in blocks]),
+            np.concatenate([b.device_time_s for b in blocks]),
+            np.concatenate([b.position_mm for b in blocks]),
+            np.concatenate([b.status for b in blocks]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSamples:
+    """Controller positions by host arrival time: slow, for health, never paired with samples.
+
+    host_time_s : (n,) monotonic clock of the host
+    position_mm : (n, axes), degrees for rotary axes
+    """
+
+    axes: tuple[str, ...]
+    host_time_s: NDArray[np.float64]
+    position_mm: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureSamples:
+    """Temperatures on the tracker's clock; a name is a column of `environment.csv` without `_degC`.
+
+    time_s : (n,); celsius : (n, sensors)
+    """
+
+    names: tuple[str, ...]
+    time_s: NDArray[np.float64]
+    celsius: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Commanded straight lines between waypoints, with an exact stop and a dwell at each.
+
+    position : (n, axes) axis positions, mm for linear and deg for rotary axes
+    feed_mm_min : (n,) feed towards that row (the first row is approached at its feed too)
+    dwell_s : (n,) dwell at that row
+    target : name of the target measured on the way to each row; empty for a single target
+    """
+
+    axes: tuple[str, ...]
+    position: NDArray[np.float64]
+    feed_mm_min: NDArray[np.float64]
+    dwell_s: NDArray[np.float64]
+    target: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """What a link has seen since it was opened."""
+
+    frames: int = 0
+    lost_samples: int = 0
+    crc_errors: int = 0
+    skipped_bytes: int = 0
+    device_overflows: int = 0
+
+
+class MotionState(StrEnum):
+    """State of a controller; everything but RUNNING stands still."""
+
+    IDLE = "idle"
+    READY = "ready"  # a path is loaded
+    RUNNING = "running"
+    HELD = "held"
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    ALARM = "alarm"
+
+
+@dataclass(frozen=True, slots=True)
+class MotionStatus:
+    """One reading of a controller.
+
+    line : row of the loaded path that the machine moves towards, 0 before the first
+    hold_reason : why it is held ("operator", "watchdog", "command"), empty if it is not
+    """
+
+    state: MotionState
+    position: tuple[float, ...]
+    line: int
+    alarm: str = ""
+    hold_reason: str = ""

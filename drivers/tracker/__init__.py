@@ -1,0 +1,1 @@
+"""Trackers, one folder a make."""

@@ -1,0 +1,1 @@
+"""Bytes in and out of ports, with arrival stamps and timeouts. Knows no protocol."""
