@@ -1,4 +1,4 @@
-"""A Run as science sees it: what was commanded and what was recorded. Immutable, NumPy only."""
+"""A Run as science sees it: what was commanded, what was recorded. NumPy only."""
 
 from __future__ import annotations
 

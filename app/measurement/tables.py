@@ -1,0 +1,212 @@
+"""Tables of numbers at the border, CSV or Parquet, with the place of what is wrong.
+
+Rows in error texts are counted as a text editor shows them: the header of a CSV file is
+row 1, its first data row is row 2 (blank lines count). A Parquet file has no header:
+its first row is row 1.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from app.errors import BundleError
+
+MAX_ROWS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Named columns of one file; `row_of` gives the row of a data index in the file."""
+
+    file: str
+    data: pa.Table
+    row_of: Callable[[int], int]
+
+    def __len__(self) -> int:
+        return self.data.num_rows
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self.data.column_names)
+
+    def require(self, *names: str) -> None:
+        """Raise BundleError naming the first of these columns that is not there."""
+        for name in names:
+            if name not in self.names:
+                found = ", ".join(self.names)
+                raise BundleError(
+                    "is missing",
+                    file=self.file,
+                    column=name,
+                    remedy=f"the file has {found[:80]}",
+                )
+
+    def error(
+        self, problem: str, index: int, column: str | None, remedy: str = ""
+    ) -> BundleError:
+        """Return the error at a data index of a column."""
+        row = self.row_of(index)
+        return BundleError(
+            problem, file=self.file, row=row, column=column, remedy=remedy
+        )
+
+    def numbers(self, name: str, *, nan: bool = False) -> NDArray[np.float64]:
+        """Return a column as float64; empty cells are NaN, refused unless `nan`."""
+        self.require(name)
+        value = _to_float(self, name)
+        if np.isinf(value).any():
+            raise self.error("is infinite", int(np.argmax(np.isinf(value))), name)
+        if not nan and np.isnan(value).any():
+            index = int(np.argmax(np.isnan(value)))
+            raise self.error("is empty or NaN", index, name, "every row needs a number")
+        return value
+
+    def texts(self, name: str) -> list[str]:
+        """Return a column of words, none of them empty."""
+        self.require(name)
+        column = pc.cast(self.data[name], pa.string()).to_pylist()
+        words = [(word or "").strip() for word in column]
+        if "" in words:
+            raise self.error("is empty", words.index(""), name)
+        return words
+
+
+def read_csv(data: bytes, file: str) -> Table:
+    """Read comma-separated values with a header."""
+    names = _header(data, file)
+    broken: list[pacsv.InvalidRow] = []
+
+    def keep(row: pacsv.InvalidRow) -> str:
+        broken.append(row)
+        return "error"
+
+    try:
+        table = pacsv.read_csv(
+            pa.BufferReader(data),
+            read_options=pacsv.ReadOptions(
+                use_threads=False, column_names=names, skip_rows=1
+            ),
+            parse_options=pacsv.ParseOptions(invalid_row_handler=keep),
+            convert_options=pacsv.ConvertOptions(
+                column_types={name: pa.string() for name in names},
+                strings_can_be_null=True,
+            ),
+        )
+    except pa.ArrowInvalid as error:
+        if not broken:
+            raise BundleError(
+                f"cannot be read as CSV ({error})", file=file, remedy="save it as UTF-8"
+            ) from error
+        row = broken[0]
+        raise BundleError(
+            f"has {row.actual_columns} cells, the header {row.expected_columns}",
+            file=file,
+            row=_line_of(data, row.number - 2),
+            remedy="columns are separated by commas",
+        ) from error
+    return Table(file, table, lambda index: _line_of(data, index))
+
+
+def read_parquet(data: bytes, file: str) -> Table:
+    """Read a Parquet file."""
+    try:
+        source = pq.ParquetFile(pa.BufferReader(data))
+        rows = source.metadata.num_rows
+        if rows > MAX_ROWS:
+            raise BundleError(f"has {rows} rows, more than {MAX_ROWS}", file=file)
+        table = source.read(use_threads=False)
+    except (pa.ArrowException, OSError) as error:
+        raise BundleError(
+            "is truncated or not a Parquet file", file=file, remedy="copy it again"
+        ) from error
+    _refuse_repeated(table.column_names, file)
+    return Table(file, table, lambda index: index + 1)
+
+
+def _header(data: bytes, file: str) -> list[str]:
+    line = data.partition(b"\n")[0]
+    try:
+        text = line.decode("utf-8-sig").rstrip("\r")
+    except UnicodeDecodeError as error:
+        raise BundleError(
+            "is not text in UTF-8", file=file, row=1, remedy="save it as UTF-8"
+        ) from error
+    names = [name.strip() for name in next(csv.reader(io.StringIO(text)), [])]
+    if not any(names):
+        raise BundleError("has no header", file=file, row=1, remedy="name the columns")
+    _refuse_repeated(names, file)
+    return names
+
+
+def _refuse_repeated(names: list[str], file: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise BundleError("appears more than once", file=file, column=name)
+
+
+def _line_of(data: bytes, index: int) -> int:
+    """Return the line of a data row, skipping blank lines as the reader does."""
+    seen = -1
+    for number, line in enumerate(data.splitlines()[1:], start=2):
+        seen += bool(line)
+        if seen == index:
+            return number
+    return index + 2
+
+
+def _to_float(table: Table, name: str) -> NDArray[np.float64]:
+    column = table.data[name]
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        column = _parsed(table, name, column)
+    elif not (
+        pa.types.is_integer(column.type)
+        or pa.types.is_floating(column.type)
+        or pa.types.is_null(column.type)
+    ):
+        raise BundleError(
+            f"holds {column.type}, not numbers", file=table.file, column=name
+        )
+    value = pc.cast(column, pa.float64(), safe=False).to_numpy()
+    return np.array(value, np.float64)
+
+
+def _parsed(table: Table, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+    if _is_number(column):
+        return pc.cast(column, pa.float64())
+    column = pc.call_function("utf8_trim_whitespace", [column])
+    if _is_number(column):
+        return pc.cast(column, pa.float64())
+    index = _first_text(column)
+    shown = str(column[index].as_py())[:40]
+    raise table.error(f"is {shown!r}, not a number", index, name)
+
+
+def _is_number(column: pa.ChunkedArray) -> bool:
+    try:
+        pc.cast(column, pa.float64())
+    except pa.ArrowInvalid:
+        return False
+    return True
+
+
+def _first_text(column: pa.ChunkedArray) -> int:
+    """Return the first cell that is no number, by bisection of casts."""
+    low, high = 0, len(column)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _is_number(column.slice(low, middle - low)):
+            low = middle
+        else:
+            high = middle
+    return low

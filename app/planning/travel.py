@@ -1,0 +1,88 @@
+"""Keeps commanded positions inside the travel of the axes.
+
+Straight lines in axis positions never leave a box that holds both of their ends, so
+checking the rows checks the whole swept path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.errors import OutOfTravel
+from app.kinematics.machine import Axis, LinearAxis, Machine
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path
+
+# Rows are written with three or four decimals: a limit may be overrun by the rounding.
+ROUNDING = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """A commanded position beyond the travel of an axis.
+
+    index : row of the commanded positions, from 0
+    value, low, high : mm, or deg for a rotary axis
+    """
+
+    index: int
+    axis: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        side, limit = (
+            ("exceeds", self.high) if self.value > self.high else ("is below", self.low)
+        )
+        return (
+            f"{self.axis} = {self.value:.4g} {self.unit} {side} {limit:.4g} {self.unit}"
+        )
+
+
+def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach | None:
+    """Return the first row beyond the travel, or None. Every axis must be known."""
+    axes = {axis.name: axis for axis in machine.axes}
+    limits = [_limits(axes[name]) for name in commanded.axes]
+    low, high = np.array(limits).T
+    outside = (commanded.position < low - ROUNDING) | (
+        commanded.position > high + ROUNDING
+    )
+    if not outside.any():
+        return None
+    row, column = (int(i) for i in np.argwhere(outside)[0])
+    name = commanded.axes[column]
+    unit = "mm" if isinstance(axes[name], LinearAxis) else "deg"
+    value = float(commanded.position[row, column])
+    return Breach(row, name, unit, value, *limits[column])
+
+
+def check_travel(machine: Machine, commanded: Path | Configurations) -> None:
+    """Raise OutOfTravel if a row lies beyond the travel or moves an unknown axis.
+
+    Rows are counted from 1. To be called before a plan reaches the machine.
+    """
+    for name in commanded.axes:
+        if name not in machine.axis_names:
+            raise OutOfTravel(
+                f"the plan moves axis {name}, which {machine.name} does not have; "
+                f"its axes are {', '.join(machine.axis_names)}"
+            )
+    if not np.isfinite(commanded.position).all():
+        row = int(np.argwhere(~np.isfinite(commanded.position))[0, 0])
+        raise OutOfTravel(f"row {row + 1}: a position is not a finite number")
+    breach = first_breach(machine, commanded)
+    if breach is not None:
+        raise OutOfTravel(
+            f"row {breach.index + 1}: {breach}; "
+            "shorten the plan or correct the travel in the machine file"
+        )
+
+
+def _limits(axis: Axis) -> tuple[float, float]:
+    if isinstance(axis, LinearAxis):
+        return axis.min_mm, axis.max_mm
+    return axis.min_deg, axis.max_deg
