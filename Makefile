@@ -1,0 +1,61 @@
+# make run    the service with simulated devices, calibrating a machine as you watch
+# make test   every check and test but the long ones; what CI runs
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+PYTHON ?= python3
+export PYTHON
+BIN := .venv/bin
+JOBS ?= 2
+# One process a core computes; BLAS threads on top of that only fight over the cores.
+SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
+.PHONY: help
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 24
+
+.PHONY: setup
+setup: .venv/ready ## make .venv with everything in it
+
+.venv/ready: pyproject.toml constraints.txt
+	@.ci/system-packages run
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or later is needed; set PYTHON=..." >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade-strategy only-if-needed \
+	  -c constraints.txt -e ".[dev,pg]"
+	@touch $@
+
+.PHONY: run
+run: setup ## service, page and simulated devices; calibrates on the fly at once
+	$(BIN)/truepath serve --simulated --measure
+
+.PHONY: check
+check: setup ## format, lint, import contracts, types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+.PHONY: setup-system
+setup-system: ## Debian packages the tests call (apt-get, as root)
+	@.ci/system-packages test
+
+.PHONY: test
+test: setup-system check ## check, and the tests with coverage
+	rm -f .coverage .coverage.*
+	$(SINGLE) $(BIN)/pytest -q -n $(JOBS) --dist loadgroup -m "not long" \
+	  --cov --cov-report= --cov-fail-under=90 --durations=15
+
+.PHONY: test-long
+test-long: setup-system setup ## the tests that need minutes
+	$(SINGLE) $(BIN)/pytest -q -m long --timeout 900
+
+.PHONY: bench
+bench: setup ## the numbers that count, as ratios
+	$(BIN)/python benchmarks/run.py
+
+.PHONY: clean
+clean: ## remove everything that was made
+	rm -rf .venv build dist *.egg-info .coverage .coverage.* htmlcov \
+	  .pytest_cache .ruff_cache .hypothesis .import_linter_cache .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
