@@ -1,0 +1,300 @@
+"""What the bodies of GST/1 frames say, in both directions (docs/tracker-protocol.md).
+
+A body is `version u8 | type u8 | fields`, all little-endian, without padding.
+Measurements are handled in blocks by `measurements`; here is all that is rare.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from drivers.tracker.streaming.framing import FrameReader, encode_frame
+
+VERSION = 1
+
+
+class Type(IntEnum):
+    """Second byte of a body."""
+
+    MEAS = 0x10
+    STATUS = 0x12
+    EVENT = 0x13
+    MEAS64 = 0x14
+    HELLO = 0x20
+    START = 0x21
+    STOP = 0x22
+    PING = 0x23
+    ACK = 0x30
+    NAK = 0x31
+
+
+class Format(IntEnum):
+    """Measurement frame that a START asks for."""
+
+    MEAS64 = 0
+    MEAS = 1
+
+
+class NakCode(IntEnum):
+    """Why a device refuses a command."""
+
+    UNKNOWN_COMMAND = 1
+    BAD_ARGUMENT = 2
+    RATE_NOT_POSSIBLE = 3
+    BUSY = 4
+    NOT_READY = 5
+    VERSION_NOT_SPOKEN = 6
+
+
+class DeviceState(IntEnum):
+    """State in a STATUS frame."""
+
+    IDLE = 0
+    STREAMING = 1
+    FAULT = 2
+
+
+class EventCode(IntEnum):
+    """What an EVENT frame tells."""
+
+    BEAM_BROKEN = 1
+    BEAM_LOCKED = 2
+    STREAM_STOPPED_NO_PING = 3
+    TRIGGER = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """Host asks who is there; stops nothing and starts nothing."""
+
+    transaction: int
+    host_version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Host asks for a stream; at the rate and format already streaming nothing changes."""
+
+    transaction: int
+    rate_hz: float
+    format: Format = Format.MEAS64
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Host ends the stream. No measurement follows its ACK."""
+
+    transaction: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """Host is alive. The device stops a stream 5 s after the last one."""
+
+    transaction: int
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """Detail of the ACK of a HELLO: who answers. A text holds at most 60 bytes of UTF-8."""
+
+    maker: str
+    model: str
+    serial_number: str
+    firmware: str
+    max_rate_hz: float
+    version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo:
+    """Detail of the ACK of a START: rate, number of the next sample, device clock."""
+
+    rate_hz: float
+    next_sequence: int
+    clock_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Device has done the command of this transaction."""
+
+    transaction: int
+    command: int
+    detail: DeviceInfo | StreamInfo | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Nak:
+    """Device refuses the command of this transaction."""
+
+    transaction: int
+    command: int
+    code: int
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Device health, twice a second."""
+
+    state: int
+    clock_us: int
+    frames_sent: int
+    frames_dropped: int
+    buffer_high_water_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something happened at the device, by its own clock."""
+
+    code: int
+    clock_us: int
+
+
+Command = Hello | Start | Stop | Ping
+Reply = Ack | Nak
+Message = Hello | Start | Stop | Ping | Ack | Nak | Status | Event
+
+_HEAD = struct.Struct("<BB")
+_HELLO = struct.Struct("<BB")
+_START = struct.Struct("<BIB")
+_TRANSACTION = struct.Struct("<B")
+_REPLY = struct.Struct("<BB")
+_CODE = struct.Struct("<B")
+_INFO = struct.Struct("<BI")
+_STREAM = struct.Struct("<IHQ")
+_STATUS = struct.Struct("<BQIII")
+_EVENT = struct.Struct("<BQ")
+
+_LONGEST_TEXT = 60
+
+
+def encode_message(message: Message) -> bytes:
+    """Return the frame of a message, delimiters included."""
+    kind, fields = _fields(message)
+    return encode_frame(_HEAD.pack(VERSION, kind) + fields)
+
+
+def _fields(message: Message) -> tuple[Type, bytes]:
+    match message:
+        case Hello(transaction, version):
+            return Type.HELLO, _HELLO.pack(transaction, version)
+        case Start(transaction, rate_hz, measured):
+            rate_mhz = round(rate_hz * 1000)
+            return Type.START, _START.pack(transaction, rate_mhz, measured)
+        case Stop(transaction):
+            return Type.STOP, _TRANSACTION.pack(transaction)
+        case Ping(transaction):
+            return Type.PING, _TRANSACTION.pack(transaction)
+        case Ack(transaction, command, detail):
+            return Type.ACK, _REPLY.pack(transaction, command) + _detail(detail)
+        case Nak(transaction, command, code, text):
+            head = _REPLY.pack(transaction, command)
+            return Type.NAK, head + _CODE.pack(code) + _text(text)
+        case Status(state, clock, sent, dropped, high_water):
+            return Type.STATUS, _STATUS.pack(state, clock, sent, dropped, high_water)
+        case Event(code, clock):
+            return Type.EVENT, _EVENT.pack(code, clock)
+
+
+def _detail(detail: DeviceInfo | StreamInfo | None) -> bytes:
+    match detail:
+        case DeviceInfo(maker, model, serial_number, firmware, max_rate_hz, version):
+            texts = (maker, model, serial_number, firmware)
+            numbers = _INFO.pack(version, round(max_rate_hz * 1000))
+            return numbers + b"".join(map(_text, texts))
+        case StreamInfo(rate_hz, sequence, clock):
+            return _STREAM.pack(round(rate_hz * 1000), sequence, clock)
+        case None:
+            return b""
+
+
+def _text(text: str) -> bytes:
+    coded = text.encode()[:_LONGEST_TEXT].decode(errors="ignore").encode()
+    return bytes([len(coded)]) + coded
+
+
+def parse_message(body: bytes) -> Message | None:
+    """Return the message of a body; None for a type or version that is not known here.
+
+    A known type with a length that does not fit is not known either: half a message is
+    worse than none.
+    """
+    if len(body) < _HEAD.size or body[0] != VERSION:
+        return None
+    parse = _PARSERS.get(body[1])
+    try:
+        return parse(body[_HEAD.size :]) if parse else None
+    except (struct.error, ValueError):
+        return None
+
+
+def _parse_start(fields: bytes) -> Start:
+    transaction, rate_mhz, measured = _START.unpack(fields)
+    return Start(transaction, rate_mhz / 1000, Format(measured))
+
+
+def _parse_ack(fields: bytes) -> Ack:
+    transaction, command = _REPLY.unpack_from(fields)
+    rest = fields[_REPLY.size :]
+    detail: DeviceInfo | StreamInfo | None = None
+    if command == Type.HELLO:
+        detail = _parse_info(rest)
+    elif command == Type.START:
+        rate_mhz, sequence, clock = _STREAM.unpack(rest)
+        detail = StreamInfo(rate_mhz / 1000, sequence, clock)
+    return Ack(transaction, command, detail)
+
+
+def _parse_info(fields: bytes) -> DeviceInfo:
+    version, rate_mhz = _INFO.unpack_from(fields)
+    maker, model, serial_number, firmware = _split_texts(fields[_INFO.size :], 4)
+    return DeviceInfo(maker, model, serial_number, firmware, rate_mhz / 1000, version)
+
+
+def _parse_nak(fields: bytes) -> Nak:
+    transaction, command = _REPLY.unpack_from(fields)
+    (code,) = _CODE.unpack_from(fields, _REPLY.size)
+    (text,) = _split_texts(fields[_REPLY.size + _CODE.size :], 1)
+    return Nak(transaction, command, code, text)
+
+
+def _split_texts(fields: bytes, count: int) -> list[str]:
+    texts: list[str] = []
+    for _ in range(count):
+        if not fields or len(fields) <= fields[0]:
+            raise ValueError("a text ends before its length")
+        texts.append(fields[1 : 1 + fields[0]].decode())
+        fields = fields[1 + fields[0] :]
+    if fields:
+        raise ValueError("bytes after the last text")
+    return texts
+
+
+_PARSERS: dict[int, Callable[[bytes], Message]] = {
+    Type.HELLO: lambda fields: Hello(*_HELLO.unpack(fields)),
+    Type.START: _parse_start,
+    Type.STOP: lambda fields: Stop(*_TRANSACTION.unpack(fields)),
+    Type.PING: lambda fields: Ping(*_TRANSACTION.unpack(fields)),
+    Type.ACK: _parse_ack,
+    Type.NAK: _parse_nak,
+    Type.STATUS: lambda fields: Status(*_STATUS.unpack(fields)),
+    Type.EVENT: lambda fields: Event(*_EVENT.unpack(fields)),
+}
+
+
+class MessageReader:
+    """Decodes commands on the device side: bytes in, messages out, the rest skipped."""
+
+    def __init__(self) -> None:
+        self.frames = FrameReader()
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Return the messages that are complete now, in order."""
+        parsed = map(parse_message, self.frames.feed(data))
+        return [message for message in parsed if message is not None]
