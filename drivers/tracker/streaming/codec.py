@@ -1,6 +1,6 @@
 """Decodes the stream of a GST/1 tracker: bytes in, samples and messages out. No I/O.
 
-Two stages, so that a reader thread can do the cheap one and leave the rest to its caller:
+Two stages, so that a reader thread can do the cheap one and leave the rest to others:
 `FrameReader` cuts and checks frames as bytes come; `SampleDecoder` turns the bodies of
 many frames into one block of samples. `StreamDecoder` is both in a row.
 """

@@ -76,7 +76,7 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Host asks for a stream; at the rate and format already streaming nothing changes."""
+    """Host asks for a stream; nothing changes if it streams so already."""
 
     transaction: int
     rate_hz: float
@@ -99,7 +99,7 @@ class Ping:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """Detail of the ACK of a HELLO: who answers. A text holds at most 60 bytes of UTF-8."""
+    """Detail of the ACK of a HELLO: who answers. Texts hold at most 60 bytes of UTF-8."""
 
     maker: str
     model: str

@@ -1,0 +1,309 @@
+"""The register map of the Modbus CNC gateway, as data: driver and devices share it.
+
+Holding registers only, addresses as in the PDU (from 0), 32-bit values high word first,
+texts two ASCII characters a register, padded with zeros. Positions count 0.1 µm (linear
+axes) or 0.0001 deg (rotary axes), feeds 0.001 mm/min (deg/min where only rotary axes
+move). docs/modbus-register-map.md is written from this file by its script.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces.records import MotionState, Path
+
+MAGIC = 0x54504331  # "TPC1"
+ORDER_TEST = 0x01020304
+MAP_VERSION = 1
+
+MAX_AXES = 6
+MAX_WAYPOINTS = 4096
+ROW_WORDS = 2 * MAX_AXES + 4
+ROWS_A_BLOCK = 7
+
+POSITION_COUNTS = 10_000  # a mm or a deg
+FEED_COUNTS = 1_000  # a mm/min, or a deg/min where only rotary axes move
+DWELL_COUNTS = 1_000  # a second
+DEFAULT_WATCHDOG_S = 1.0
+
+
+class Kind(StrEnum):
+    """How registers hold a value."""
+
+    U16 = "u16"
+    U32 = "u32"
+    I32 = "i32"
+    TEXT = "text"
+
+
+class Access(StrEnum):
+    """Who writes a register."""
+
+    READ = "R"
+    WRITE = "RW"
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One value of the map, or one of several alike (an axis each)."""
+
+    name: str
+    address: int
+    kind: Kind
+    meaning: str
+    unit: str = ""
+    access: Access = Access.READ
+    count: int = 1  # values; for a text, registers
+
+    @property
+    def words(self) -> int:
+        """Registers it takes."""
+        return self.count * (2 if self.kind in (Kind.U32, Kind.I32) else 1)
+
+    @property
+    def end(self) -> int:
+        """Address after its last register."""
+        return self.address + self.words
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Registers that one request reads or writes together."""
+
+    address: int
+    count: int
+
+
+class Command(IntEnum):
+    """Verbs of the command register."""
+
+    MOVE_TO = 1
+    PUT_ROWS = 2
+    COMMIT = 3
+    START = 4
+    HOLD = 5
+    RESUME = 6
+    ABORT = 7
+    RESET = 8
+
+
+class Result(IntEnum):
+    """What became of the command whose number `command_ack` shows."""
+
+    DONE = 0
+    WRONG_STATE = 1
+    OUT_OF_TRAVEL = 2
+    NO_PATH = 3
+    CRC_MISMATCH = 4
+    BAD_ARGUMENT = 5
+    UNKNOWN_COMMAND = 6
+    IN_ALARM = 7
+    NOT_READY = 8
+
+
+class HoldReason(IntEnum):
+    """Why the feed is held; lower-case names are those of `MotionStatus.hold_reason`."""
+
+    NONE = 0
+    OPERATOR = 1
+    WATCHDOG = 2
+    COMMAND = 3
+
+
+class AxisKind(IntEnum):
+    """Unit of an axis: mm or deg."""
+
+    LINEAR = 0
+    ROTARY = 1
+
+
+# The position in this list is the code of the `state` register.
+STATES = (
+    MotionState.IDLE,
+    MotionState.READY,
+    MotionState.RUNNING,
+    MotionState.HELD,
+    MotionState.FINISHED,
+    MotionState.ABORTED,
+    MotionState.ALARM,
+)
+
+_STANDING = frozenset(
+    {
+        MotionState.IDLE,
+        MotionState.READY,
+        MotionState.FINISHED,
+        MotionState.ABORTED,
+    }
+)
+# Elsewhere the answer is WRONG_STATE (IN_ALARM in alarm). HOLD, RESUME and ABORT are done
+# everywhere; where there is nothing to do they do nothing.
+ALLOWED: dict[Command, frozenset[MotionState]] = {
+    Command.MOVE_TO: _STANDING,
+    Command.PUT_ROWS: _STANDING,
+    Command.COMMIT: _STANDING,
+    Command.START: _STANDING,
+    Command.HOLD: frozenset(STATES),
+    Command.RESUME: frozenset(STATES),
+    Command.ABORT: frozenset(STATES),
+    Command.RESET: frozenset(STATES),
+}
+
+_U16, _U32, _I32, _TEXT = Kind.U16, Kind.U32, Kind.I32, Kind.TEXT
+_POSITION_UNIT = "0.1 µm or 0.0001 deg"
+_FEED_UNIT = "0.001 mm/min"
+
+REGISTERS: tuple[Register, ...] = (
+    Register("magic", 0, _U32, "0x54504331, ASCII `TPC1`: this map answers"),
+    Register("order_test", 2, _U32, "0x01020304: shows a wrong word or byte order"),
+    Register("map_version", 4, _U16, "1"),
+    Register("axis_count", 5, _U16, "axes in use, 1 to 6"),
+    Register("axis_names", 6, _U16, "ASCII code of each axis name", count=MAX_AXES),
+    Register("axis_kinds", 12, _U16, "0 linear, 1 rotary", count=MAX_AXES),
+    Register("max_waypoints", 18, _U16, "rows that a path may have, 4096 at least"),
+    Register("maker", 20, _TEXT, "maker", count=8),
+    Register("model", 28, _TEXT, "model", count=8),
+    Register("serial_number", 36, _TEXT, "serial number", count=8),
+    Register("firmware", 44, _TEXT, "firmware", count=8),
+    Register("travel_min", 52, _I32, "lowest position", _POSITION_UNIT, count=MAX_AXES),
+    Register(
+        "travel_max", 64, _I32, "highest position", _POSITION_UNIT, count=MAX_AXES
+    ),
+    Register("max_feed", 76, _U32, "highest feed", _FEED_UNIT),
+    Register("state", 100, _U16, "state, see below"),
+    Register("hold_reason", 101, _U16, "0 not held, 1 operator, 2 watchdog, 3 command"),
+    Register("alarm_code", 102, _U16, "0 no alarm"),
+    Register(
+        "line", 103, _U16, "row (from 0) moved towards or dwelt at; 0 before START"
+    ),
+    Register("path_rows", 104, _U16, "rows of the committed path, 0 without one"),
+    Register("command_ack", 105, _U16, "number of the last command taken"),
+    Register("command_result", 106, _U16, "what became of it, see below"),
+    Register("path_crc", 108, _U32, "CRC-32 of the committed path, 0 without one"),
+    Register("feed", 110, _U32, "feed now", _FEED_UNIT),
+    Register("position", 112, _I32, "position now", _POSITION_UNIT, count=MAX_AXES),
+    Register("alarm_text", 130, _TEXT, "alarm in words", count=32),
+    Register(
+        "heartbeat", 180, _U16, "any change is a beat of the host", "", Access.WRITE
+    ),
+    Register("watchdog", 181, _U16, "longest silence in motion", "ms", Access.WRITE),
+    Register(
+        "command_sequence",
+        200,
+        _U16,
+        "number of this command, 1 to 65535; a change runs it",
+        "",
+        Access.WRITE,
+    ),
+    Register("command", 201, _U16, "verb, see below", "", Access.WRITE),
+    Register("first_row", 202, _U16, "PUT_ROWS: first row, from 0", "", Access.WRITE),
+    Register(
+        "row_count",
+        203,
+        _U16,
+        "PUT_ROWS: rows that follow, 1 to 7; COMMIT: rows in all",
+        "",
+        Access.WRITE,
+    ),
+    Register("crc", 204, _U32, "COMMIT: CRC-32 of all rows", "", Access.WRITE),
+    Register(
+        "rows",
+        206,
+        _U16,
+        "PUT_ROWS: the rows, 16 registers each; MOVE_TO: one row",
+        "",
+        Access.WRITE,
+        count=ROWS_A_BLOCK * ROW_WORDS,
+    ),
+)
+
+BY_NAME: dict[str, Register] = {register.name: register for register in REGISTERS}
+
+IDENTITY = Block(0, 78)
+STATUS = Block(100, 24)
+ALARM_TEXT = Block(130, 32)
+COMMAND = Block(200, 6 + ROWS_A_BLOCK * ROW_WORDS)
+
+
+class Row(NamedTuple):
+    """One waypoint as the rows of the map hold it."""
+
+    position: tuple[float, ...]
+    feed_mm_min: float
+    dwell_s: float
+
+
+def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
+    """Return the words of a register's value: a number, one a count, or a text."""
+    register = BY_NAME[name]
+    if isinstance(value, str):
+        data = value.encode("ascii", "replace")[: 2 * register.count]
+        padded = data.ljust(2 * register.count, b"\0")
+        return [
+            int.from_bytes(padded[i : i + 2], "big") for i in range(0, len(padded), 2)
+        ]
+    values = [value] if isinstance(value, int) else list(value)
+    values += [0] * (register.count - len(values))
+    if register.kind is Kind.U16:
+        return [v & 0xFFFF for v in values]
+    return [word for v in values for word in (v >> 16 & 0xFFFF, v & 0xFFFF)]
+
+
+def decode(name: str, words: Sequence[int], block: Block) -> tuple[int, ...]:
+    """Return the values of a register out of the words of the block that holds it."""
+    register = BY_NAME[name]
+    at = register.address - block.address
+    own = words[at : at + register.words]
+    if register.kind is Kind.U16:
+        return tuple(own)
+    wide = [own[i] << 16 | own[i + 1] for i in range(0, len(own), 2)]
+    if register.kind is Kind.I32:
+        return tuple(v - (1 << 32) if v >> 31 else v for v in wide)
+    return tuple(wide)
+
+
+def decode_text(name: str, words: Sequence[int], block: Block) -> str:
+    """Return the text of a register out of the words of the block that holds it."""
+    register = BY_NAME[name]
+    at = register.address - block.address
+    own = b"".join(word.to_bytes(2, "big") for word in words[at : at + register.count])
+    return own.split(b"\0")[0].decode("ascii", "replace").strip()
+
+
+def position_counts(position: Sequence[float]) -> list[int]:
+    """Return positions in mm or deg as counts of the map."""
+    return [round(p * POSITION_COUNTS) for p in position]
+
+
+def path_words(path: Path) -> NDArray[np.uint16]:
+    """Return the rows of a path as the map holds them, (n, 16)."""
+    rows = np.zeros((len(path), MAX_AXES + 2), ">i4")
+    axes = path.position.shape[1]
+    rows[:, :axes] = np.rint(path.position * POSITION_COUNTS)
+    # Feed and dwell are u32; neither can reach the sign bit within its limits.
+    rows[:, MAX_AXES] = np.rint(path.feed_mm_min * FEED_COUNTS)
+    rows[:, MAX_AXES + 1] = np.rint(path.dwell_s * DWELL_COUNTS)
+    return rows.view(">u2").astype(np.uint16)
+
+
+def parse_row(words: Sequence[int]) -> Row:
+    """Return the waypoint of 16 words, with a position for each of the 6 axes."""
+    data = b"".join(word.to_bytes(2, "big") for word in words)
+    values = np.frombuffer(data, ">i4")
+    return Row(
+        tuple(float(v) / POSITION_COUNTS for v in values[:MAX_AXES]),
+        float(values[MAX_AXES]) / FEED_COUNTS,
+        float(values[MAX_AXES + 1]) / DWELL_COUNTS,
+    )
+
+
+def path_crc(words: NDArray[np.uint16]) -> int:
+    """Return the CRC-32 (zlib's) of rows, over their bytes in wire order."""
+    return zlib.crc32(words.astype(">u2").tobytes())
