@@ -1,0 +1,127 @@
+"""Reduce samples to cells: short stretches whose mean carries all that they tell.
+
+Within a cell the machine error is as good as straight, so its mean loses nothing but the
+noise. A cell's nominal position is its place on its own commanded line by a constant
+feed; the phase and speed of that feed are parameters of the solve. Takes no clock of the
+controller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.kinematics.machine import TrackerNoise
+
+CELL_MM = 8.0
+CELL_S = 0.25
+_OUTLIER = 6.0  # of the samples' own standard deviation
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Means of the samples of each cell; `scatter_square` and `freedom` tell their noise.
+
+    time_s : (n,), tracker_mm : (n, 3), count : (n,)
+    scatter_square : (2,) sums over samples of squared deviations along and across the
+        beam, in units of the stated variance; freedom : (2,) their degrees of freedom
+    """
+
+    time_s: Float64[np.ndarray, " n"]
+    tracker_mm: Float64[np.ndarray, "n 3"]
+    count: Float64[np.ndarray, " n"]
+    scatter_square: Float64[np.ndarray, "2"]
+    freedom: Float64[np.ndarray, "2"]
+
+
+def reduce_to_cells(
+    time_s: Float64[np.ndarray, " n"],
+    tracker_mm: Float64[np.ndarray, "n 3"],
+    velocity_mm_s: Float64[np.ndarray, "3"],
+    noise: TrackerNoise,
+) -> Cells:
+    """Cut one pass (or one standstill, velocity 0) into cells of equal time and average each.
+
+    velocity_mm_s : (3,) in the tracker's frame
+    """
+    cell = _cell_of(time_s, float(np.linalg.norm(velocity_mm_s)))
+    good = np.ones(len(time_s), bool)
+    for _ in range(2):
+        means = _means(time_s[good], tracker_mm[good], cell[good])
+        scatter = _scatter(time_s, tracker_mm, cell, means, velocity_mm_s, noise)
+        limit = _OUTLIER * np.maximum(1.0, 1.4826 * np.median(np.abs(scatter), axis=0))
+        good = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
+    means = _means(time_s[good], tracker_mm[good], cell[good])
+    scatter = _scatter(time_s, tracker_mm, cell, means, velocity_mm_s, noise)[good]
+    filled = means.count > 0
+    free = len(scatter) - float(filled.sum())
+    square = (scatter**2).sum(axis=0)
+    return Cells(
+        means.time_s[filled],
+        means.tracker_mm[filled],
+        means.count[filled],
+        np.array([square[0], square[1] + square[2]]),
+        np.array([free, 2.0 * free]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Means:
+    time_s: Float64[np.ndarray, " c"]
+    tracker_mm: Float64[np.ndarray, "c 3"]
+    count: Float64[np.ndarray, " c"]
+
+
+def _cell_of(
+    time_s: Float64[np.ndarray, " n"], speed_mm_s: float
+) -> Int64[np.ndarray, " n"]:
+    span = float(time_s[-1] - time_s[0]) + 1e-9
+    cells = max(1, int(np.ceil(max(span / CELL_S, span * speed_mm_s / CELL_MM))))
+    return ((time_s - time_s[0]) / span * cells).astype(np.int64)
+
+
+def _means(
+    time_s: Float64[np.ndarray, " n"],
+    tracker_mm: Float64[np.ndarray, "n 3"],
+    cell: Int64[np.ndarray, " n"],
+) -> _Means:
+    size = int(cell[-1]) + 1 if len(cell) else 0
+    count = np.bincount(cell, minlength=size).astype(float)
+    safe = np.maximum(count, 1.0)
+    # About the first sample, so that sums keep their digits.
+    origin_s, origin_mm = time_s[0], tracker_mm[0]
+    time = np.bincount(cell, time_s - origin_s, size) / safe + origin_s
+    point = np.column_stack(
+        [np.bincount(cell, column, size) for column in (tracker_mm - origin_mm).T]
+    )
+    return _Means(time, point / safe[:, None] + origin_mm, count)
+
+
+def _scatter(
+    time_s: Float64[np.ndarray, " n"],
+    tracker_mm: Float64[np.ndarray, "n 3"],
+    cell: Int64[np.ndarray, " n"],
+    means: _Means,
+    velocity_mm_s: Float64[np.ndarray, "3"],
+    noise: TrackerNoise,
+) -> Float64[np.ndarray, "n 3"]:
+    """Return each sample's deviation from its cell along and across the beam, in sigmas."""
+    known = np.minimum(cell, len(means.count) - 1)
+    lag = time_s - means.time_s[known]
+    off = tracker_mm - means.tracker_mm[known] - lag[:, None] * velocity_mm_s
+    frame = beam_frame(means.tracker_mm)[known]
+    sigma = noise.sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[known]
+    return np.einsum("nij,nj->ni", frame, off) / sigma[:, [0, 1, 1]]
+
+
+def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
+    """Return rows: unit beam, unit azimuth, unit elevation at points in the tracker's frame."""
+    beam = tracker_mm / np.linalg.norm(tracker_mm, axis=1, keepdims=True)
+    azimuth = np.cross(np.array([0.0, 0.0, 1.0]), beam)
+    flat = np.linalg.norm(azimuth, axis=1, keepdims=True)
+    azimuth = np.where(flat > 1e-9, azimuth / np.maximum(flat, 1e-9), [1.0, 0.0, 0.0])
+    return np.stack([beam, azimuth, np.cross(beam, azimuth)], axis=1)
+
+

@@ -1,0 +1,169 @@
+"""Which standstill is which waypoint: the sequence decides, not the nearest point.
+
+Distances between standstills do not depend on where the tracker stands, so the longest
+chain of standstills whose mutual distances match those of the waypoints, in order, tells
+the correspondence without a first guess of the pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.alignment.stops import Stops
+from app.errors import AlignmentError
+from app.numerics.rigid import RigidTransform, fit_rigid
+
+_SKIP = 4  # how many standstills or waypoints in a row may be missing
+_TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """Standstill `stop[k]` is waypoint `waypoint[k]`; both increase. `pose` is rough."""
+
+    stop: Int64[np.ndarray, " k"]
+    waypoint: Int64[np.ndarray, " k"]
+    pose: RigidTransform
+
+
+def match_stops(
+    stops: Stops, waypoint_mm: Float64[np.ndarray, "w 3"], *, ordered_by: str
+) -> Matching:
+    """Match standstills (tracker frame) to nominal waypoints (workpiece frame).
+
+    ordered_by : what the waypoints are called in messages ("path.csv", "points.csv")
+
+    Raises AlignmentError if they do not belong together, or only as mirror images.
+    """
+    places = stops.position_mm
+    _require_spread(waypoint_mm, ordered_by)
+    stop, waypoint = _longest_chain(places, waypoint_mm)
+    enough = max(3, round(0.5 * min(len(waypoint_mm), max(len(places), 1))))
+    if len(stop) < enough:
+        raise AlignmentError(
+            f"the stream does not follow {ordered_by}: of {len(waypoint_mm)} commanded "
+            f"standstills {len(stop)} were recognised among {len(places)} in the "
+            "stream; check that the recording belongs to this path and has its order"
+        )
+    pose = fit_rigid(waypoint_mm[waypoint], places[stop])
+    _require_right_handed(places[stop], waypoint_mm[waypoint], pose, ordered_by)
+    stop, waypoint = _rematch(places, pose.apply(waypoint_mm))
+    pose = fit_rigid(waypoint_mm[waypoint], places[stop])
+    return Matching(stop, waypoint, pose)
+
+
+def _longest_chain(
+    places: Float64[np.ndarray, "m 3"], waypoints: Float64[np.ndarray, "w 3"]
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Dynamic programming over pairs (standstill, waypoint) with few skips.
+
+    A link is allowed where the distance to the previous pair fits, and to the pair before
+    that one as well; each pair adds one, each skip costs a little.
+    """
+    m, w = len(places), len(waypoints)
+    score = np.ones((m, w))
+    back = np.full((m, w, 2), -1)
+    nominal = np.linalg.norm(waypoints[:, None] - waypoints[None], axis=2)
+    for i in range(1, m):
+        for di in range(1, min(_SKIP, i) + 1):
+            j = i - di
+            step = float(np.linalg.norm(places[i] - places[j]))
+            for da in range(1, min(_SKIP, w - 1) + 1):
+                a, b = np.arange(da, w), np.arange(w - da)
+                fits = np.abs(nominal[a, b] - step) < _TOLERANCE_MM
+                fits &= _fits_two_back(places, nominal, back, i, j, a, b)
+                better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
+                take = fits & (better > score[i, a])
+                score[i, a[take]] = better[take]
+                back[i, a[take]] = np.column_stack(
+                    [np.full(take.sum(), j), b[take]]
+                )
+    return _traced(score, back)
+
+
+def _fits_two_back(
+    places: Float64[np.ndarray, "m 3"],
+    nominal: Float64[np.ndarray, "w w"],
+    back: Int64[np.ndarray, "m w 2"],
+    i: int,
+    j: int,
+    a: Int64[np.ndarray, " n"],
+    b: Int64[np.ndarray, " n"],
+) -> np.ndarray:
+    earlier, waypoint = back[j, b, 0], back[j, b, 1]
+    distance = np.linalg.norm(places[i] - places[earlier], axis=1)
+    return (earlier < 0) | (np.abs(nominal[a, waypoint] - distance) < _TOLERANCE_MM)
+
+
+def _traced(
+    score: Float64[np.ndarray, "m w"], back: Int64[np.ndarray, "m w 2"]
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    if score.size == 0:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    i, a = (int(v) for v in np.unravel_index(int(np.argmax(score)), score.shape))
+    chain: list[tuple[int, int]] = []
+    while i >= 0:
+        chain.append((i, a))
+        i, a = int(back[i, a, 0]), int(back[i, a, 1])
+    pairs = np.array(chain[::-1])
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _rematch(
+    places: Float64[np.ndarray, "m 3"], expected: Float64[np.ndarray, "w 3"]
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Longest common order of standstills and waypoints at the same place, pose known."""
+    m, w = len(places), len(expected)
+    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < _TOLERANCE_MM
+    length = np.zeros((m + 1, w + 1), np.int64)
+    for i in range(m):
+        hit = length[i, :-1] + near[i]
+        length[i + 1, 1:] = np.maximum.accumulate(np.maximum(hit, length[i, 1:]))
+    pairs: list[tuple[int, int]] = []
+    i, a = m, w
+    while i and a:
+        if length[i, a] == length[i - 1, a]:
+            i -= 1
+        elif length[i, a] == length[i, a - 1]:
+            a -= 1
+        else:
+            i, a = i - 1, a - 1
+            pairs.append((i, a))
+    found = np.array(pairs[::-1]).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
+
+
+def _require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> None:
+    spread = np.linalg.svd(waypoints - waypoints.mean(axis=0), compute_uv=False)
+    if len(waypoints) < 3 or spread[1] < 1.0:
+        raise AlignmentError(
+            f"{ordered_by} lies on one straight line, so the tracker's turn about it "
+            "cannot be told; add a waypoint off the line"
+        )
+
+
+def _require_right_handed(
+    places: Float64[np.ndarray, "k 3"],
+    waypoints: Float64[np.ndarray, "k 3"],
+    pose: RigidTransform,
+    ordered_by: str,
+) -> None:
+    mirrored = fit_rigid(waypoints, places, mirrored=True)
+    rms, mirrored_rms = (
+        float(np.sqrt(np.mean((t.apply(waypoints) - places) ** 2)))
+        for t in (pose, mirrored)
+    )
+    if rms > 5.0 * mirrored_rms and rms > 1.0:
+        raise AlignmentError(
+            f"the stream fits {ordered_by} only as a mirror image "
+            f"({rms:.2f} mm against {mirrored_rms:.3f} mm): one axis of the tracker "
+            "frame or of the path is reversed; record in a right-handed frame"
+        )
+    if rms > 1.0:
+        raise AlignmentError(
+            f"standstills and {ordered_by} disagree by {rms:.2f} mm after alignment; "
+            "check the units, the order and that the recording belongs to this path"
+        )

@@ -1,0 +1,87 @@
+"""Standstill recognition: where in the stream the machine stood still.
+
+The paper's predecessor (Montavon 2019) measures at these; on the fly they are the exact
+stops at the waypoints, whose *sequence* tells which line is which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+_BLOCK = 10  # samples on either side: 20 ms at 500 Hz
+_SAME_PLACE_MM = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """Standstills in the order of time.
+
+    first, last : (m,) indices of the first sample at rest and of the one after the last
+    position_mm : (m, 3) where, in the frame of the stream
+    """
+
+    first: Int64[np.ndarray, " m"]
+    last: Int64[np.ndarray, " m"]
+    position_mm: Float64[np.ndarray, "m 3"]
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+def speed_mm_s(
+    time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, " n"]:
+    """Return the speed between the mean of the block before and of the block after each sample."""
+    n, w = len(time_s), min(_BLOCK, max(1, len(time_s) // 3))
+    stacked = np.column_stack([time_s - time_s[0], position_mm - position_mm[0]])
+    total = np.vstack([np.zeros(4), np.cumsum(stacked, axis=0)])
+    means = (total[w:] - total[:-w]) / w
+    step = means[w:] - means[:-w]
+    speed = np.linalg.norm(step[:, 1:], axis=1) / step[:, 0]
+    return np.pad(speed, (w, n - w - len(speed)), mode="edge")
+
+
+def find_stops(
+    time_s: Float64[np.ndarray, " n"],
+    position_mm: Float64[np.ndarray, "n 3"],
+    slowest_mm_s: float,
+) -> Stops:
+    """Find the standstills of a stream whose slowest motion is known.
+
+    time_s, position_mm : valid samples only
+    """
+    threshold = float(np.clip(0.2 * slowest_mm_s, 0.5, 20.0))
+    still = speed_mm_s(time_s, position_mm) < threshold
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.view(np.int8), [0]])))
+    first, last = edges[::2], edges[1::2]
+    if len(first) == 0:
+        return Stops(first, last, np.empty((0, 3)))
+    where = np.array(
+        [_rest_position(position_mm[a:b]) for a, b in zip(first, last, strict=True)]
+    )
+    return _merged(first, last, where)
+
+
+def _rest_position(position_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
+    quarter = len(position_mm) // 4
+    middle = position_mm[quarter : len(position_mm) - quarter]
+    return np.median(middle, axis=0)
+
+
+def _merged(
+    first: Int64[np.ndarray, " m"],
+    last: Int64[np.ndarray, " m"],
+    where: Float64[np.ndarray, "m 3"],
+) -> Stops:
+    """Join neighbours at one place: a lost frame or a knock does not make two standstills."""
+    moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > _SAME_PLACE_MM
+    begins = np.flatnonzero(np.concatenate([[True], moved]))
+    ends = np.append(begins[1:], len(first)) - 1
+    longest = [
+        b + int(np.argmax(last[b : e + 1] - first[b : e + 1]))
+        for b, e in zip(begins, ends, strict=True)
+    ]
+    return Stops(first[begins], last[ends], where[longest])

@@ -1,0 +1,117 @@
+"""Which error motions the measured targets can tell apart, decided from geometry alone.
+
+With one tool offset only 14 of the 18 error motions of a three-axis machine move the
+target in ways of their own: turns of the last axis merge with its straightness, and the
+turn of the last but one about the last axis' direction merges likewise. Two tool lengths
+give 16, three offsets off one line 18. What merges is left out of the solve and named; a
+pseudo-inverse would return it as a silent zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.effects.error_motion import ErrorMotion, error_motion
+from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.kinematics.symbols import error_motions, is_turn, meaning
+
+KNOT_SPACING_MM = 35.0
+_PROBE = 400  # configurations that stand for the whole volume
+_NEW_SHAPE = 1e-6  # relative size of a new singular value
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """An error motion that no data of these targets tell from others."""
+
+    symbol: str
+    told_with: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return the statement for reports."""
+        if not self.told_with:
+            return f"{self.symbol} ({meaning(self.symbol)}) does not move the target"
+        others = ", ".join(self.told_with)
+        return (
+            f"{self.symbol} ({meaning(self.symbol)}) cannot be told from {others} with "
+            "the measured tool offsets; another tool length or offset separates them"
+        )
+
+
+def identifiable_model(
+    machine: Machine,
+    offsets_mm: Float64[np.ndarray, "t 3"],
+    *,
+    knot_spacing_mm: float = KNOT_SPACING_MM,
+) -> tuple[MachineModel, tuple[Merged, ...]]:
+    """Return the model of all error motions that these targets can tell, and what merged.
+
+    offsets_mm : the offsets of the measured targets
+    """
+    symbols = [s for axis in machine.linear_axes for s in error_motions(axis.name)]
+    # Displacements first: where a turn merges with one, the displacement is kept.
+    symbols.sort(key=is_turn)
+    travels = {axis.name: axis for axis in machine.linear_axes}
+    probe = _probe(machine, np.unique(offsets_mm, axis=0))
+    kept: list[str] = []
+    merged: list[Merged] = []
+    for symbol in symbols:
+        partners = _absorbed_by(symbol, kept, machine, probe)
+        if partners is None:
+            kept.append(symbol)
+        else:
+            merged.append(Merged(symbol, partners))
+    ordered = [
+        s for axis in machine.linear_axes for s in error_motions(axis.name) if s in kept
+    ]
+    motions = tuple(error_motion(s, travels[s[2]], knot_spacing_mm) for s in ordered)
+    squareness = squareness_between(tuple(travels))
+    return MachineModel(machine, motions + squareness), tuple(merged)
+
+
+def _probe(machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]) -> Conditions:
+    rng = np.random.default_rng(0)
+    low = np.array([a.min_mm for a in machine.linear_axes])
+    high = np.array([a.max_mm for a in machine.linear_axes])
+    position = rng.uniform(low, high, (_PROBE, len(low)))
+    offset = offsets_mm[np.arange(_PROBE) % len(offsets_mm)]
+    return standstill(machine, position, offset)
+
+
+def _absorbed_by(
+    symbol: str, kept: list[str], machine: Machine, probe: Conditions
+) -> tuple[str, ...] | None:
+    """Return the kept motions that already make all of this motion's shapes, or None."""
+    axis = next(a for a in machine.linear_axes if a.name == symbol[2])
+    mates = [k for k in kept if k[2] == symbol[2]]
+
+    # A few smooth shapes stand for all; those of the gauge (constant, slope) do not count.
+    def columns(name: str) -> Float64[np.ndarray, "m p"]:
+        motion = error_motion(name, axis, (axis.max_mm - axis.min_mm) / 4)
+        rows = motion.spline.basis(probe.axis_mm(axis.name))
+        free = ErrorMotion(name, axis, motion.spline, np.eye(motion.spline.size))
+        arm = free.jacobian(probe).reshape(-1, rows.shape[1])
+        return arm / 100.0 if is_turn(name) else arm
+
+    own = columns(symbol)
+    if np.abs(own).max() < _NEW_SHAPE:
+        return ()
+    if not mates:
+        return None
+    others = np.hstack([columns(m) for m in mates])
+    solution, *_ = np.linalg.lstsq(others, own, rcond=1e-10)
+    left = np.linalg.norm(own - others @ solution) / np.linalg.norm(own)
+    if left > _NEW_SHAPE:
+        return None
+    size = own.shape[1]
+    share = [
+        float(np.abs(solution[i * size : (i + 1) * size]).max())
+        for i in range(len(mates))
+    ]
+    return tuple(m for m, s in zip(mates, share, strict=True) if s > 1e-3 * max(share))

@@ -1,0 +1,63 @@
+"""The noise model of one Run: what the tracker states, corrected by what the data show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.numerics.correlated_noise import Whitener, whitener
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """White and slow noise along and across the beam, and the feed's own jitter.
+
+    white : (2,) standard deviation of a sample, in units of the tracker's stated one
+    slow : (2,) standard deviation of the slow part, in the same units
+    slow_time_s : correlation time of the slow part
+    along_sigma_mm : standard deviation of a cell along the travel beyond phase and speed;
+        infinite where only deviations across the path are used
+    """
+
+    white: tuple[float, float]
+    slow: tuple[float, float]
+    slow_time_s: float
+    along_sigma_mm: float
+
+
+def whiten(
+    seen: Observations,
+    noise: NoiseModel,
+    frame: Float64[np.ndarray, "n 3 3"],
+) -> Whitener:
+    """Return the inverse covariance of all cells in the beam frame.
+
+    frame : (n, 3, 3) workpiece to beam frame, rows beam, azimuth, elevation
+    """
+    tracker = seen.at.machine.tracker
+    stated = tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[:, [0, 1, 1]]
+    white = stated * np.array([noise.white[0], noise.white[1], noise.white[1]])
+    slow = stated * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
+    precision = seen.count[:, None] / white**2
+    along = np.einsum("nij,nj->ni", frame, seen.direction)
+    matrices = _with_jitter(precision, along, noise.along_sigma_mm)
+    return whitener(seen.at.time_s, matrices, slow, noise.slow_time_s)
+
+
+def _with_jitter(
+    precision: Float64[np.ndarray, "n 3"],
+    along: Float64[np.ndarray, "n 3"],
+    sigma_mm: float,
+) -> Float64[np.ndarray, "n 3 3"]:
+    """Return (D + σ² u uᵀ)⁻¹ by Sherman and Morrison; σ = ∞ removes the direction u."""
+    matrices = precision[:, :, None] * np.eye(3)
+    if sigma_mm == 0.0:
+        return matrices
+    pulled = precision * along
+    total = np.einsum("ni,ni->n", along, pulled)
+    inverse = 0.0 if np.isinf(sigma_mm) else sigma_mm**-2
+    weight = np.where(total > 0.0, 1.0 / np.maximum(inverse + total, 1e-300), 0.0)
+    return matrices - weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]

@@ -1,0 +1,85 @@
+"""The volumetric error anywhere, without the rigid motion of the whole volume.
+
+Where the tracker stands is not the machine's error: the map is stated after its best-fit
+rigid motion over the axis travel (uniform weight) is removed, and so is its uncertainty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.numerics.rigid import cross_matrix
+
+_NODES = 12  # Gauss–Legendre nodes an axis: exact for the shapes splines take
+
+
+@dataclass(frozen=True, slots=True)
+class VolumetricMap:
+    """Linear map from θ to the volumetric error less its rigid motion.
+
+    rigid : (6, p) rigid motion of the whole volume that each parameter brings with it
+    """
+
+    model: MachineModel
+    rigid: Float64[np.ndarray, "6 p"]
+    centre_mm: Float64[np.ndarray, "3"]
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return ∂(volumetric error, mm)/∂θ."""
+        return self.model.jacobian(at) - _rigid_columns(at, self.centre_mm) @ self.rigid
+
+    def error_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the volumetric error δ = actual − nominal."""
+        return self.jacobian(at) @ theta
+
+    def sigma_mm(
+        self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the standard uncertainty of each component."""
+        J = self.jacobian(at)
+        return np.sqrt(np.einsum("nip,nip->ni", J @ covariance, J))
+
+
+def volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
+    """Return the map of one target's volumetric error over the axis travel."""
+    at, weight = _quadrature(model.machine, target)
+    centre = weight @ at.point_mm
+    rigid = _rigid_columns(at, centre) * np.sqrt(weight)[:, None, None]
+    columns = model.jacobian(at) * np.sqrt(weight)[:, None, None]
+    fit, *_ = np.linalg.lstsq(
+        rigid.reshape(-1, 6), columns.reshape(-1, model.size), rcond=None
+    )
+    return VolumetricMap(model, fit, centre)
+
+
+def _quadrature(
+    machine: Machine, target: str
+) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    axes = machine.linear_axes
+    grid = np.meshgrid(*[node] * len(axes), indexing="ij")
+    weights = np.meshgrid(*[weight] * len(axes), indexing="ij")
+    low = np.array([a.min_mm for a in axes])
+    high = np.array([a.max_mm for a in axes])
+    unit = np.stack([g.ravel() for g in grid], axis=1)
+    position = low + (unit + 1.0) / 2.0 * (high - low)
+    total = np.prod([w.ravel() for w in weights], axis=0)
+    offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
+    return standstill(machine, position, offset), total / total.sum()
+
+
+def _rigid_columns(
+    at: Conditions, centre_mm: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "n 3 6"]:
+    columns = np.zeros((len(at), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    columns[:, :, 3:] = cross_matrix(at.point_mm - centre_mm)
+    return columns

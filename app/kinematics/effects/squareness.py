@@ -1,0 +1,46 @@
+"""Squareness of two linear axes: the slope that straightness leaves to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.error_motion import reference_position_mm
+
+# Turn of the axis out of square: which axis, which way it leans, sign of a right-handed turn.
+_LEAN = {"C0Y": ("Y", 0, -1.0), "B0Z": ("Z", 0, 1.0), "A0Z": ("Z", 1, -1.0)}
+
+
+@dataclass(frozen=True)
+class Squareness(Effect):
+    """C0Y, B0Z or A0Z: the axis leans by a right-handed turn about the symbol's direction."""
+
+    symbol: str
+
+    @property
+    def name(self) -> str:
+        """ISO 230-1 symbol."""
+        return self.symbol
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The angle."""
+        return (Parameter(self.symbol, "rad"),)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the lean: a displacement across the axis in proportion to its position."""
+        name, direction, sign = _LEAN[self.symbol]
+        axis = next(a for a in at.machine.linear_axes if a.name == name)
+        columns = np.zeros((len(at), 3, 1))
+        travel = at.axis_mm(name) - reference_position_mm(axis)
+        columns[:, direction, 0] = sign * travel
+        return columns
+
+
+def squareness_between(axes: tuple[str, ...]) -> tuple[Squareness, ...]:
+    """Return the squarenesses of the given linear axes."""
+    pairs = {"C0Y": {"X", "Y"}, "B0Z": {"X", "Z"}, "A0Z": {"Y", "Z"}}
+    return tuple(Squareness(s) for s, pair in pairs.items() if pair <= set(axes))

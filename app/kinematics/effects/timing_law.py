@@ -1,0 +1,44 @@
+"""When the machine was where on a line: one phase and one speed a line, no shared clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+
+
+@dataclass(frozen=True)
+class TimingLaw(Effect):
+    """Along each line the machine is late by a constant and slow by a constant ratio."""
+
+    lines: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return "timing-law"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Phase and speed of the first line, of the second, ..."""
+        return tuple(
+            Parameter(f"line-{line}-{what}", unit, nuisance=True)
+            for line in self.lines
+            for what, unit in (("phase", "mm"), ("speed", "mm/s"))
+        )
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return direction of travel, and direction of travel times time from mid line."""
+        columns = np.zeros((len(at), 3, 2 * len(self.lines)))
+        speed = np.linalg.norm(at.velocity_mm_s, axis=1)
+        moving = np.flatnonzero(speed)
+        column = np.searchsorted(np.array(self.lines), at.line[moving])
+        direction = at.velocity_mm_s[moving] / speed[moving, None]
+        columns[moving, :, 2 * column] = direction
+        columns[moving, :, 2 * column + 1] = (
+            direction * at.line_time_s[moving, None]
+        )
+        return columns

@@ -1,0 +1,37 @@
+"""Where the tracker stands: the rigid motion of everything it sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.numerics.rigid import cross_matrix
+
+
+@dataclass(frozen=True)
+class TrackerPose(Effect):
+    """A small shift, and a small turn about a centre, of all measured points."""
+
+    centre_mm: tuple[float, float, float]
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return "tracker-pose"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Three shifts, three turns."""
+        shifts = [Parameter(f"pose-shift-{d}", "mm", nuisance=True) for d in "xyz"]
+        turns = [Parameter(f"pose-turn-{d}", "rad", nuisance=True) for d in "xyz"]
+        return tuple(shifts + turns)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return shift + turn × (point − centre)."""
+        columns = np.zeros((len(at), 3, 6))
+        columns[:, :, :3] = np.eye(3)
+        columns[:, :, 3:] = cross_matrix(at.point_mm - np.array(self.centre_mm))
+        return columns

@@ -1,0 +1,52 @@
+"""A machine together with everything that moves its measured point off its nominal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.machine import Machine
+
+
+@dataclass(frozen=True)
+class MachineModel:
+    """Nominal machine and a tuple of effects; θ is their parameters one after another."""
+
+    machine: Machine
+    effects: tuple[Effect, ...]
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where each effect's parameters lie in θ, by the effect's name."""
+        found: dict[str, slice] = {}
+        begin = 0
+        for effect in self.effects:
+            end = begin + len(effect.parameters)
+            found[effect.name] = slice(begin, end)
+            begin = end
+        return found
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters in the order of θ."""
+        return tuple(p for effect in self.effects for p in effect.parameters)
+
+    @property
+    def size(self) -> int:
+        """Length of θ."""
+        return len(self.parameters)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return ∂(displacement in the workpiece frame, mm)/∂θ."""
+        columns = np.zeros((len(at), 3, self.size))
+        for effect in self.effects:
+            columns[:, :, self.slices[effect.name]] = effect.jacobian(at)
+        return columns
+
+    def with_effects(self, *more: Effect) -> MachineModel:
+        """Return this model with further effects at the end."""
+        return replace(self, effects=(*self.effects, *more))

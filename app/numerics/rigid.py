@@ -1,0 +1,69 @@
+"""Rigid motions in space: rotation vectors and weighted fits of one point set to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True, slots=True)
+class RigidTransform:
+    """p ↦ rotation · p + shift."""
+
+    rotation: Float64[np.ndarray, "3 3"]
+    shift_mm: Float64[np.ndarray, "3"]
+
+    def apply(self, points_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Move the points."""
+        return points_mm @ self.rotation.T + self.shift_mm
+
+    def inverse(self) -> RigidTransform:
+        """Return the motion that undoes this one."""
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.shift_mm)
+
+    def after_small(
+        self, turn_rad: Float64[np.ndarray, "3"], shift_mm: Float64[np.ndarray, "3"]
+    ) -> RigidTransform:
+        """Return this motion preceded by a small turn about the origin and a shift."""
+        step = Rotation.from_rotvec(turn_rad).as_matrix()
+        return RigidTransform(
+            self.rotation @ step, self.rotation @ shift_mm + self.shift_mm
+        )
+
+
+def fit_rigid(
+    source_mm: Float64[np.ndarray, "n 3"],
+    target_mm: Float64[np.ndarray, "n 3"],
+    weight: Float64[np.ndarray, " n"] | None = None,
+    *,
+    mirrored: bool = False,
+) -> RigidTransform:
+    """Rotate and shift one point set onto another in the weighted least-squares sense.
+
+    source_mm, target_mm : (n, 3), n >= 3, not collinear
+    weight : (n,), inverse variance of one coordinate; equal where it is left out
+    mirrored : fit an improper rotation instead, to recognise a left-handed frame
+
+    Umeyama (1991), scale fixed at 1.
+    """
+    w = np.ones(len(source_mm)) if weight is None else weight
+    w = w / w.sum()
+    centre_s, centre_t = w @ source_mm, w @ target_mm
+    H = (target_mm - centre_t).T @ ((source_mm - centre_s) * w[:, None])
+    U, _, Vt = np.linalg.svd(H)
+    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    R = U @ np.diag([1.0, 1.0, -sign if mirrored else sign]) @ Vt
+    return RigidTransform(R, centre_t - R @ centre_s)
+
+
+def cross_matrix(points_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
+    """Return C with C ω = ω × p for each point."""
+    C = np.zeros((len(points_mm), 3, 3))
+    x, y, z = points_mm.T
+    C[:, 0, 1], C[:, 0, 2] = z, -y
+    C[:, 1, 0], C[:, 1, 2] = -z, x
+    C[:, 2, 0], C[:, 2, 1] = y, -x
+    return C
