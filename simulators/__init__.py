@@ -1,5 +1,29 @@
 """The device end of the wire: a truth machine, a tracker, a CNC and their faults.
 
-Written independently of the service (exact homogeneous transforms), so that a bench
-cannot confirm the estimator's own mistakes.
+Written independently of the service, so that a bench cannot confirm the estimator's own
+mistakes: the truth machine composes exact homogeneous transforms,
+
+    p = T_1(s_1) ... T_n(s_n) t,    T_i(s) = Trans(s d_i) Trans(E_i(s)) R(omega_i(s)),
+
+over the axes from workpiece to tool. `t` is the tool offset, `d_i` the direction of
+travel (out of square by the squareness), `E_i` and `omega_i` the error motions, all of
+the tool relative to the workpiece. To first order this is the linear form of the file
+formats; the rest is what a linear estimator does not know.
+
+Two processes share one motion. The CNC process plans it as pieces of cubic polynomials
+(straight lines, exact stops, limited jerk) and publishes them on a board of shared
+memory; the tracker process evaluates them at its own sample times. Positions follow in
+closed form from seed and time alone, at any speed of the clock.
+
+    machine_file    the nominal machine, as machine.json states it
+    error_motions   random smooth error motions
+    truth_machine   where the tool really is
+    profile         feed along one line with limited acceleration and jerk
+    timeline        a whole motion, piece by piece; hold, resume, override
+    tracker_head    range and angles of a point, with noise correlated in time
+    synthetic       whole recordings without wire and without waiting
+    faults          what goes wrong, when
+    tracker_*       the tracker behind its wire
+    cnc_*, modbus_* the CNC behind its wire
+    bench, command  both processes together, for tests and for test rigs
 """

@@ -1,0 +1,90 @@
+"""Writes a recording in the form of a measurement bundle, with its truth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulators.randomness import generator
+from simulators.recording import Recording
+from simulators.truth_machine import TruthMachine
+
+_GRID_MARGIN_MM = 15.0
+
+
+def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) -> None:
+    """Write the recording as a measurement bundle, with `truth.json` beside it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "machine.json").write_text(json.dumps(dict(recording.content), indent=1))
+    _write_program(folder, recording)
+    _write_stream(folder, recording, csv=csv)
+    _write_environment(folder / "environment.csv", recording)
+    (folder / "truth.json").write_text(json.dumps(truth_of(recording.truth)))
+
+
+def truth_of(truth: TruthMachine, points: int = 8) -> dict[str, Any]:
+    """Return the volumetric error on a grid of the travel, as a case states it."""
+    low = truth.machine.low_mm + _GRID_MARGIN_MM
+    high = truth.machine.high_mm - _GRID_MARGIN_MM
+    axes = [np.linspace(a, b, points) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return {
+        "note": "synthetic recording",
+        "effects": [],
+        "points_mm": grid.round(4).tolist(),
+        "deviation_um": (1e3 * truth.deviation_mm(grid.round(4))).round(4).tolist(),
+    }
+
+
+def _write_program(folder: Path, recording: Recording) -> None:
+    names = [f"{axis.lower()}_mm" for axis in recording.truth.machine.axis_names]
+    program = recording.program
+    columns = [program.position]
+    if recording.mode == "otf":
+        name, names = "path.csv", [*names, "feed_mm_min", "dwell_s"]
+        columns += [60.0 * program.feed_mm_s[:, None]]
+    else:
+        name, names = "points.csv", [*names, "dwell_s"]
+    table = np.hstack([*columns, program.dwell_s[:, None]])
+    _write_table(folder / name, names, table, "%.4f")
+
+
+def _write_stream(folder: Path, recording: Recording, *, csv: bool) -> None:
+    columns = {
+        "t_s": recording.time_s,
+        **{
+            f"{name}_mm": column
+            for name, column in zip("xyz", recording.position_mm.T, strict=True)
+        },
+        "status": recording.status,
+    }
+    if csv:
+        table = np.stack(list(columns.values()), axis=1)
+        formats = ["%.6f"] * 4 + ["%d"]
+        _write_table(folder / "tracker.csv", list(columns), table, formats)
+        return
+    import pyarrow as pa  # heavy, and needed for this file alone
+    from pyarrow import parquet
+
+    parquet.write_table(pa.table(columns), folder / "tracker.parquet")
+
+
+def _write_environment(path: Path, recording: Recording) -> None:
+    """Write scale temperatures once a second: constant but for the sensors' noise."""
+    rng = generator(len(recording), "environment")
+    time_s = np.arange(recording.time_s[0], recording.time_s[-1], 1.0)
+    celsius = 20.0 + rng.normal(0.0, 0.02, (len(time_s), 3))
+    names = ["t_s", *(f"{a}_degC" for a in recording.truth.machine.axis_names)]
+    _write_table(path, names, np.column_stack([time_s, celsius]), "%.3f")
+
+
+def _write_table(
+    path: Path, names: Sequence[str], table: np.ndarray, form: str | list[str]
+) -> None:
+    np.savetxt(
+        path, table, fmt=form, delimiter=",", header=",".join(names), comments=""
+    )

@@ -1,0 +1,7 @@
+"""What a simulator refuses."""
+
+from __future__ import annotations
+
+
+class SimulatorError(ValueError):
+    """A machine, scenario or fault that cannot be simulated; the text says why."""

@@ -1,0 +1,38 @@
+"""A recording and the truth behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simulators.timeline import Program, Timeline
+from simulators.tracker_head import TrackerPose
+from simulators.truth_machine import TruthMachine
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording and its truth.
+
+    time_s (n,), position_mm (n, 3), status (n,) : in the tracker's frame and clock
+    commanded_mm (n, 3) : nominal axis positions at each sample
+    row (n,) : row that the machine moved towards or dwelt at, at each sample
+    """
+
+    content: Mapping[str, Any]
+    mode: str
+    program: Program
+    truth: TruthMachine
+    pose: TrackerPose
+    time_s: np.ndarray
+    position_mm: np.ndarray
+    status: np.ndarray
+    commanded_mm: np.ndarray
+    row: np.ndarray
+    timeline: Timeline
+
+    def __len__(self) -> int:
+        return len(self.time_s)

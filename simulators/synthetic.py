@@ -1,0 +1,256 @@
+"""Whole recordings without wire and without waiting: what a bench would have recorded.
+
+Motion, truth, noise and clock are those of the simulators, evaluated at once.
+
+    python -m simulators.synthetic OUT --seed 3 --mode otf --feed 2500
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulators import interruption, paths, tracker_head
+from simulators.bundle_files import write_bundle_files
+from simulators.errors import SimulatorError
+from simulators.machine_file import MachineFile, parse_machine
+from simulators.profile import Limits
+from simulators.randomness import generator
+from simulators.recording import Recording
+from simulators.scenario import load_machine
+from simulators.timeline import Program, Timeline, follow
+from simulators.tracker_head import Air, TrackerClock, TrackerPose
+from simulators.truth_machine import random_machine
+
+BEAM_BROKEN = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Defects:
+    """What is wrong with a recording.
+
+    dropped_share : share of the frames that are missing, one by one
+    gaps : (begin_s, duration_s) of silence, since the begin of the stream
+    beam_breaks : (begin_s, duration_s) in which samples are there but not valid
+    spikes, spike_mm : number of valid samples that are off by so much
+    duplicated_share : share of the frames that come twice
+    late_start_s : the stream begins so long after the motion
+    holds : (begin_s, duration_s) of feed holds, wherever the machine is then
+    knock : (time_s, x, y, z mm), the tracker shifts once
+    """
+
+    dropped_share: float = 0.0
+    gaps: tuple[tuple[float, float], ...] = ()
+    beam_breaks: tuple[tuple[float, float], ...] = ()
+    spikes: int = 0
+    spike_mm: float = 0.5
+    duplicated_share: float = 0.0
+    late_start_s: float = 0.0
+    holds: tuple[tuple[float, float], ...] = ()
+    knock: tuple[float, float, float, float] | None = None
+
+
+ROUGH = Defects(
+    dropped_share=0.002,
+    gaps=((20.0, 3.0),),
+    beam_breaks=((35.0, 1.5),),
+    spikes=20,
+    duplicated_share=0.001,
+    holds=((12.0, 2.0),),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How a recording is made, besides machine, program and seed."""
+
+    rate_hz: float | None = None
+    lead_in_s: float = 1.0
+    lead_out_s: float = 1.0
+    error_scale: float = 1.0
+    limits: Limits = field(default_factory=Limits)
+    air: Air = field(default_factory=Air)
+    noise_scale: float = 1.0
+    pose: TrackerPose | None = None
+    clock: TrackerClock | None = None
+    defects: Defects = field(default_factory=Defects)
+
+
+def record(
+    content: Mapping[str, Any],
+    program: Program,
+    seed: int,
+    mode: str = "otf",
+    setting: Setting | None = None,
+) -> Recording:
+    """Drive a program on a random machine and record it.
+
+    content : the content of machine.json; mode : `otf` or `standstill`, for the files
+    """
+    setting = setting or Setting()
+    machine = parse_machine(content)
+    truth = random_machine(machine, seed, scale=setting.error_scale)
+    pose = setting.pose or tracker_head.random_pose(machine, seed)
+    timeline = _motion(program, setting)
+    device_s, true_s = _sample_times(machine, timeline, seed, setting)
+    commanded = timeline.positions(true_s)
+    table_mm = truth.seen_mm(commanded) + _knocked(true_s, setting.defects)
+    stream = _observed(machine, pose.from_table(table_mm), seed, setting)
+    status = np.zeros(len(true_s), np.int64)
+    for begin, duration in setting.defects.beam_breaks:
+        status[_within(true_s, begin, duration)] = BEAM_BROKEN
+    keep = _kept(true_s, seed, setting.defects)
+    return Recording(
+        content,
+        mode,
+        program,
+        truth,
+        pose,
+        device_s[keep],
+        _with_spikes(stream, seed, setting.defects)[keep],
+        status[keep],
+        commanded[keep],
+        timeline.rows(true_s)[keep],
+        timeline,
+    )
+
+
+def _motion(program: Program, setting: Setting) -> Timeline:
+    """Stand at the first row, drive the program, hold where it is held."""
+    begin = setting.lead_in_s
+    timeline = follow(program, program.position[0], begin, setting.limits)
+    for time_s, duration_s in setting.defects.holds:
+        left = interruption.program_left(timeline, program, time_s)
+        timeline = interruption.held(timeline, time_s, setting.limits)
+        timeline = interruption.resumed(
+            timeline,
+            left,
+            max(time_s + duration_s, timeline.end_s),
+            setting.limits,
+        )
+    return timeline
+
+
+def _sample_times(
+    machine: MachineFile, timeline: Timeline, seed: int, setting: Setting
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times of all samples on the tracker's clock and in truth."""
+    rate_hz = setting.rate_hz or machine.tracker.rate_hz
+    clock = setting.clock or tracker_head.random_clock(seed)
+    begin = setting.defects.late_start_s
+    if begin:
+        begin += setting.lead_in_s
+    count = int((timeline.end_s + setting.lead_out_s - begin) * rate_hz)
+    device_s = clock.device_s(begin) + np.arange(count) / rate_hz
+    return device_s.round(6), clock.true_s(device_s)
+
+
+def _observed(
+    machine: MachineFile, point_mm: np.ndarray, seed: int, setting: Setting
+) -> np.ndarray:
+    rate_hz = setting.rate_hz or machine.tracker.rate_hz
+    noise = tracker_head.SampleNoise(seed, rate_hz, setting.air).draw(len(point_mm))
+    polar = tracker_head.measured(
+        point_mm, setting.noise_scale * noise, machine.tracker
+    )
+    return tracker_head.to_cartesian(polar)
+
+
+def _knocked(true_s: np.ndarray, defects: Defects) -> np.ndarray:
+    shift = np.zeros((len(true_s), 3))
+    if defects.knock:
+        shift[true_s >= defects.knock[0]] = defects.knock[1:]
+    return shift
+
+
+def _with_spikes(stream: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
+    rng = generator(seed, "defects: spikes")
+    struck = rng.choice(len(stream), min(defects.spikes, len(stream)), replace=False)
+    direction = rng.normal(size=(len(struck), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    stream = stream.copy()
+    stream[struck] += defects.spike_mm * direction
+    return stream
+
+
+def _kept(true_s: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
+    """Return the indices of the frames that arrive, in order, some of them twice."""
+    rng = generator(seed, "defects: frames")
+    arrives = rng.uniform(size=len(true_s)) >= defects.dropped_share
+    for begin, duration in defects.gaps:
+        arrives &= ~_within(true_s, begin, duration)
+    twice = rng.uniform(size=len(true_s)) < defects.duplicated_share
+    return np.repeat(np.arange(len(true_s)), np.where(arrives, 1 + twice, 0))
+
+
+def _within(time_s: np.ndarray, begin_s: float, duration_s: float) -> np.ndarray:
+    return (time_s >= begin_s) & (time_s < begin_s + duration_s)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write a measurement bundle; exit status 2 on a bad machine file."""
+    options = _options().parse_args(argv)
+    begin = time.perf_counter()
+    try:
+        content = load_machine(options.machine)
+        recording = record(
+            content,
+            _program(parse_machine(content), options),
+            options.seed,
+            options.mode,
+            Setting(
+                rate_hz=options.rate,
+                error_scale=options.error_scale,
+                defects=ROUGH if options.rough else Defects(),
+            ),
+        )
+    except SimulatorError as error:
+        print(f"synthetic: {error}", file=sys.stderr)
+        return 2
+    write_bundle_files(options.out, recording, csv=options.csv)
+    print(
+        f"{options.out}: {len(recording)} samples, {recording.timeline.end_s:.0f} s of "
+        f"motion, written in {time.perf_counter() - begin:.1f} s",
+        file=sys.stderr,
+    )
+    return 0
+
+
+def _program(machine: MachineFile, options: argparse.Namespace) -> Program:
+    if options.mode == "standstill":
+        return paths.standstill_points(machine, options.seed, options.points)
+    if options.corners:
+        return paths.corner_path(machine, options.feed)
+    return paths.chord_path(machine, options.seed, options.rows, options.feed)
+
+
+def _options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m simulators.synthetic", description=main.__doc__
+    )
+    parser.add_argument("out", type=Path, help="folder of the bundle")
+    parser.add_argument(
+        "--machine", default="demo", help="machine.json, or bundled name"
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--mode", choices=["otf", "standstill"], default="otf")
+    parser.add_argument("--feed", type=float, default=5000.0, help="mm/min")
+    parser.add_argument("--rows", type=int, default=60, help="waypoints of the path")
+    parser.add_argument("--points", type=int, default=150, help="random standstills")
+    parser.add_argument("--corners", action="store_true", help="corner-to-corner path")
+    parser.add_argument("--rate", type=float, default=None, help="Hz")
+    parser.add_argument("--error-scale", type=float, default=1.0)
+    parser.add_argument("--rough", action="store_true", help="with losses and holds")
+    parser.add_argument("--csv", action="store_true", help="tracker.csv, not parquet")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

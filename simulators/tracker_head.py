@@ -1,0 +1,145 @@
+"""What a tracker measures of a point: range and angles, with its noise and clock.
+
+Angles: azimuth from x towards y, elevation from the xy plane towards z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from simulators.machine_file import MachineFile, TrackerFigures
+from simulators.randomness import generator
+from simulators.truth_machine import rotation_matrices
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerPose:
+    """Where the tracker stands: p_table = position + rotation p_tracker."""
+
+    position_mm: np.ndarray
+    rotation: np.ndarray
+
+    def from_table(self, point_mm: np.ndarray) -> np.ndarray:
+        """Return points (n, 3) of the frame it stands on in its own frame."""
+        return (point_mm - self.position_mm) @ self.rotation
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerClock:
+    """A device clock with its own epoch and rate: device = epoch + (1 + drift) true."""
+
+    epoch_s: float
+    drift: float
+
+    def true_s(self, device_s: np.ndarray) -> np.ndarray:
+        """Return true times of device times."""
+        return (device_s - self.epoch_s) / (1.0 + self.drift)
+
+    def device_s(self, true_s: float) -> float:
+        """Return the device time of a true time."""
+        return self.epoch_s + (1.0 + self.drift) * true_s
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """The part of the noise that is correlated in time: an Ornstein-Uhlenbeck process.
+
+    share : its standard deviation over that of one sample; tau_s : correlation time
+    """
+
+    share: float = 0.2
+    tau_s: float = 1.0
+
+
+class SampleNoise:
+    """Three channels of unit variance, white plus air; the same however it is split."""
+
+    def __init__(self, seed: int, rate_hz: float, air: Air) -> None:
+        self._white = generator(seed, "tracker: white noise")
+        self._driver = generator(seed, "tracker: air")
+        self._share = air.share
+        self._keep = float(np.exp(-1.0 / (rate_hz * air.tau_s)))
+        self._last = self._driver.standard_normal(3)
+
+    def draw(self, n: int) -> np.ndarray:
+        """Return the next (n, 3)."""
+        white = self._white.standard_normal((n, 3))
+        drive = np.sqrt(1.0 - self._keep**2) * self._driver.standard_normal((n, 3))
+        air = self._filtered(drive)
+        return np.sqrt(1.0 - self._share**2) * white + self._share * air
+
+    def _filtered(self, drive: np.ndarray) -> np.ndarray:
+        """Return a_k = keep a_(k-1) + drive_k."""
+        state = self._keep * self._last[None, :]
+        air, _ = lfilter([1.0], [1.0, -self._keep], drive, axis=0, zi=state)
+        if len(air):
+            self._last = air[-1]
+        return air
+
+
+def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
+    """Stand the tracker somewhere beside the travel, turned and slightly tilted."""
+    rng = generator(seed, "tracker: pose")
+    middle = 0.5 * (machine.low_mm + machine.high_mm)
+    middle = middle + machine.reflector().offset_mm
+    reach = 0.5 * float(np.linalg.norm((machine.high_mm - machine.low_mm)[:2]))
+    away = reach + rng.uniform(250.0, 450.0)
+    bearing = rng.uniform(0.0, 2.0 * np.pi)
+    beside = away * np.array([np.cos(bearing), np.sin(bearing), 0.0])
+    beside[2] = rng.uniform(-200.0, 200.0)
+    tilt = rng.normal(0.0, 0.05, 2)
+    turn = rng.uniform(-np.pi, np.pi)
+    rotation = rotation_matrices(
+        np.array([tilt[0]]), np.array([tilt[1]]), np.array([turn])
+    )[0]
+    return TrackerPose(middle + beside, rotation)
+
+
+def random_clock(seed: int) -> TrackerClock:
+    """Start the device clock anywhere in two hours, up to 20 ppm fast or slow."""
+    rng = generator(seed, "tracker: clock")
+    return TrackerClock(
+        round(float(rng.uniform(0.0, 7200.0)), 6), float(rng.uniform(-2e-5, 2e-5))
+    )
+
+
+def measured(
+    point_mm: np.ndarray, unit_noise: np.ndarray, figures: TrackerFigures
+) -> np.ndarray:
+    """Return range (mm), azimuth, elevation (rad) of points in the tracker's frame.
+
+    Noise of one sample, 1 sigma: range_sigma_um + range_ppm r along the beam,
+    hypot(angle_sigma_urad r, transverse_sigma_um) in each direction across it.
+    """
+    exact = to_spherical(point_mm)
+    distance, elevation = exact[:, 0], exact[:, 2]
+    along = 1e-3 * figures.range_sigma_um + 1e-6 * figures.range_ppm * distance
+    across = np.hypot(
+        1e-6 * figures.angle_sigma_urad * distance, 1e-3 * figures.transverse_sigma_um
+    )
+    sigma = [along, across / (distance * np.cos(elevation)), across / distance]
+    return exact + np.stack(sigma, axis=1) * unit_noise
+
+
+def to_spherical(point_mm: np.ndarray) -> np.ndarray:
+    """Return range, azimuth, elevation of points (n, 3)."""
+    x, y, z = point_mm.T
+    level = np.hypot(x, y)
+    return np.stack([np.hypot(level, z), np.arctan2(y, x), np.arctan2(z, level)], 1)
+
+
+def to_cartesian(spherical: np.ndarray) -> np.ndarray:
+    """Return points (n, 3) of range, azimuth, elevation."""
+    distance, azimuth, elevation = spherical.T
+    level = distance * np.cos(elevation)
+    return np.stack(
+        [
+            level * np.cos(azimuth),
+            level * np.sin(azimuth),
+            distance * np.sin(elevation),
+        ],
+        1,
+    )

@@ -1,0 +1,257 @@
+"""Where the tool of an imperfect machine really is: exact homogeneous transforms.
+
+A joint answers with the transform from its tool-side carriage to its workpiece-side
+carriage, whichever of the two is the one that moves; the chain multiplies them. A
+rotary axis is one more kind of joint.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from simulators import error_motions
+from simulators.error_motions import ErrorMotion
+from simulators.machine_file import DIRECTIONS, LinearAxis, MachineFile, Reflector
+from simulators.randomness import generator
+
+# Squareness of an axis: the rotation of its direction of travel about another.
+SQUARENESS = {"C0Y": ("Y", "Z"), "B0Z": ("Z", "Y"), "A0Z": ("Z", "X")}
+_CHUNK = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorMagnitudes:
+    """Smallest and largest peak of the random errors, in µm and µrad."""
+
+    positioning_um: tuple[float, float] = (5.0, 40.0)
+    straightness_um: tuple[float, float] = (2.0, 15.0)
+    angular_urad: tuple[float, float] = (5.0, 40.0)
+    squareness_urad: tuple[float, float] = (5.0, 60.0)
+
+
+class Joint(ABC):
+    """One axis of the chain."""
+
+    name: str
+
+    @abstractmethod
+    def actual(self, position: np.ndarray) -> np.ndarray:
+        """Return its transforms as they are, (n, 4, 4), at positions (n,)."""
+
+    @abstractmethod
+    def nominal(self, position: np.ndarray) -> np.ndarray:
+        """Return its transforms as they should be, (n, 4, 4), at positions (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearJoint(Joint):
+    """A straight axis with six error motions.
+
+    nominal_direction, direction : unit vectors of travel, as it should be and as it is
+    translation : error motions along X, Y, Z, in mm
+    rotation : error motions about X, Y, Z, in rad
+    """
+
+    name: str
+    nominal_direction: tuple[float, ...]
+    direction: tuple[float, ...]
+    translation: tuple[ErrorMotion, ...]
+    rotation: tuple[ErrorMotion, ...]
+
+    def actual(self, position: np.ndarray) -> np.ndarray:
+        """Return Trans(s d) Trans(E) Rz(EC) Ry(EB) Rx(EA)."""
+        transform = np.zeros((len(position), 4, 4))
+        transform[:, :3, :3] = rotation_matrices(
+            *(motion.at(position) for motion in self.rotation)
+        )
+        transform[:, :3, 3] = np.outer(position, self.direction)
+        for k, motion in enumerate(self.translation):
+            transform[:, k, 3] += motion.at(position)
+        transform[:, 3, 3] = 1.0
+        return transform
+
+    def nominal(self, position: np.ndarray) -> np.ndarray:
+        """Return Trans(s e)."""
+        transform = np.broadcast_to(np.eye(4), (len(position), 4, 4)).copy()
+        transform[:, :3, 3] = np.outer(position, self.nominal_direction)
+        return transform
+
+
+@dataclass(frozen=True, slots=True)
+class TruthMachine:
+    """A nominal machine and its joints, keyed by axis."""
+
+    machine: MachineFile
+    joints: Mapping[str, Joint]
+    squareness_rad: Mapping[str, float] = field(default_factory=dict)
+
+    def error_motions(self) -> dict[str, ErrorMotion]:
+        """Return every error motion by its symbol, `EXX` … `ECZ`, in mm and rad."""
+        return {
+            f"E{letter}{name}": motion
+            for name, joint in self.joints.items()
+            if isinstance(joint, LinearJoint)
+            for letter, motion in zip(
+                "XYZABC", joint.translation + joint.rotation, strict=True
+            )
+        }
+
+    def deviation_mm(self, q: np.ndarray, target: str = "") -> np.ndarray:
+        """Return actual minus nominal tool point in the workpiece frame, (n, 3).
+
+        q : (n, axes) axis positions in column order
+        """
+        reflector = self.machine.reflector(target)
+        return self.point_mm(q, reflector) - self.nominal_point_mm(q, reflector)
+
+    def seen_mm(self, q: np.ndarray, target: str = "") -> np.ndarray:
+        """Return where a target is in the frame that the tracker stands on, (n, 3)."""
+        return self.point_mm(
+            q, self.machine.reflector(target), self.machine.tracker.stands_on
+        )
+
+    def point_mm(
+        self, q: np.ndarray, reflector: Reflector, frame: str = "workpiece"
+    ) -> np.ndarray:
+        """Return where a reflector is, in the frame `workpiece` or `base`, (n, 3)."""
+        return self._in_chunks(q, reflector, frame, actual=True)
+
+    def nominal_point_mm(
+        self, q: np.ndarray, reflector: Reflector, frame: str = "workpiece"
+    ) -> np.ndarray:
+        """Return where it should be, in the frame `workpiece` or `base`, (n, 3)."""
+        return self._in_chunks(q, reflector, frame, actual=False)
+
+    def _in_chunks(
+        self, q: np.ndarray, reflector: Reflector, frame: str, *, actual: bool
+    ) -> np.ndarray:
+        point = np.empty((len(q), 3))
+        for start in range(0, len(q), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            point[part] = self._place(q[part], reflector, frame, actual=actual)
+        return point
+
+    def _place(
+        self, q: np.ndarray, reflector: Reflector, frame: str, *, actual: bool
+    ) -> np.ndarray:
+        """Return p = T_wb T_bt t in the workpiece, T_bt t in the base.
+
+        A reflector on the workpiece is T_wb^-1 t in the base.
+        """
+        point = np.empty((len(q), 4, 1))
+        point[:, :, 0] = (*reflector.offset_mm, 1.0)
+        if reflector.on == "workpiece":
+            if frame == "base":
+                table = self._product(
+                    self.machine.workpiece_side, q, np.eye(4), actual=actual
+                )
+                point = np.linalg.solve(table, point)
+            return point[:, :3, 0]
+        side = self.machine.tool_side
+        if frame == "workpiece":
+            side = self.machine.workpiece_side + side
+        return self._product(side, q, point, actual=actual)[:, :3, 0]
+
+    def _product(
+        self, side: tuple[str, ...], q: np.ndarray, last: np.ndarray, *, actual: bool
+    ) -> np.ndarray:
+        product = np.broadcast_to(last, (len(q), *last.shape[-2:]))
+        for name in reversed(side):
+            joint = self.joints[name]
+            position = q[:, self.machine.axis_names.index(name)]
+            step = joint.actual(position) if actual else joint.nominal(position)
+            product = step @ product
+        return product
+
+
+def perfect(machine: MachineFile) -> TruthMachine:
+    """Return the machine without any error."""
+    joints: dict[str, Joint] = {}
+    for axis in machine.axes:
+        still = error_motions.none(axis)
+        direction = DIRECTIONS[axis.name]
+        joints[axis.name] = LinearJoint(
+            axis.name, direction, direction, (still,) * 3, (still,) * 3
+        )
+    return TruthMachine(machine, joints, dict.fromkeys(SQUARENESS, 0.0))
+
+
+def random_machine(
+    machine: MachineFile,
+    seed: int,
+    magnitudes: ErrorMagnitudes | None = None,
+    scale: float = 1.0,
+) -> TruthMachine:
+    """Draw error motions and squareness; `scale` multiplies every one of them."""
+    magnitudes = magnitudes or ErrorMagnitudes()
+    rng = generator(seed, "errors of the machine")
+    squareness = {
+        name: scale
+        * 1e-6
+        * _peak(rng, magnitudes.squareness_urad)
+        * rng.choice([-1, 1])
+        for name in SQUARENESS
+    }
+    joints: dict[str, Joint] = {
+        axis.name: _random_joint(rng, axis, squareness, magnitudes, scale)
+        for axis in machine.axes
+    }
+    return TruthMachine(machine, joints, squareness)
+
+
+def rotation_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Return Rz(c) Ry(b) Rx(a), (n, 3, 3), for angles (n,) in rad."""
+    ca, sa, cb, sb, cc, sc = (f(x) for x in (a, b, c) for f in (np.cos, np.sin))
+    rows = [
+        [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
+        [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa],
+        [-sb, cb * sa, cb * ca],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _random_joint(
+    rng: np.random.Generator,
+    axis: LinearAxis,
+    squareness: Mapping[str, float],
+    magnitudes: ErrorMagnitudes,
+    scale: float,
+) -> LinearJoint:
+    along, across, about = (
+        magnitudes.positioning_um,
+        magnitudes.straightness_um,
+        magnitudes.angular_urad,
+    )
+    translation = [
+        error_motions.positioning(rng, axis, 1e-3 * _peak(rng, along))
+        if name == axis.name
+        else error_motions.straightness(rng, axis, 1e-3 * _peak(rng, across))
+        for name in DIRECTIONS
+    ]
+    rotation = [
+        error_motions.angular(rng, axis, 1e-6 * _peak(rng, about)) for _ in DIRECTIONS
+    ]
+    return LinearJoint(
+        axis.name,
+        DIRECTIONS[axis.name],
+        _travel_direction(axis.name, squareness),
+        tuple(motion.scaled(scale) for motion in translation),
+        tuple(motion.scaled(scale) for motion in rotation),
+    )
+
+
+def _peak(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(rng.uniform(*limits))
+
+
+def _travel_direction(axis: str, squareness: Mapping[str, float]) -> tuple[float, ...]:
+    about = dict.fromkeys(DIRECTIONS, 0.0)
+    for name, (turned, around) in SQUARENESS.items():
+        if turned == axis:
+            about[around] = squareness[name]
+    turn = rotation_matrices(*(np.array([about[name]]) for name in DIRECTIONS))[0]
+    return tuple((turn @ DIRECTIONS[axis]).tolist())
