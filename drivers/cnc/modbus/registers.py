@@ -109,7 +109,7 @@ class Result(IntEnum):
 
 
 class HoldReason(IntEnum):
-    """Why the feed is held; lower-case names are those of `MotionStatus.hold_reason`."""
+    """Why the feed is held; in lower case, the words of `MotionStatus.hold_reason`."""
 
     NONE = 0
     OPERATOR = 1
@@ -143,8 +143,8 @@ _STANDING = frozenset(
         MotionState.ABORTED,
     }
 )
-# Elsewhere the answer is WRONG_STATE (IN_ALARM in alarm). HOLD, RESUME and ABORT are done
-# everywhere; where there is nothing to do they do nothing.
+# Elsewhere the answer is WRONG_STATE (IN_ALARM in alarm). HOLD, RESUME, ABORT and RESET
+# are done everywhere; where there is nothing to do they do nothing.
 ALLOWED: dict[Command, frozenset[MotionState]] = {
     Command.MOVE_TO: _STANDING,
     Command.PUT_ROWS: _STANDING,
@@ -229,6 +229,7 @@ BY_NAME: dict[str, Register] = {register.name: register for register in REGISTER
 IDENTITY = Block(0, 78)
 STATUS = Block(100, 24)
 ALARM_TEXT = Block(130, 32)
+CONTROL = Block(180, 2)
 COMMAND = Block(200, 6 + ROWS_A_BLOCK * ROW_WORDS)
 
 
