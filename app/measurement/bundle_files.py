@@ -6,6 +6,7 @@ an archive can neither leave its folder nor fill the disk.
 
 from __future__ import annotations
 
+import os
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
@@ -58,6 +59,29 @@ def open_bundle(path: str | Path) -> Iterator[BundleFiles]:
         raise BundleError(
             "no such folder or file", file=str(path), remedy="check the path"
         )
+
+
+def replace_file(file: Path, data: bytes) -> None:
+    """Write a file whole or not at all: beside it, synced, then renamed over it."""
+    draft = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        with draft.open("wb") as sink:
+            sink.write(data)
+            sink.flush()
+            os.fsync(sink.fileno())
+        draft.replace(file)
+    finally:
+        draft.unlink(missing_ok=True)
+    sync_folder(file.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename in a folder outlast a power cut."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _limit(name: str) -> int:

@@ -16,6 +16,6 @@ class ByteLink(ABC):
     def received(self) -> bytes:
         """Return the bytes received since the last call, in order.
 
-        Called at least every second while a stream runs. A driver keeps a bounded number
-        of bytes for it and drops the oldest.
+        Called at least every second while a stream runs. A driver keeps a bounded
+        number of bytes for it and drops the oldest.
         """
