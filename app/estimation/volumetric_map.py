@@ -44,8 +44,10 @@ class VolumetricMap:
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
     ) -> Float64[np.ndarray, "n 3"]:
         """Return the standard uncertainty of each component."""
-        J = self.jacobian(at)
-        return np.sqrt(np.einsum("nip,nip->ni", J @ covariance, J))
+        # Two-dimensional, so that one product of matrices serves all points.
+        J = self.jacobian(at).reshape(-1, self.model.size)
+        variance = np.einsum("mp,mp->m", J @ covariance, J)
+        return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3)
 
 
 def volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:

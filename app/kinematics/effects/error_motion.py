@@ -66,7 +66,15 @@ class ErrorMotion(Effect):
 def error_motion(symbol: str, axis: LinearAxis, knot_spacing_mm: float) -> ErrorMotion:
     """Return the error motion over the axis' travel with about the given knot spacing."""
     count = max(4, round((axis.max_mm - axis.min_mm) / knot_spacing_mm) + 1)
-    spline = natural_spline(np.linspace(axis.min_mm, axis.max_mm, count))
+    knots_mm = np.linspace(axis.min_mm, axis.max_mm, count)
+    return error_motion_over(symbol, axis, knots_mm)
+
+
+def error_motion_over(
+    symbol: str, axis: LinearAxis, knots_mm: Float64[np.ndarray, " k"]
+) -> ErrorMotion:
+    """Return the error motion in its gauge over given knots."""
+    spline = natural_spline(knots_mm)
     fixed = np.array([reference_position_mm(axis)])
     if is_straightness(symbol):
         fixed = np.array([axis.min_mm, axis.max_mm])
