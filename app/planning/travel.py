@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.errors import OutOfTravel
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -46,7 +45,7 @@ class Breach:
 def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach | None:
     """Return the first row beyond the travel, or None. Every axis must be known."""
     axes = {axis.name: axis for axis in machine.axes}
-    limits = [_limits(axes[name]) for name in commanded.axes]
+    limits = [limits_of(axes[name]) for name in commanded.axes]
     low, high = np.array(limits).T
     outside = (commanded.position < low - ROUNDING) | (
         commanded.position > high + ROUNDING
@@ -60,29 +59,8 @@ def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach |
     return Breach(row, name, unit, value, *limits[column])
 
 
-def check_travel(machine: Machine, commanded: Path | Configurations) -> None:
-    """Raise OutOfTravel if a row lies beyond the travel or moves an unknown axis.
-
-    Rows are counted from 1. To be called before a plan reaches the machine.
-    """
-    for name in commanded.axes:
-        if name not in machine.axis_names:
-            raise OutOfTravel(
-                f"the plan moves axis {name}, which {machine.name} does not have; "
-                f"its axes are {', '.join(machine.axis_names)}"
-            )
-    if not np.isfinite(commanded.position).all():
-        row = int(np.argwhere(~np.isfinite(commanded.position))[0, 0])
-        raise OutOfTravel(f"row {row + 1}: a position is not a finite number")
-    breach = first_breach(machine, commanded)
-    if breach is not None:
-        raise OutOfTravel(
-            f"row {breach.index + 1}: {breach}; "
-            "shorten the plan or correct the travel in the machine file"
-        )
-
-
-def _limits(axis: Axis) -> tuple[float, float]:
+def limits_of(axis: Axis) -> tuple[float, float]:
+    """Return the travel of an axis, mm or deg."""
     if isinstance(axis, LinearAxis):
         return axis.min_mm, axis.max_mm
     return axis.min_deg, axis.max_deg

@@ -1,0 +1,216 @@
+"""Paths and points to measure when nobody has planned better ones, and their checks."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.errors import OutOfTravel, PlanningError
+from app.kinematics.machine import LinearAxis, Machine
+from app.planning.configurations import Configurations
+from app.planning.line_information import Knowledge, nothing_known
+from app.planning.travel import first_breach, limits_of
+from drivers.interfaces.records import Path
+
+DEFAULT_FEED_MM_MIN = 6000.0
+DEFAULT_LINES = 22
+DEFAULT_POINTS = 60
+ACCELERATION_MM_S2 = 1000.0
+_CANDIDATES = 64
+_LONG = 0.55  # of the diagonal of the travel: no line is shorter
+_MARGIN_MM, _MARGIN_SHARE = 10.0, 0.02
+_DECIMALS = 4  # of a mm: rows survive a CSV file and a controller's counts unchanged
+
+
+def default_path(
+    machine: Machine,
+    feed_mm_min: float = DEFAULT_FEED_MM_MIN,
+    *,
+    lines: int = DEFAULT_LINES,
+    dwell_s: float = 0.35,
+    seed: int = 0,
+) -> Path:
+    """Return a path of long chords through the travel of the linear axes.
+
+    Each line starts where the last one stopped and ends on a face, an edge or a corner.
+    Out of random ends the one is taken that lowers the integrated variance of the
+    volumetric error most for the time it takes, so corners recur but lines between
+    corners, which share a blind spot, do not prevail. Rotary axes stand at 0, or at the
+    near end of their travel. The same seed gives the same path.
+
+    Raises PlanningError if a feed, a dwell or a number of lines cannot be driven.
+    """
+    if feed_mm_min <= 0 or dwell_s < 0 or lines < 1:
+        raise PlanningError(
+            f"feed {feed_mm_min:g} mm/min, dwell {dwell_s:g} s, {lines} lines: "
+            "feed and lines must be above 0, the dwell not below"
+        )
+    low, high = _inner_travel(machine)
+    rng = np.random.default_rng(seed)
+    known = nothing_known(machine)
+    stops = [low]
+    for _ in range(lines):
+        ends = _ends(rng, stops[-1], low, high)
+        best, known = _most_telling(known, stops[-1], ends, feed_mm_min, dwell_s)
+        stops.append(ends[best])
+    position = _with_rotary(machine, np.array(stops))
+    n = len(position)
+    return Path(
+        machine.axis_names, position, np.full(n, feed_mm_min), np.full(n, dwell_s)
+    )
+
+
+def default_points(
+    machine: Machine,
+    *,
+    count: int = DEFAULT_POINTS,
+    dwell_s: float = 1.0,
+    seed: int = 0,
+) -> Configurations:
+    """Return standstill points: the eight corners, the rest spread evenly inside.
+
+    They stand in an order of short moves. The same seed gives the same points.
+    """
+    if count < 8 or dwell_s <= 0:
+        raise PlanningError(
+            f"{count} points, dwell {dwell_s:g} s: 8 points or more, a dwell above 0"
+        )
+    low, high = _inner_travel(machine)
+    corners = low + _unit_corners() * (high - low)
+    inside = _spread(np.random.default_rng(seed), count - 8)
+    points = np.round(np.concatenate([corners, low + inside * (high - low)]), _DECIMALS)
+    position = _with_rotary(machine, points[_short_order(points)])
+    return Configurations(machine.axis_names, position, np.full(count, dwell_s))
+
+
+def line_times_s(
+    path: Path, *, acceleration_mm_s2: float = ACCELERATION_MM_S2
+) -> Float64[np.ndarray, " n"]:
+    """Return the time of each row: the line towards it, exact stops, and its dwell.
+
+    The first row counts its dwell alone. The feed is that of the linear axes; where
+    none moves it is that of the rotary axes, in deg/min (formats.md), with the same
+    figure for their acceleration in deg/s².
+    """
+    linear = np.array([name in "XYZ" for name in path.axes])
+    step = np.diff(path.position, axis=0)
+    straight = np.asarray(np.linalg.norm(step[:, linear], axis=1), np.float64)
+    turn = np.asarray(np.linalg.norm(step[:, ~linear], axis=1), np.float64)
+    length = np.where(straight > 0, straight, turn)
+    speed = path.feed_mm_min[1:] / 60.0
+    ramp = speed / acceleration_mm_s2
+    moving = np.where(
+        length >= speed * ramp,
+        length / speed + ramp,
+        2 * np.sqrt(length / acceleration_mm_s2),
+    )
+    return np.concatenate([[0.0], moving]) + path.dwell_s
+
+
+def travel_time_s(
+    path: Path, *, acceleration_mm_s2: float = ACCELERATION_MM_S2
+) -> float:
+    """Return how long the path takes from its first row, dwells included."""
+    return float(line_times_s(path, acceleration_mm_s2=acceleration_mm_s2).sum())
+
+
+def check_travel(machine: Machine, commanded: Path | Configurations) -> None:
+    """Raise OutOfTravel if a row lies beyond the travel or moves an unknown axis.
+
+    Rows are counted from 1. To be called before a plan reaches the machine.
+    """
+    for name in commanded.axes:
+        if name not in machine.axis_names:
+            raise OutOfTravel(
+                f"the plan moves axis {name}, which {machine.name} does not have; "
+                f"its axes are {', '.join(machine.axis_names)}"
+            )
+    if not np.isfinite(commanded.position).all():
+        row, column = np.argwhere(~np.isfinite(commanded.position))[0]
+        raise OutOfTravel(
+            f"row {row + 1}: {commanded.axes[column]} is not a finite number; "
+            "correct the row"
+        )
+    breach = first_breach(machine, commanded)
+    if breach is not None:
+        raise OutOfTravel(
+            f"row {breach.index + 1}: {breach}; "
+            "shorten the plan or correct the travel in the machine file"
+        )
+
+
+def _inner_travel(
+    machine: Machine,
+) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    """Return the travel of the linear axes less a margin at both ends."""
+    low = np.array([axis.min_mm for axis in machine.linear_axes])
+    high = np.array([axis.max_mm for axis in machine.linear_axes])
+    margin = np.minimum(_MARGIN_MM, _MARGIN_SHARE * (high - low))
+    return np.round(low + margin, _DECIMALS), np.round(high - margin, _DECIMALS)
+
+
+def _ends(
+    rng: np.random.Generator,
+    begin: Float64[np.ndarray, " 3"],
+    low: Float64[np.ndarray, " 3"],
+    high: Float64[np.ndarray, " 3"],
+) -> Float64[np.ndarray, "m 3"]:
+    """Draw ends on faces, edges and corners, far enough from the beginning."""
+    share = rng.random((_CANDIDATES, 3))
+    # One axis, sometimes two or three, at an end of its travel.
+    pinned = rng.random((_CANDIDATES, 3)) < 0.4
+    pinned[np.arange(_CANDIDATES), rng.integers(0, 3, _CANDIDATES)] = True
+    share[pinned] = np.rint(share[pinned])
+    share = np.concatenate([share, _unit_corners()])
+    ends = np.round(low + share * (high - low), _DECIMALS)
+    length = np.linalg.norm(ends - begin, axis=1)
+    return ends[length >= _LONG * np.linalg.norm(high - low)]
+
+
+def _most_telling(
+    known: Knowledge,
+    begin: Float64[np.ndarray, " 3"],
+    ends: Float64[np.ndarray, "m 3"],
+    feed_mm_min: float,
+    dwell_s: float,
+) -> tuple[int, Knowledge]:
+    """Return the end whose line gains most a second, and what is known after it."""
+    rows = known.rows(np.tile(begin, (len(ends), 1)), ends)
+    length = np.linalg.norm(ends - begin, axis=1)
+    time_s = length / (feed_mm_min / 60.0) + dwell_s
+    gain = np.array([known.gain(one) for one in rows])
+    best = int(np.argmax(gain / time_s))
+    return best, known.after(rows[best])
+
+
+def _with_rotary(
+    machine: Machine, linear: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n a"]:
+    columns = list(linear.T)
+    for axis in machine.axes:
+        if not isinstance(axis, LinearAxis):
+            lowest, highest = limits_of(axis)
+            stand = min(max(0.0, lowest), highest)
+            columns.append(np.full(len(linear), stand))
+    return np.stack(columns, axis=1)
+
+
+def _unit_corners() -> Float64[np.ndarray, "8 3"]:
+    return np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)
+
+
+def _spread(rng: np.random.Generator, count: int) -> Float64[np.ndarray, "n 3"]:
+    """Draw a Latin hypercube: each of `count` slices of each axis holds one point."""
+    slices = np.stack([rng.permutation(count) for _ in range(3)], axis=1)
+    return (slices + rng.random((count, 3))) / max(count, 1)
+
+
+def _short_order(points: Float64[np.ndarray, "n 3"]) -> list[int]:
+    """Order points from the first one, always to the nearest that is left."""
+    order, left = [0], set(range(1, len(points)))
+    while left:
+        here = points[order[-1]]
+        nearest = min(left, key=lambda i: float(np.linalg.norm(points[i] - here)))
+        order.append(nearest)
+        left.remove(nearest)
+    return order

@@ -1,0 +1,229 @@
+"""Default paths and points, travel times and the travel check."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.errors import OutOfTravel, PlanningError
+from app.kinematics.machine import (
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    Target,
+    TrackerNoise,
+)
+from app.planning.configurations import Configurations
+from app.planning.line_information import nothing_known
+from app.planning.paths import (
+    check_travel,
+    default_path,
+    default_points,
+    line_times_s,
+    travel_time_s,
+)
+from drivers.interfaces.records import Path
+
+
+def machine(x: float = 500.0, y: float = 400.0, z: float = 300.0) -> Machine:
+    return Machine(
+        "small mill",
+        ("X",),
+        ("Y", "Z"),
+        (LinearAxis("X", 0.0, x), LinearAxis("Y", 0.0, y), LinearAxis("Z", -z, 0.0)),
+        (Target("", "tool", (20.0, 30.0, -150.0)),),
+        TrackerNoise(),
+    )
+
+
+def with_table() -> Machine:
+    plain = machine()
+    table = RotaryAxis("C", 10.0, 350.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    return replace(
+        plain, axes=(*plain.axes, table), workpiece_side=("C", *plain.workpiece_side)
+    )
+
+
+def line(*rows: tuple[float, float, float], feed: float = 6000.0) -> Path:
+    n = len(rows)
+    return Path(("X", "Y", "Z"), np.array(rows), np.full(n, feed), np.zeros(n))
+
+
+def uncertainty_mm(path: Path) -> float:
+    known = nothing_known(machine())
+    for begin, end in zip(path.position, path.position[1:], strict=False):
+        known = known.after(known.rows(begin[None], end[None])[0])
+    return known.variance_mm2**0.5
+
+
+def at_corner(path: Path) -> np.ndarray:
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    return ((path.position == low) | (path.position == high)).all(axis=1)
+
+
+def test_the_default_path_of_the_small_mill_takes_about_a_minute_and_a_half():
+    path = default_path(machine(), 6000.0)
+    assert 90.0 < travel_time_s(path) < 110.0
+    assert (path.feed_mm_min == 6000.0).all()
+    assert ((path.dwell_s >= 0.3) & (path.dwell_s <= 0.4)).all()
+
+
+@pytest.mark.parametrize("size", [(500, 400, 300), (900, 500, 450), (120, 80, 60)])
+def test_the_default_path_stays_inside_the_travel_with_a_margin(size):
+    mill = machine(*size)
+    path = default_path(mill)
+    check_travel(mill, path)
+    for column, axis in enumerate(mill.linear_axes):
+        travel = axis.max_mm - axis.min_mm
+        reached = path.position[:, column]
+        assert reached.min() >= axis.min_mm + 0.5 * min(10.0, 0.02 * travel)
+        assert reached.max() <= axis.max_mm - 0.5 * min(10.0, 0.02 * travel)
+        assert np.ptp(reached) > 0.95 * travel
+
+
+def test_every_line_of_the_default_path_is_long():
+    path = default_path(machine())
+    length = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
+    assert length.min() > 0.5 * np.linalg.norm([480.0, 384.0, 288.0])
+
+
+def test_the_default_path_is_not_made_of_lines_between_corners():
+    corner = at_corner(default_path(machine()))
+    between_corners = corner[:-1] & corner[1:]
+    assert between_corners.mean() < 0.5
+
+
+def test_every_axis_of_the_default_path_moves_both_ways():
+    step = np.diff(default_path(machine()).position, axis=0)
+    for column in range(3):
+        forward, backward = (step[:, column] > 1).sum(), (step[:, column] < -1).sum()
+        assert min(forward, backward) >= 5
+
+
+def test_the_default_path_tells_more_than_lines_between_corners():
+    chosen = default_path(machine(), lines=12)
+    rng = np.random.default_rng(3)
+    corners = np.array(
+        [[10 + 480 * a, 8 + 384 * b, -294 + 288 * c] for a in (0, 1) for b in (0, 1)
+         for c in (0, 1)],
+        float,
+    )  # fmt: skip
+    order = [0]
+    while len(order) < 13:
+        order.append(int(rng.choice([i for i in range(8) if i != order[-1]])))
+    plain = replace(chosen, position=corners[order])
+    assert uncertainty_mm(chosen) < 0.9 * uncertainty_mm(plain)
+
+
+def test_the_same_seed_gives_the_same_path():
+    first, second = default_path(machine(), seed=5), default_path(machine(), seed=5)
+    other = default_path(machine(), seed=6)
+    np.testing.assert_array_equal(first.position, second.position)
+    assert not np.array_equal(first.position, other.position)
+
+
+def test_rows_of_the_default_path_survive_four_decimals():
+    position = default_path(machine()).position
+    np.testing.assert_array_equal(position, np.round(position, 4))
+
+
+def test_a_rotary_axis_stands_still_inside_its_travel():
+    mill = with_table()
+    path, points = default_path(mill, lines=3), default_points(mill, count=10)
+    assert path.axes == points.axes == ("X", "Y", "Z", "C")
+    assert (path.position[:, 3] == 10.0).all()
+    check_travel(mill, path)
+    check_travel(mill, points)
+
+
+@pytest.mark.parametrize("bad", [{"feed_mm_min": 0.0}, {"lines": 0}, {"dwell_s": -1.0}])
+def test_a_path_that_cannot_be_driven_is_refused(bad):
+    with pytest.raises(PlanningError, match="must be above 0"):
+        default_path(machine(), **bad)
+
+
+def test_default_points_hold_the_corners_and_fill_the_inside():
+    points = default_points(machine(), count=40)
+    assert len(points) == 40
+    check_travel(machine(), points)
+    assert len(np.unique(points.position, axis=0)) == 40
+    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    corner = ((points.position == low) | (points.position == high)).all(axis=1)
+    assert corner.sum() == 8
+    share = (points.position[~corner] - low) / (high - low)
+    for column in range(3):
+        counts, _ = np.histogram(share[:, column], bins=4, range=(0, 1))
+        assert counts.min() == counts.max() == 8
+
+
+def test_default_points_lie_in_an_order_of_short_moves():
+    points = default_points(machine())
+    moves = np.linalg.norm(np.diff(points.position, axis=0), axis=1).sum()
+    shuffled = np.random.default_rng(0).permutation(points.position)
+    assert moves < 0.6 * np.linalg.norm(np.diff(shuffled, axis=0), axis=1).sum()
+
+
+def test_too_few_points_are_refused():
+    with pytest.raises(PlanningError, match="8 points or more"):
+        default_points(machine(), count=7)
+
+
+def test_travel_time_counts_lines_stops_and_dwells():
+    path = line((0, 0, 0), (100, 0, 0), (100, 100, 0))
+    path = replace(path, dwell_s=np.array([1.0, 2.0, 3.0]))
+    # 100 mm at 100 mm/s and 1000 mm/s²: 1.0 s and 0.1 s for the two ramps.
+    assert travel_time_s(path) == pytest.approx(6.0 + 2.2)
+    np.testing.assert_allclose(line_times_s(path), [1.0, 3.1, 4.1])
+
+
+def test_a_line_too_short_for_its_feed_takes_its_two_ramps():
+    path = line((0, 0, 0), (4, 0, 0))
+    assert travel_time_s(path) == pytest.approx(2 * (4 / 1000) ** 0.5)
+
+
+def test_a_rotary_move_is_timed_by_its_degrees():
+    path = Path(
+        ("X", "Y", "Z", "C"),
+        np.array([[0.0, 0, 0, 0], [0.0, 0, 0, 90]]),
+        np.full(2, 1800.0),
+        np.zeros(2),
+    )
+    assert travel_time_s(path) == pytest.approx(90 / 30 + 30 / 1000)
+
+
+def test_a_position_out_of_travel_is_refused_with_row_axis_value_and_remedy():
+    with pytest.raises(OutOfTravel) as caught:
+        check_travel(machine(), line((0, 0, 0), (612.4, 0, 0)))
+    text = str(caught.value)
+    assert text.startswith("row 2: X = 612.4 mm exceeds 500 mm; ")
+    assert "shorten the plan" in text
+
+
+def test_a_position_below_the_travel_is_refused():
+    with pytest.raises(OutOfTravel, match=r"row 1: Z = -301 mm is below -300 mm"):
+        check_travel(machine(), line((0, 0, -301), (0, 0, 0)))
+
+
+def test_an_angle_out_of_travel_is_refused_in_degrees():
+    points = Configurations(
+        ("X", "Y", "Z", "C"), np.array([[0.0, 0.0, 0.0, 355.0]]), np.ones(1)
+    )
+    with pytest.raises(OutOfTravel, match=r"C = 355 deg exceeds 350 deg"):
+        check_travel(with_table(), points)
+
+
+def test_an_axis_that_the_machine_lacks_is_refused_by_name():
+    points = Configurations(("X", "Y", "Z", "A"), np.zeros((1, 4)), np.ones(1))
+    with pytest.raises(OutOfTravel, match=r"axis A.*its axes are X, Y, Z"):
+        check_travel(machine(), points)
+
+
+def test_a_position_that_is_not_finite_is_refused():
+    with pytest.raises(OutOfTravel, match=r"row 2: Y is not a finite number"):
+        check_travel(machine(), line((0, 0, 0), (1, np.nan, 0)))
+
+
+def test_the_rounding_of_a_file_is_not_out_of_travel():
+    check_travel(machine(x=499.99996), line((0, 0, 0), (500.0, 0, 0)))
