@@ -1,0 +1,150 @@
+"""The commands and their options."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from app.cli.failures import exit_status
+
+app = typer.Typer(
+    help="Calibrates machine tools with a laser tracker, with the machine in the loop.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
+]
+OutputFolder = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Where the files go.")
+]
+
+
+def main() -> NoReturn:
+    """Run the command line of this process and exit with its status."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line and return its exit status: 0, 2 for bad input, else 1."""
+    return exit_status(lambda: app(args=list(arguments), standalone_mode=False))
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(version("truepath"))
+        raise typer.Exit
+
+
+@app.callback()
+def truepath(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, help="Print the version."),
+    ] = False,
+) -> None:
+    """Calibrates machine tools with a laser tracker, with the machine in the loop."""
+
+
+@app.command()
+def serve(
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Settings, as TOML.")
+    ] = None,
+    simulated: Annotated[
+        bool, typer.Option("--simulated", help="Bring simulated devices up as well.")
+    ] = False,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Begin the main job at once (simulated).")
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port to listen on.")
+    ] = None,
+) -> None:
+    """REST API and operator page."""
+    from app.cli.serving import serve_until_stopped
+
+    serve_until_stopped(config, simulated=simulated, measure=measure, port=port)
+
+
+@app.command()
+def demo(
+    output: OutputFolder = Path("truepath-demo"),
+    feed: Annotated[
+        float, typer.Option(min=1.0, help="Feed along the path, mm/min.")
+    ] = 2500.0,
+    minutes: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Choose the feed so that the path takes this long."),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=0.1, help="Clock of the simulated devices, x real.")
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, help="Which simulated machine.")] = 1,
+    json: Json = False,
+) -> None:
+    """The main job on simulated devices, over real serial and Modbus links."""
+    from app.cli.demo import Demo
+
+    Demo(output, feed, minutes, speed, seed).run(as_json=json)
+
+
+@app.command(
+    context_settings={
+        "allow_extra_args": True,
+        "ignore_unknown_options": True,
+        "help_option_names": [],
+    }
+)
+def simulate(context: typer.Context) -> None:
+    """Simulated tracker and CNC as stand-alone processes, for test rigs."""
+    from app.plugins import load
+
+    simulator = load("truepath.simulators", "command")
+    raise typer.Exit(simulator(context.args) or 0)
+
+
+@app.command()
+def analyse(
+    bundle: Annotated[
+        Path, typer.Argument(metavar="BUNDLE", help="Measurement: a folder or a .zip.")
+    ],
+    output: OutputFolder,
+    perpendicular_only: Annotated[
+        bool,
+        typer.Option(
+            "--perpendicular-only", help="Leave out what is seen along each line."
+        ),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """A measurement to error tables with their uncertainty, and a report."""
+    from app.cli.science import analyse_bundle
+
+    analyse_bundle(bundle, output, perpendicular_only, as_json=json)
+
+
+@app.command()
+def predict(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")
+    ],
+    points: Annotated[
+        Path, typer.Option(metavar="P.csv", help="Axis positions: x_mm,y_mm,z_mm[,...]")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUT.csv", help="What to write.")
+    ],
+    json: Json = False,
+) -> None:
+    """Volumetric error and its standard uncertainty at any points."""
+    from app.cli.science import predict_points
+
+    predict_points(result, points, output, as_json=json)

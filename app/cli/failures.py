@@ -1,0 +1,60 @@
+"""From an error to one line on standard error and an exit status."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import typer
+
+from app.errors import BadInput, TruepathError
+from drivers.interfaces.errors import DeviceError
+
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+
+
+def exit_status(call: Callable[[], int | None]) -> int:
+    """Run a command; say in one line why it failed, and return its exit status.
+
+    What is caught here is what a user can do something about. Anything else is a fault
+    of the program: it passes through with its traceback.
+    """
+    try:
+        return _status_of_typer(call())
+    except typer.TyperException as error:
+        return _say(error.format_message(), error.exit_code)
+    except BadInput as error:
+        return _say(str(error), BAD_INPUT)
+    except (TruepathError, DeviceError) as error:
+        return _say(str(error) or type(error).__name__, FAILURE)
+    except OSError as error:
+        return _failed_file(error)
+    except (KeyboardInterrupt, typer.Abort):
+        return _say("interrupted", FAILURE)
+
+
+def _status_of_typer(status: int | None) -> int:
+    # Typer answers Ctrl-C with 130; here everything but bad input is a 1.
+    if status in (None, SUCCESS, BAD_INPUT):
+        return status or SUCCESS
+    return FAILURE
+
+
+def _failed_file(error: OSError) -> int:
+    """A file that is not there or not ours to use is bad input; a full disk is not."""
+    if error.filename is None or not error.strerror:
+        raise error
+    mistaken = (
+        FileNotFoundError,
+        FileExistsError,
+        IsADirectoryError,
+        NotADirectoryError,
+        PermissionError,
+    )
+    status = BAD_INPUT if isinstance(error, mistaken) else FAILURE
+    return _say(f"{error.filename}: {error.strerror}", status)
+
+
+def _say(text: str, status: int) -> int:
+    print(f"truepath: {' '.join(text.split())}", file=sys.stderr, flush=True)
+    return status

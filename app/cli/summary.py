@@ -1,0 +1,67 @@
+"""What a result says in a few numbers: an object for scripts, tables for a person."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from app.cli.terminal import print_table
+
+Result = Mapping[str, Any]
+_KINDS = ("lowest", "highest", "uncertainty")
+
+
+def summarised(result: Result, folder: Path) -> dict[str, Any]:
+    """Return what a script looks at first; the rest is in `result.json`."""
+    return {
+        "schema": "summary/1",
+        "machine": result["machine"]["name"],
+        "mode": result["mode"],
+        "error_tables": {
+            symbol: {
+                f"{kind}_{unit}": value
+                for kind, value in zip(_KINDS, span, strict=True)
+            }
+            for symbol, unit, *span in _spans(result)
+        },
+        "squareness_urad": result["squareness_urad"],
+        "residual_rms_um": result["residuals"]["rms_um"],
+        "observability": result["observability"],
+        "files": [str(path) for path in _files(folder)],
+    }
+
+
+def print_result(result: Result, folder: Path) -> None:
+    """Print the error tables in short, the squarenesses and what stayed unseen."""
+    rows = [
+        (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", _shown(unit))
+        for symbol, unit, low, high, uncertainty in _spans(result)
+    ]
+    rows += [
+        (name, f"{at['value']:.1f}", "", f"{at['uncertainty']:.2f}", "µrad")
+        for name, at in result["squareness_urad"].items()
+    ]
+    columns = ("error", "lowest", "highest", "largest u (k = 1)", "")
+    print_table(f"Errors of {result['machine']['name']}", columns, rows)
+    for statement in result["observability"]["unobservable"]:
+        print(f"not seen by this measurement: {statement}")
+    print(f"residuals {result['residuals']['rms_um']:.2f} µm rms")
+    for path in _files(folder):
+        print(path)
+
+
+def _spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:
+    """Yield (symbol, unit, lowest, highest, largest uncertainty) of each table."""
+    for symbol, table in result["error_tables"].items():
+        unit = "um" if "value_um" in table else "urad"
+        value, uncertainty = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
+        yield symbol, unit, min(value), max(value), max(uncertainty)
+
+
+def _shown(unit: str) -> str:
+    return {"um": "µm", "urad": "µrad"}[unit]
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_file())

@@ -1,0 +1,102 @@
+"""Every failure is one line on standard error and one of three exit statuses."""
+
+import errno
+
+import pytest
+
+from app.cli.command import run
+from app.cli.failures import exit_status
+from app.errors import AlignmentError, BadInput, BundleError
+from drivers.interfaces.errors import DeviceTimeout
+
+
+def failing(error):
+    def call():
+        raise error
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (BadInput("no such thing"), 2, "truepath: no such thing"),
+        (
+            BundleError("is not a number", file="path.csv", row=3, column="x_mm"),
+            2,
+            "truepath: path.csv, row 3, column x_mm: is not a number",
+        ),
+        (
+            AlignmentError("stream and path\n differ"),
+            1,
+            "truepath: stream and path differ",
+        ),
+        (DeviceTimeout("the tracker is silent"), 1, "truepath: the tracker is silent"),
+        (
+            FileNotFoundError(errno.ENOENT, "No such file", "a.csv"),
+            2,
+            "truepath: a.csv: No such file",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "out"),
+            1,
+            "truepath: out: No space left on device",
+        ),
+        (KeyboardInterrupt(), 1, "truepath: interrupted"),
+    ],
+)
+def test_a_failure_is_one_line_and_a_status(error, status, line, capsys):
+    assert exit_status(failing(error)) == status
+    captured = capsys.readouterr()
+    assert captured.err == line + "\n"
+    assert captured.out == ""
+
+
+def test_a_fault_of_the_program_keeps_its_traceback():
+    with pytest.raises(ZeroDivisionError):
+        exit_status(failing(ZeroDivisionError()))
+    with pytest.raises(OSError, match="nameless"):
+        exit_status(failing(OSError("nameless")))
+
+
+def test_success_is_zero():
+    assert exit_status(lambda: None) == 0
+
+
+@pytest.mark.parametrize("answer", [1, 3, 130])
+def test_any_other_status_is_a_one(answer):
+    assert exit_status(lambda: answer) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["calibrate"], "calibrate"),
+        (["analyse"], "BUNDLE"),
+        (["analyse", "bundle"], "--output"),
+        (["analyse", "bundle", "-o"], "-o"),
+        (["predict", "result.json", "-o", "out.csv"], "--points"),
+        (["serve", "--port", "many"], "--port"),
+        (["serve", "--port", "70000"], "--port"),
+        (["demo", "--speed", "0"], "--speed"),
+        (["demo", "--everything"], "--everything"),
+    ],
+)
+def test_a_wrong_command_line_is_bad_input_in_one_line(arguments, said, capsys):
+    assert run(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert said in captured.err
+
+
+@pytest.mark.parametrize("name", ["serve", "demo", "analyse", "predict"])
+def test_each_command_explains_itself(name, capsys):
+    assert run([name, "--help"]) == 0
+    assert "Usage: " in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_distribution(capsys):
+    from importlib.metadata import version
+
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == version("truepath")

@@ -1,0 +1,101 @@
+"""README and docs: every link leads somewhere, every command is there."""
+
+import re
+import shlex
+import subprocess
+
+import pytest
+
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+HEADING = re.compile(r"^#+\s+(.*)$", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def documents(project_files, root):
+    return [
+        path
+        for path in project_files
+        if path.suffix == ".md"
+        and path.relative_to(root).parts[0] in {"README.md", "docs"}
+    ]
+
+
+def anchor(heading):
+    """Spell a heading as the usual renderers do in links."""
+    kept = re.sub(r"[^\w\- ]", "", heading.strip().lower().replace("`", ""))
+    return kept.replace(" ", "-")
+
+
+def test_every_link_leads_to_a_file_and_a_heading(documents, root):
+    broken = []
+    for document in documents:
+        text = FENCE.sub("", document.read_text())
+        for link in LINK.findall(text):
+            if re.match(r"[a-z]+:", link):
+                continue
+            name, _, heading = link.partition("#")
+            target = (document.parent / name).resolve() if name else document
+            if not target.exists():
+                broken.append(f"{document.relative_to(root)}: {link}")
+            elif heading and heading not in map(
+                anchor, HEADING.findall(target.read_text())
+            ):
+                broken.append(f"{document.relative_to(root)}: no heading {link}")
+    assert not broken, "\n".join(broken)
+
+
+def test_every_document_can_be_reached_from_the_index(documents, root):
+    reached, ahead = set(), [root / "README.md", root / "docs" / "index.md"]
+    while ahead:
+        document = ahead.pop()
+        reached.add(document)
+        links = (link.partition("#")[0] for link in LINK.findall(document.read_text()))
+        near = [(document.parent / link).resolve() for link in links if link]
+        ahead += [
+            p for p in near if p.suffix == ".md" and p.exists() and p not in reached
+        ]
+    assert set(documents) <= reached
+
+
+def commands(documents):
+    """Return (document, words) of every shell line of the documents."""
+    for document in documents:
+        for language, body in FENCE.findall(document.read_text()):
+            if language in {"sh", "bash", "shell"}:
+                for line in body.replace("\\\n", " ").splitlines():
+                    words = shlex.split(line, comments=True)
+                    if words:
+                        yield document, words
+
+
+def test_every_make_target_of_the_documents_exists(documents, root):
+    targets = set(
+        re.findall(r"^([\w-]+):(?!=)", (root / "Makefile").read_text(), re.MULTILINE)
+    )
+    asked = {w[1] for _, w in commands(documents) if w[0] == "make" and len(w) > 1}
+    assert asked
+    assert asked <= targets
+
+
+def test_every_truepath_command_of_the_documents_exists(documents, root):
+    helps = {}
+
+    def help_of(name):
+        if name not in helps:
+            answer = subprocess.run(
+                [root / ".venv" / "bin" / "truepath", name, "--help"],
+                capture_output=True,
+                text=True,
+                env={"COLUMNS": "200", "TERM": "dumb", "PATH": ""},
+            )
+            assert answer.returncode == 0, f"truepath {name}: {answer.stderr}"
+            helps[name] = answer.stdout
+        return helps[name]
+
+    lines = [w for _, w in commands(documents) if w[0].endswith("truepath")]
+    assert lines
+    for words in lines:
+        offered = help_of(words[1])
+        for option in (w.partition("=")[0] for w in words[2:] if w.startswith("-")):
+            assert re.search(rf"(?<![\w-]){re.escape(option)}(?![\w-])", offered), words

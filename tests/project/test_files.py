@@ -1,0 +1,117 @@
+"""What must and must not be in the files of the project."""
+
+import ast
+import re
+
+import pytest
+
+# In pieces, so that this file does not hold what it looks for.
+FORBIDDEN = re.compile(
+    "|".join(
+        [
+            r"https?://[^ \"]*(/sim" r"ple/|/pack" r"ages/|regi" r"stry\.|fi" r"les\.)",
+            r"\"reso" r"lved\": *\"http",
+            r"(?<![\w.])/(wo" r"rk|ro" r"ot|ho" r"me)/\w",
+            r"/tmp/ba" r"sh_jobs",
+        ]
+    )
+)
+ROOMS_IN_CODE = ("app", "drivers", "simulators")
+
+
+def text_of(path):
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return ""
+
+
+def test_no_file_names_a_package_registry_or_a_path_of_one_machine(project_files, root):
+    found = [
+        f"{path.relative_to(root)}:{number}: {line.strip()[:80]}"
+        for path in project_files
+        if not path.name.endswith(".min.js")
+        for number, line in enumerate(text_of(path).splitlines(), 1)
+        if FORBIDDEN.search(line)
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_no_file_is_larger_than_a_page_needs(project_files, root):
+    large = [
+        f"{path.relative_to(root)}: {path.stat().st_size} bytes"
+        for path in project_files
+        if path.stat().st_size > 1_500_000
+    ]
+    assert not large, "\n".join(large)
+
+
+def test_nothing_is_left_to_do_in_the_code(project_files, root):
+    marker = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|HA" r"CK)\b")
+    found = [
+        f"{path.relative_to(root)}:{number}"
+        for path in project_files
+        if path.suffix == ".py" and "vendor" not in path.parts
+        for number, line in enumerate(text_of(path).splitlines(), 1)
+        if marker.search(line)
+    ]
+    assert not found, "\n".join(found)
+
+
+def python_files(project_files, root, rooms=ROOMS_IN_CODE):
+    return [
+        path
+        for path in project_files
+        if path.suffix == ".py" and path.relative_to(root).parts[0] in rooms
+    ]
+
+
+def public_definitions(tree):
+    yield "module", tree
+    for node in tree.body:
+        kinds = (ast.ClassDef, ast.FunctionDef)
+        if not isinstance(node, kinds) or node.name.startswith("_"):
+            continue
+        yield node.name, node
+        if isinstance(node, ast.ClassDef):
+            yield from (
+                (f"{node.name}.{child.name}", child)
+                for child in node.body
+                if isinstance(child, ast.FunctionDef)
+                and not child.name.startswith("_")
+                and not overrides(child)
+            )
+
+
+def overrides(function):
+    marks = ("override", "setter", "overload")
+    return any(mark in ast.dump(d) for d in function.decorator_list for mark in marks)
+
+
+def test_everything_public_says_what_it_is(project_files, root):
+    silent = [
+        f"{path.relative_to(root)}: {name}"
+        for path in python_files(project_files, root)
+        for name, node in public_definitions(ast.parse(path.read_text()))
+        if not ast.get_docstring(node)
+    ]
+    assert not silent, "\n".join(silent)
+
+
+def test_packages_export_nothing_but_their_theory(project_files, root):
+    busy = [
+        str(path.relative_to(root))
+        for path in python_files(project_files, root)
+        if path.name == "__init__.py" and len(ast.parse(path.read_text()).body) != 1
+    ]
+    assert not busy, "an __init__.py holds a docstring and nothing else: " + str(busy)
+
+
+@pytest.mark.parametrize("word", ["utils", "common", "helpers", "manager"])
+def test_no_room_is_called_after_nothing(project_files, root, word):
+    named = [
+        str(path.relative_to(root))
+        for path in python_files(project_files, root)
+        if word in (*path.relative_to(root).parts[:-1], path.stem)
+    ]
+    assert not named

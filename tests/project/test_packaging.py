@@ -1,0 +1,101 @@
+"""Constraints pin all that is installed; the wheel carries all that is served."""
+
+import re
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import PackageNotFoundError, distribution
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+
+@pytest.fixture(scope="module")
+def pins(root):
+    lines = (root / "constraints.txt").read_text().split()
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
+    return {canonicalize_name(n): v for n, v in (line.split("==") for line in lines)}
+
+
+def required(name, extras):
+    """Yield all distributions that one needs, directly or not, in this environment."""
+    ahead, seen = [(name, frozenset(extras))], set()
+    while ahead:
+        name, wanted = ahead.pop()
+        if (name, wanted) in seen:
+            continue
+        seen.add((name, wanted))
+        for text in distribution(name).requires or []:
+            need = Requirement(text)
+            marks = [{"extra": extra} for extra in (*wanted, "")]
+            if need.marker and not any(need.marker.evaluate(m) for m in marks):
+                continue
+            ahead.append((canonicalize_name(need.name), frozenset(need.extras)))
+    return {name for name, _ in seen}
+
+
+def test_constraints_pin_everything_that_is_needed(pins):
+    needed = required("truepath", {"dev", "pg"}) - {"truepath"}
+    assert needed <= set(pins), f"not pinned: {sorted(needed - set(pins))}"
+    assert set(pins) <= needed, f"pinned, not needed: {sorted(set(pins) - needed)}"
+
+
+def test_what_is_installed_is_what_is_pinned(pins):
+    def installed(name):
+        try:
+            return distribution(name).version
+        except PackageNotFoundError:
+            return "not installed"
+
+    differing = {n: (v, installed(n)) for n, v in pins.items() if installed(n) != v}
+    assert not differing
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory, project_files, root):
+    """Build the wheel from a copy of the files git knows, without the network."""
+    source = tmp_path_factory.mktemp("source")
+    for path in project_files:
+        if path.relative_to(root).parts[0] not in {"tests", "docs", "benchmarks"}:
+            copy = source / path.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(path.read_bytes())
+    target = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
+    command += ["--no-build-isolation", "--wheel-dir", str(target), str(source)]
+    built = subprocess.run(command, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return next(target.glob("truepath-*.whl"))
+
+
+def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):
+    with zipfile.ZipFile(wheel) as archive:
+        packed = set(archive.namelist())
+    rooms = {"app", "drivers", "simulators"}
+    wanted = {
+        str(path.relative_to(root))
+        for path in project_files
+        if path.relative_to(root).parts[0] in rooms
+    }
+    assert wanted <= packed, f"left out: {sorted(wanted - packed)}"
+
+
+def test_the_wheel_registers_the_command_and_the_plug_ins(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(n for n in archive.namelist() if n.endswith("entry_points.txt"))
+        points = archive.read(name).decode()
+    groups = set(re.findall(r"^\[(.+)\]$", points, re.MULTILINE))
+    assert groups >= {
+        "console_scripts",
+        "truepath.trackers",
+        "truepath.motion_controllers",
+        "truepath.simulators",
+    }
+
+
+def test_every_entry_point_loads():
+    groups = distribution("truepath").entry_points
+    assert groups
+    for point in groups:
+        assert callable(point.load()), point
