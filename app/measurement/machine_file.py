@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
+from app.measurement.json_fields import Field, Fields, parse_json, shown
 
 SCHEMA = "machine/1"
 LINEAR_NAMES = ("X", "Y", "Z")
@@ -29,8 +28,6 @@ ROTARY_NAMES = ("A", "B", "C")
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
 _SIDES = ("tool", "workpiece")
 _STANDS = ("workpiece", "base")
-
-Json = Mapping[str, Any]
 
 
 def read_machine(path: str | Path) -> Machine:
@@ -49,32 +46,20 @@ def read_machine(path: str | Path) -> Machine:
 
 def decode_machine(data: bytes, *, file: str = "machine.json") -> Machine:
     """Return the machine that the bytes of a machine file state."""
-    try:
-        content = json.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise BundleError(
-            f"is not text in UTF-8 (byte {error.start})",
-            file=file,
-            remedy="save as UTF-8",
-        ) from error
-    except json.JSONDecodeError as error:
-        raise BundleError(
-            f"is not JSON: {error.msg} at character {error.colno}",
-            file=file,
-            row=error.lineno,
-            remedy="correct that line",
-        ) from error
-    except RecursionError as error:
-        raise BundleError("is nested too deeply", file=file) from error
-    return machine_from_json(content, file=file)
+    return machine_from_json(parse_json(data, file), file=file)
 
 
-def machine_from_json(content: object, *, file: str = "machine.json") -> Machine:
-    """Return the machine that parsed JSON states."""
-    top = _Field(file, "", content).mapping()
+def machine_from_json(
+    content: object, *, file: str = "machine.json", key: str = ""
+) -> Machine:
+    """Return the machine that parsed JSON states.
+
+    key : where in the file the machine stands, empty for a file of its own
+    """
+    top = Field(file, key, content).mapping()
     schema = top.child("schema")
     if schema.value != SCHEMA:
-        raise schema.error(f"is {_shown(schema.value)}", f'write "schema": "{SCHEMA}"')
+        raise schema.error(f"is {shown(schema.value)}", f'write "schema": "{SCHEMA}"')
     axes = _axes(top.child("axes").mapping())
     workpiece_side, tool_side = _chain(top.child("kinematic_chain"), axes)
     return Machine(
@@ -113,83 +98,7 @@ def encode_machine(machine: Machine) -> bytes:
     return (text + "\n").encode()
 
 
-class _Field:
-    """A value of the file and the way to it, `axes.X.min_mm`."""
-
-    def __init__(self, file: str, path: str, value: object) -> None:
-        self.file, self.path, self.value = file, path, value
-
-    def error(self, problem: str, remedy: str = "") -> BundleError:
-        where = f"{self.path} " if self.path else ""
-        return BundleError(f"{where}{problem}", file=self.file, remedy=remedy)
-
-    def mapping(self) -> _Fields:
-        if not isinstance(self.value, Mapping):
-            raise self.error(f"is {_shown(self.value)}", "write an object, {…}")
-        return _Fields(self.file, self.path, self.value)
-
-    def text(self) -> str:
-        if not isinstance(self.value, str) or not self.value:
-            raise self.error(f"is {_shown(self.value)}", "write a text")
-        return self.value
-
-    def number(self, *, lowest: float = -math.inf, above: bool = False) -> float:
-        """Return a finite number, not below (with `above`, greater than) `lowest`."""
-        value = self.value
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"is {_shown(value)}", "write a number")
-        if not -sys.float_info.max <= value <= sys.float_info.max:
-            raise self.error("is not finite", "write a finite number")
-        if value < lowest or (above and value <= lowest):
-            bound = f"above {lowest:g}" if above else f"{lowest:g} or more"
-            raise self.error(f"is {value:g}", f"it must be {bound}")
-        return float(value)
-
-    def vector(self) -> tuple[float, float, float]:
-        value = self.value
-        if not isinstance(value, list | tuple) or len(value) != 3:
-            raise self.error(f"is {_shown(value)}", "write three numbers, [x, y, z]")
-        x, y, z = (
-            _Field(self.file, f"{self.path}[{i}]", v).number()
-            for i, v in enumerate(value)
-        )
-        return x, y, z
-
-    def choice(self, allowed: tuple[str, ...]) -> str:
-        if self.value not in allowed:
-            raise self.error(
-                f"is {_shown(self.value)}", f"write one of {', '.join(allowed)}"
-            )
-        return str(self.value)
-
-
-class _Fields:
-    """An object of the file and the way to it."""
-
-    def __init__(self, file: str, path: str, values: Json) -> None:
-        self.file, self.path, self.values = file, path, values
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.values
-
-    def child(self, key: str, *, default: object = None) -> _Field:
-        value = self.values.get(key, default)
-        path = f"{self.path}.{key}" if self.path else key
-        if value is None:
-            raise BundleError(f"{path} is missing", file=self.file, remedy="add it")
-        return _Field(self.file, path, value)
-
-    def children(self) -> list[tuple[str, _Field]]:
-        return [(key, self.child(key)) for key in self.values]
-
-
-def _shown(value: object) -> str:
-    """Quote a value as JSON, shortened."""
-    text = json.dumps(value, ensure_ascii=False, default=str)
-    return text if len(text) <= 60 else text[:57] + "…"
-
-
-def _axes(fields: _Fields) -> tuple[Axis, ...]:
+def _axes(fields: Fields) -> tuple[Axis, ...]:
     found = {key: _axis(key, field) for key, field in fields.children()}
     missing = [name for name in LINEAR_NAMES if name not in found]
     if missing:
@@ -199,7 +108,7 @@ def _axes(fields: _Fields) -> tuple[Axis, ...]:
     return tuple(found[n] for n in LINEAR_NAMES + ROTARY_NAMES if n in found)
 
 
-def _axis(name: str, field: _Field) -> Axis:
+def _axis(name: str, field: Field) -> Axis:
     if name not in LINEAR_NAMES + ROTARY_NAMES:
         raise field.error(
             "is an unknown axis", "linear axes are X, Y, Z; rotary axes are A, B, C"
@@ -208,15 +117,15 @@ def _axis(name: str, field: _Field) -> Axis:
     kind = fields.child("type")
     wanted = "linear" if name in LINEAR_NAMES else "rotary"
     if kind.value != wanted:
-        raise kind.error(f"is {_shown(kind.value)}", f'axis {name} is "{wanted}"')
+        raise kind.error(f"is {shown(kind.value)}", f'axis {name} is "{wanted}"')
     return _linear(name, fields) if wanted == "linear" else _rotary(name, fields)
 
 
-def _linear(name: str, fields: _Fields) -> LinearAxis:
+def _linear(name: str, fields: Fields) -> LinearAxis:
     return LinearAxis(name, *_travel(fields, "min_mm", "max_mm"))
 
 
-def _rotary(name: str, fields: _Fields) -> RotaryAxis:
+def _rotary(name: str, fields: Fields) -> RotaryAxis:
     direction = fields.child("direction", default=_DIRECTIONS[name])
     vector = direction.vector()
     length = math.hypot(*vector)
@@ -231,7 +140,7 @@ def _rotary(name: str, fields: _Fields) -> RotaryAxis:
     )
 
 
-def _travel(fields: _Fields, low: str, high: str) -> tuple[float, float]:
+def _travel(fields: Fields, low: str, high: str) -> tuple[float, float]:
     lowest, highest = fields.child(low).number(), fields.child(high)
     if highest.number() <= lowest:
         raise highest.error(
@@ -241,27 +150,27 @@ def _travel(fields: _Fields, low: str, high: str) -> tuple[float, float]:
 
 
 def _chain(
-    field: _Field, axes: tuple[Axis, ...]
+    field: Field, axes: tuple[Axis, ...]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Split `w-…-b-…-t` at the base."""
     text = field.text()
     parts = text.split("-")
     if parts[0] != "w" or parts[-1] != "t" or parts.count("b") != 1:
         raise field.error(
-            f"is {_shown(text)}", "write w-…-b-…-t, workpiece to tool, one base"
+            f"is {shown(text)}", "write w-…-b-…-t, workpiece to tool, one base"
         )
     base = parts.index("b")
     sides = tuple(parts[1:base]), tuple(parts[base + 1 : -1])
     named, known = sorted(sides[0] + sides[1]), sorted(axis.name for axis in axes)
     if named != known:
         raise field.error(
-            f"is {_shown(text)} but the axes are {', '.join(known)}",
+            f"is {shown(text)} but the axes are {', '.join(known)}",
             "name every axis once",
         )
     return sides
 
 
-def _targets(top: _Fields) -> tuple[Target, ...]:
+def _targets(top: Fields) -> tuple[Target, ...]:
     """Return the targets; the target of `tool_offset_mm` has no name."""
     if "targets" not in top:
         offset = top.child("tool_offset_mm")
@@ -276,7 +185,7 @@ def _targets(top: _Fields) -> tuple[Target, ...]:
     return tuple(_target(name, field) for name, field in fields)
 
 
-def _target(name: str, field: _Field) -> Target:
+def _target(name: str, field: Field) -> Target:
     if not name.strip():
         raise field.error("has no name", "name every target")
     fields = field.mapping()
@@ -284,7 +193,7 @@ def _target(name: str, field: _Field) -> Target:
     return Target(name, side, fields.child("offset_mm").vector())
 
 
-def _tracker(fields: _Fields) -> TrackerNoise:
+def _tracker(fields: Fields) -> TrackerNoise:
     plain = TrackerNoise()
     transverse = fields.child("transverse_sigma_um", default=plain.transverse_sigma_um)
     angle = fields.child("angle_sigma_urad", default=plain.angle_sigma_urad)
