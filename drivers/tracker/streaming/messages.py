@@ -99,7 +99,7 @@ class Ping:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
-    """Detail of the ACK of a HELLO: who answers. A text has at most 60 bytes of UTF-8."""
+    """Detail of the ACK of a HELLO: who answers. Texts of at most 60 bytes of UTF-8."""
 
     maker: str
     model: str

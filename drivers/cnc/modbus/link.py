@@ -1,0 +1,172 @@
+"""Requests to one Modbus unit, bounded in time, their failures told apart by family."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ConnectionException, ModbusException
+from pymodbus.pdu import ModbusPDU
+
+from drivers.cnc.modbus.registers import Block
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    Refused,
+)
+
+# The library's own 3 s and 3 repeats are 12 s of blindness; these are 0.4 s.
+TIMEOUT_S = 0.2
+RETRIES = 1
+
+_CONFIGURATION = {
+    1: "does not know this function",
+    2: "does not have these registers",
+    3: "does not take this value",
+}
+_WAIT = (5, 6)
+_GATEWAY = (10, 11)
+
+
+class DeviceBusy(DeviceTimeout):
+    """The device asks for patience (exceptions 5 and 6)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TcpAddress:
+    """A Modbus TCP server."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    def client(self) -> ModbusTcpClient:
+        """Return a client that is not connected."""
+        return ModbusTcpClient(
+            self.host, port=self.port, timeout=TIMEOUT_S, retries=RETRIES
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SerialAddress:
+    """A Modbus RTU line, 8N1."""
+
+    path: str
+    baudrate: int
+
+    def __str__(self) -> str:
+        return self.path
+
+    def client(self) -> ModbusSerialClient:
+        """Return a client that is not connected."""
+        return ModbusSerialClient(
+            self.path, baudrate=self.baudrate, timeout=TIMEOUT_S, retries=RETRIES
+        )
+
+
+class ModbusLink:
+    """Holding registers of one unit. For one thread at a time: the driver has the lock.
+
+    A connection that broke stays broken until `open`: the library would take it up
+    again by itself, and another device may answer by then.
+    """
+
+    def __init__(self, address: TcpAddress | SerialAddress, unit: int) -> None:
+        self._address = address
+        self._unit = unit
+        self._client: ModbusTcpClient | ModbusSerialClient | None = None
+
+    @property
+    def name(self) -> str:
+        """Address and unit, for messages."""
+        return f"{self._address} unit {self._unit}"
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the connection stands, as far as is known."""
+        return self._client is not None and self._client.connected
+
+    def open(self) -> None:
+        """Connect anew. Raises ConnectionLost."""
+        self.close()
+        client = self._address.client()
+        if not client.connect():
+            raise ConnectionLost(
+                f"{self._address} cannot be opened; check address, cable and power, "
+                "and that no other program uses the port"
+            )
+        self._client = client
+
+    def close(self) -> None:
+        """Release the port. Idempotent."""
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def read(self, block: Block) -> list[int]:
+        """Return the words of a block. Harmless, so it may be repeated."""
+        client = self._connected()
+        try:
+            reply = client.read_holding_registers(
+                block.address, count=block.count, device_id=self._unit
+            )
+        except (ModbusException, OSError) as error:
+            raise self._failure(error) from error
+        self._check(reply, f"reading {block.count} registers at {block.address}")
+        if len(reply.registers) != block.count:
+            raise DeviceTimeout(
+                f"{self.name}: {len(reply.registers)} registers came, {block.count} were "
+                "asked for; the reply is not to this request"
+            )
+        return list(reply.registers)
+
+    def write(self, address: int, words: Sequence[int]) -> None:
+        """Write registers in one request. After DeviceTimeout its outcome is unknown."""
+        client = self._connected()
+        try:
+            reply = client.write_registers(address, list(words), device_id=self._unit)
+        except (ModbusException, OSError) as error:
+            raise self._failure(error) from error
+        self._check(reply, f"writing {len(words)} registers at {address}")
+
+    def _connected(self) -> ModbusTcpClient | ModbusSerialClient:
+        if self._client is None or not self._client.connected:
+            raise ConnectionLost(f"{self._address} is not connected; connect first")
+        return self._client
+
+    def _failure(self, error: Exception) -> DeviceError:
+        if isinstance(error, ConnectionException | OSError):
+            self.close()
+            return ConnectionLost(
+                f"{self._address} is gone; check cable and power, then connect again"
+            )
+        return DeviceTimeout(
+            f"{self.name}: no valid reply in {TIMEOUT_S * (1 + RETRIES):g} s; "
+            "check power, unit number, baud rate and shielding"
+        )
+
+    def _check(self, reply: ModbusPDU, doing: str) -> None:
+        """Turn an exception reply into the error of its family."""
+        if not reply.isError():
+            return
+        code = reply.exception_code
+        place = f"{self.name}, {doing}"
+        if code in _CONFIGURATION:
+            raise Refused(
+                f"{place}: the device {_CONFIGURATION[code]} (exception {code}); "
+                "check unit number and register map",
+                code,
+            )
+        if code in _WAIT:
+            raise DeviceBusy(f"{place}: the device is busy (exception {code})")
+        if code in _GATEWAY:
+            raise ConnectionLost(
+                f"{place}: the gateway does not reach the device (exception {code}); "
+                "check the line behind it"
+            )
+        raise MotionFault(f"{place}: the device has failed (exception {code})")

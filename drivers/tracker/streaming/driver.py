@@ -1,0 +1,291 @@
+"""The driver of trackers that stream GST/1 frames over serial or TCP."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from drivers.interfaces.link import ByteLink
+from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
+from drivers.interfaces.tracker import Tracker
+from drivers.tracker.streaming.codec import SampleDecoder, link_health
+from drivers.tracker.streaming.framing import FrameReader
+from drivers.tracker.streaming.messages import (
+    VERSION,
+    Ack,
+    Command,
+    DeviceInfo,
+    Event,
+    EventCode,
+    Format,
+    Hello,
+    Message,
+    Nak,
+    Ping,
+    Reply,
+    Start,
+    Stop,
+    StreamInfo,
+    encode_message,
+)
+from drivers.tracker.streaming.receiver import Receiver
+from drivers.transport.byte_port import BytePort
+from drivers.transport.serial_port import SerialPort
+from drivers.transport.tcp_port import TcpPort
+
+log = logging.getLogger(__name__)
+
+_GATHER_S = 0.02
+_TRIES = 2
+_RATE_TOLERANCE = 0.01
+# On the wire, a start and a stop bit a byte.
+_FRAME_BITS = {Format.MEAS64: 470, Format.MEAS: 300}
+
+
+class StreamingTracker(Tracker, ByteLink):
+    """A tracker on a serial port (`port`) or behind TCP (`host` and the number `port`).
+
+    port : path of the tty, or TCP port number where `host` is given
+    baudrate : of a serial port
+    serial_number : refuse any other instrument
+    compact : ask for the short frames, 10 nm and 2.9 nrad, on a slow line
+    reply_timeout_s : longest wait for the reply to a command, sent twice in that time
+
+    `read` and `received` are for one thread, the other verbs for any.
+    """
+
+    def __init__(
+        self,
+        port: str | int,
+        *,
+        host: str | None = None,
+        baudrate: int = 921_600,
+        serial_number: str = "",
+        compact: bool = False,
+        reply_timeout_s: float = 0.5,
+    ) -> None:
+        self._port = _byte_port(port, host, baudrate)
+        self._baudrate = baudrate if host is None else None
+        self._serial_number = serial_number
+        self._format = Format.MEAS if compact else Format.MEAS64
+        self._reply_timeout_s = reply_timeout_s
+        self._lock = threading.RLock()
+        self._write_lock = threading.Lock()
+        self._transactions = itertools.count(1)
+        self._receiver: Receiver | None = None
+        self._identity: Identity | None = None
+        self._max_rate_hz = 0.0
+        self._rate_hz: float | None = None
+        self._frames = FrameReader()
+        self._decoder = SampleDecoder()
+
+    def connect(self) -> Identity:
+        """Open the port, ask who is there, end a stream that was left behind."""
+        with self._lock:
+            alive = self._receiver is not None and self._receiver.error is None
+            if self._identity is None or not alive:
+                self._shut()
+                self._identity = self._open()
+            return self._identity
+
+    def start(self, rate_hz: float) -> None:
+        """Begin to stream; a stream at another rate is stopped first."""
+        with self._lock:
+            receiver = self._connected()
+            self._check_rate(rate_hz)
+            if self._rate_hz not in (None, rate_hz):
+                self.stop()
+            ack = self._ask(receiver, lambda t: Start(t, rate_hz, self._format))
+            self._rate_hz = rate_hz
+            self._check_started(ack, rate_hz)
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        """Return the samples since the last call, some 20 ms of them or more."""
+        receiver = self._connected()
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            left_s = max(0.0, deadline_s - time.monotonic())
+            bodies = receiver.take(left_s, min(_GATHER_S, left_s))
+            decoded = self._decoder.decode(bodies)
+            for message in decoded.messages:
+                self._note(message)
+            if len(decoded.samples) or left_s == 0.0:
+                return decoded.samples
+
+    def stop(self) -> None:
+        """End the stream. A lost port is left alone: the device ends it by itself."""
+        with self._lock:
+            receiver = self._receiver
+            if receiver is None or receiver.error is not None:
+                return
+            self._rate_hz = None
+            try:
+                self._ask(receiver, Stop)
+            except ConnectionLost as error:
+                log.warning("stop not sent: %s", error)
+
+    def close(self) -> None:
+        """End the stream and the reading thread, release the port."""
+        with self._lock:
+            try:
+                self.stop()
+            except DeviceError as error:
+                log.warning("%s closed while it streams: %s", self._port.name, error)
+            finally:
+                self._shut()
+
+    def received(self) -> bytes:
+        """Return the bytes as they came, at most the last 4 MiB."""
+        return b"" if self._receiver is None else self._receiver.received()
+
+    @property
+    def health(self) -> LinkHealth:
+        """Counts since `connect`; losses are those of the samples already read."""
+        return link_health(self._frames, self._decoder)
+
+    def _open(self) -> Identity:
+        self._port.open()
+        receiver = Receiver(self._port, self._ping)
+        self._receiver = receiver
+        self._frames, self._decoder = receiver.frames, SampleDecoder()
+        receiver.start()
+        try:
+            identity = self._greet(receiver)
+            self._ask(receiver, Stop)
+        except DeviceError:
+            self._shut()
+            raise
+        receiver.take(0.0, 0.0)
+        receiver.received()
+        log.info("%s: %s", self._port.name, identity)
+        return identity
+
+    def _shut(self) -> None:
+        receiver, self._receiver = self._receiver, None
+        self._identity = self._rate_hz = None
+        if receiver is not None:
+            receiver.close()
+        self._port.close()
+
+    def _greet(self, receiver: Receiver) -> Identity:
+        try:
+            info = self._ask(receiver, Hello).detail
+        except DeviceTimeout as error:
+            raise self._silence(receiver, error) from None
+        except Refused as error:
+            raise WrongDevice(f"{error}; the device speaks another version") from error
+        if not isinstance(info, DeviceInfo) or info.version != VERSION:
+            raise WrongDevice(
+                f"{self._port.name}: the device does not speak GST/{VERSION} ({info}); "
+                "update the device or the driver"
+            )
+        if self._serial_number not in ("", info.serial_number):
+            raise WrongDevice(
+                f"{self._port.name}: instrument {info.serial_number} answers, "
+                f"{self._serial_number} is configured; check which cable is where"
+            )
+        self._max_rate_hz = info.max_rate_hz
+        return Identity(info.maker, info.model, info.serial_number, info.firmware)
+
+    def _silence(self, receiver: Receiver, error: DeviceTimeout) -> DeviceError:
+        """Tell silence from bytes that are not ours."""
+        if receiver.echoes:
+            return WrongDevice(
+                f"{self._port.name}: our own bytes come back; a loop-back plug, "
+                "or a terminal that echoes"
+            )
+        if receiver.bytes_received and not receiver.frames.frames:
+            return WrongDevice(
+                f"{self._port.name}: something answers, but not in GST/1 frames; "
+                "check that this is the tracker's port, and its baud rate"
+            )
+        return error
+
+    def _connected(self) -> Receiver:
+        if self._receiver is None:
+            raise ConnectionLost(f"{self._port.name} is not connected; connect first")
+        return self._receiver
+
+    def _check_rate(self, rate_hz: float) -> None:
+        if not 0.0 < rate_hz <= self._max_rate_hz:
+            raise Refused(
+                f"{self._port.name} streams at up to {self._max_rate_hz:g} Hz, "
+                f"not at {rate_hz:g} Hz"
+            )
+        bits = rate_hz * _FRAME_BITS[self._format]
+        if self._baudrate is not None and bits > self._baudrate:
+            # A pseudo-terminal has no baud rate, so this is no refusal.
+            log.warning(
+                "%s: %g Hz need %.0f bit/s, the line has %d; samples may be lost",
+                self._port.name,
+                rate_hz,
+                bits,
+                self._baudrate,
+            )
+
+    def _check_started(self, ack: Ack, rate_hz: float) -> None:
+        info = ack.detail
+        actual_hz = info.rate_hz if isinstance(info, StreamInfo) else 0.0
+        if abs(actual_hz - rate_hz) > _RATE_TOLERANCE * rate_hz:
+            self.stop()
+            raise Refused(
+                f"{self._port.name} streams at {actual_hz:g} Hz, not at {rate_hz:g} Hz"
+            )
+        log.info("%s streams at %g Hz", self._port.name, actual_hz)
+
+    def _ask(self, receiver: Receiver, build: Callable[[int], Command]) -> Ack:
+        """Send a command until its reply comes; a repeat has the same number."""
+        command = build(next(self._transactions) & 0xFF)
+        receiver.expect(command.transaction)
+        for _ in range(_TRIES):
+            self._send(command)
+            reply = receiver.wait_reply(self._reply_timeout_s / _TRIES)
+            if reply is not None:
+                return self._accepted(reply)
+        raise DeviceTimeout(
+            f"{self._port.name}: no reply to {type(command).__name__.upper()} in "
+            f"{self._reply_timeout_s:g} s; is the tracker on, warm and in remote mode?"
+        )
+
+    def _accepted(self, reply: Reply) -> Ack:
+        if isinstance(reply, Nak):
+            raise Refused(
+                f"{self._port.name} refuses: {reply.text or 'no reason given'} "
+                f"(code {reply.code})",
+                reply.code,
+            )
+        return reply
+
+    def _ping(self) -> None:
+        self._send(Ping(next(self._transactions) & 0xFF))
+
+    def _send(self, command: Command) -> None:
+        with self._write_lock:
+            self._port.write(encode_message(command))
+
+    def _note(self, message: Message) -> None:
+        if not isinstance(message, Event):
+            return
+        log.info(
+            "%s: event %s at %d µs", self._port.name, message.code, message.clock_us
+        )
+        if message.code == EventCode.STREAM_STOPPED_NO_PING:
+            self._rate_hz = None
+
+
+def _byte_port(port: str | int, host: str | None, baudrate: int) -> BytePort:
+    if host is not None:
+        return TcpPort(host, int(port))
+    if isinstance(port, int):
+        raise ValueError(f"port {port} is a TCP port number: give its host as well")
+    return SerialPort(port, baudrate)
