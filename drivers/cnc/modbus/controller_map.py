@@ -9,7 +9,6 @@ from drivers.cnc.modbus import registers as r
 from drivers.interfaces.errors import WrongDevice
 from drivers.interfaces.records import Identity, MotionState, MotionStatus
 
-
 _HOLD_REASONS = {reason.value: reason.name.lower() for reason in r.HoldReason}
 _HOLD_REASONS[r.HoldReason.NONE] = ""
 
@@ -65,7 +64,7 @@ def parse_controller(words: Sequence[int]) -> Controller:
 
 
 def explain_magic(words: Sequence[int]) -> str:
-    """Return what is wrong with magic, order of words or bytes, version; "" if nothing."""
+    """Return what is wrong with magic, word or byte order, version; "" if nothing."""
     (magic,) = r.decode("magic", words, r.IDENTITY)
     (order,) = r.decode("order_test", words, r.IDENTITY)
     (version,) = r.decode("map_version", words, r.IDENTITY)

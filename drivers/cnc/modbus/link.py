@@ -120,13 +120,13 @@ class ModbusLink:
         self._check(reply, f"reading {block.count} registers at {block.address}")
         if len(reply.registers) != block.count:
             raise DeviceTimeout(
-                f"{self.name}: {len(reply.registers)} registers came, {block.count} were "
-                "asked for; the reply is not to this request"
+                f"{self.name}: {len(reply.registers)} registers came, not "
+                f"{block.count}; the reply is not to this request"
             )
         return list(reply.registers)
 
     def write(self, address: int, words: Sequence[int]) -> None:
-        """Write registers in one request. After DeviceTimeout its outcome is unknown."""
+        """Write registers in one request. After DeviceTimeout nobody knows the outcome."""
         client = self._connected()
         try:
             reply = client.write_registers(address, list(words), device_id=self._unit)
