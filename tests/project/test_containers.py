@@ -1,0 +1,182 @@
+"""The image and the compose file, checked without a Docker daemon.
+
+Linted, validated against the Compose schema, and every name they use (files, settings,
+flags, ports) is looked up in the real thing; their lines run in
+`test_container_lines.py`.
+"""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from app.settings import Settings, load_settings
+
+VENDORED = Path(__file__).parent / "vendor" / "compose-spec.json"
+
+
+@pytest.fixture(scope="module")
+def dockerfile(root):
+    return (root / "docker" / "Dockerfile").read_text()
+
+
+@pytest.fixture(scope="module")
+def compose(root):
+    return yaml.safe_load((root / "docker" / "compose.yaml").read_text())
+
+
+def instructions(dockerfile, name):
+    joined = re.sub(r"\\\n\s*", " ", dockerfile)
+    return re.findall(rf"^{name} (.*)$", joined, re.MULTILINE)
+
+
+def test_the_dockerfile_passes_hadolint(root):
+    hadolint = Path(sys.executable).with_name("hadolint")
+    linted = subprocess.run(
+        [hadolint, "--no-color", root / "docker" / "Dockerfile"],
+        capture_output=True,
+        text=True,
+    )
+    assert linted.returncode == 0, linted.stdout + linted.stderr
+
+
+def test_every_source_that_is_copied_exists_and_is_in_the_build_context(
+    dockerfile, root
+):
+    ignored = (root / "docker" / "Dockerfile.dockerignore").read_text().split()
+    copied = [line.split() for line in instructions(dockerfile, "COPY")]
+    sources = [w for words in copied if "--from" not in words[0] for w in words[:-1]]
+    assert sources
+    for source in sources:
+        assert (root / source).exists(), source
+        assert f"!{source}" in ignored, f"{source} is kept out of the build context"
+
+
+def test_the_image_holds_what_the_distribution_needs(dockerfile, project_files, root):
+    rooms = {
+        path.relative_to(root).parts[0]
+        for path in project_files
+        if path.suffix == ".py" and len(path.relative_to(root).parts) > 1
+    } - {"tests", "docs", "benchmarks"}
+    copied = {words.split()[0] for words in instructions(dockerfile, "COPY")}
+    assert rooms <= copied
+
+
+def test_the_service_does_not_run_as_root(dockerfile):
+    assert instructions(dockerfile, "USER")[-1] == "10001:10001"
+
+
+def test_no_shell_stands_between_the_service_and_its_signals(dockerfile):
+    for name in ("ENTRYPOINT", "CMD"):
+        (line,) = instructions(dockerfile, name)
+        assert isinstance(json.loads(line), list)
+
+
+def environment_of(dockerfile):
+    words = " ".join(instructions(dockerfile, "ENV")).split()
+    return dict(word.split("=", 1) for word in words)
+
+
+def test_the_ports_are_those_of_the_service(dockerfile, compose):
+    port = str(Settings.model_fields["port"].default)
+    assert instructions(dockerfile, "EXPOSE") == [port]
+    assert environment_of(dockerfile)["TRUEPATH_PORT"] == port
+    assert f"127.0.0.1:{port}/healthz" in instructions(dockerfile, "HEALTHCHECK")[0]
+    for service in compose["services"].values():
+        for published in service.get("ports", []):
+            assert published == f"127.0.0.1:{port}:{port}"
+
+
+def test_the_data_volume_is_the_data_folder(dockerfile, compose):
+    (volume,) = instructions(dockerfile, "VOLUME")
+    assert environment_of(dockerfile)["TRUEPATH_DATA_DIR"] == volume
+    ours = [s for s in compose["services"].values() if "build" in s]
+    assert ours
+    assert all(f"data:{volume}" in service["volumes"] for service in ours)
+
+
+@pytest.fixture(scope="module")
+def compose_schema():
+    # Named, since the schema spells its draft with https where jsonschema has http.
+    return jsonschema.Draft7Validator(json.loads(VENDORED.read_text()))
+
+
+def test_the_compose_file_is_valid(compose, compose_schema):
+    compose_schema.validate(compose)
+
+
+def test_a_mistake_in_the_compose_file_would_be_seen(compose, compose_schema):
+    wrong = {**compose, "services": {"truepath": {"imagine": "truepath"}}}
+    with pytest.raises(jsonschema.ValidationError, match="imagine"):
+        compose_schema.validate(wrong)
+
+
+def settings_named(environment):
+    prefix = "TRUEPATH_"
+    return {
+        name.removeprefix(prefix).lower()
+        for name in environment
+        if name.startswith(prefix)
+    }
+
+
+def test_every_setting_in_the_environment_exists(dockerfile, compose):
+    named = settings_named(environment_of(dockerfile))
+    for service in compose["services"].values():
+        named |= settings_named(service.get("environment", {}))
+    assert named
+    assert named <= set(Settings.model_fields)
+
+
+def test_the_environment_of_each_service_makes_good_settings(
+    dockerfile, compose, monkeypatch, tmp_path
+):
+    secret = tmp_path / "database_password"
+    secret.write_text("pass/word\n")
+    for service in compose["services"].values():
+        if "build" not in service:
+            continue
+        given = environment_of(dockerfile) | service.get("environment", {})
+        if "TRUEPATH_DATABASE_PASSWORD_FILE" in given:
+            given["TRUEPATH_DATABASE_PASSWORD_FILE"] = str(secret)
+        with monkeypatch.context() as context:
+            for name, value in given.items():
+                if name.startswith("TRUEPATH_"):
+                    context.setenv(name, value)
+            settings = load_settings()
+        assert settings.host == "0.0.0.0"
+        if settings.database_url:
+            assert settings.database == (
+                "postgresql+psycopg://truepath:pass%2Fword@postgres/truepath"
+            )
+
+
+def test_secrets_come_from_files_that_git_does_not_keep(compose, root):
+    files = [secret["file"] for secret in compose["secrets"].values()]
+    for name in files:
+        path = Path("docker") / name
+        ignored = subprocess.run(
+            ["git", "check-ignore", "-q", path], cwd=root, check=False
+        )
+        assert ignored.returncode == 0, f"{path} could be committed"
+    assert "PASSWORD:" not in (root / "docker" / "compose.yaml").read_text()
+
+
+def test_what_depends_on_a_service_shares_its_profile(compose):
+    services = compose["services"]
+    for name, service in services.items():
+        for other in service.get("depends_on", {}):
+            theirs = set(services[other].get("profiles", []))
+            assert not theirs or theirs & set(service.get("profiles", [])), name
+
+
+def test_the_image_is_of_this_version(compose, root):
+    pyproject = (root / "pyproject.toml").read_text()
+    (version,) = re.findall(r'^version = "(.*)"', pyproject, re.MULTILINE)
+    ours = [s for s in compose["services"].values() if "build" in s]
+    assert {service["image"] for service in ours} == {f"truepath:{version}"}
