@@ -72,11 +72,15 @@ class Table:
             raise self.error("is empty or NaN", index, name, "every row needs a number")
         return value
 
-    def texts(self, name: str) -> list[str]:
-        """Return a column of words, none of them empty."""
+    def cells(self, name: str) -> list[str]:
+        """Return a column as it stands in the file, empty cells as empty texts."""
         self.require(name)
         column = pc.cast(self.data[name], pa.string()).to_pylist()
-        words = [(word or "").strip() for word in column]
+        return [cell or "" for cell in column]
+
+    def texts(self, name: str) -> list[str]:
+        """Return a column of words, none of them empty."""
+        words = [cell.strip() for cell in self.cells(name)]
         if "" in words:
             raise self.error("is empty", words.index(""), name)
         return words
