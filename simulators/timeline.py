@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simulators.errors import SimulatorError
 from simulators.profile import Limits, Stretch, rest_to_rest
 
 # A line shorter than this is no line: waypoints come in steps of 0.1 µm.
@@ -176,11 +175,6 @@ class Program:
     position: np.ndarray
     feed_mm_s: np.ndarray
     dwell_s: np.ndarray
-
-    def __post_init__(self) -> None:
-        if not np.all(self.feed_mm_s > 0.0):
-            row = int(np.argmin(self.feed_mm_s > 0.0))
-            raise SimulatorError(f"row {row}: the feed must be above zero")
 
     def __len__(self) -> int:
         return len(self.position)

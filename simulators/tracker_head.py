@@ -8,11 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from simulators.machine_file import MachineFile, TrackerFigures
 from simulators.randomness import generator
 from simulators.truth_machine import rotation_matrices
+
+_BLOCK = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,9 @@ class SampleNoise:
         self._share = air.share
         self._keep = float(np.exp(-1.0 / (rate_hz * air.tau_s)))
         self._last = self._driver.standard_normal(3)
+        age = np.arange(_BLOCK)
+        self._fade = self._keep ** (age + 1.0)
+        self._memory = np.tril(self._keep ** (age[:, None] - age).clip(0).astype(float))
 
     def draw(self, n: int) -> np.ndarray:
         """Return the next (n, 3)."""
@@ -72,11 +76,14 @@ class SampleNoise:
         return np.sqrt(1.0 - self._share**2) * white + self._share * air
 
     def _filtered(self, drive: np.ndarray) -> np.ndarray:
-        """Return a_k = keep a_(k-1) + drive_k."""
-        state = self._keep * self._last[None, :]
-        air, _ = lfilter([1.0], [1.0, -self._keep], drive, axis=0, zi=state)
-        if len(air):
-            self._last = air[-1]
+        """Return a_k = keep a_(k-1) + drive_k, block by block as a matrix product."""
+        air = np.empty_like(drive)
+        for start in range(0, len(drive), _BLOCK):
+            part = drive[start : start + _BLOCK]
+            n = len(part)
+            air[start : start + n] = self._memory[:n, :n] @ part
+            air[start : start + n] += np.outer(self._fade[:n], self._last)
+            self._last = air[start + n - 1]
         return air
 
 

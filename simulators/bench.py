@@ -1,0 +1,242 @@
+"""Tracker and CNC as processes, ready to be driven: for demonstrations, tests and rigs."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from simulators.board import new_board
+from simulators.errors import SimulatorError
+from simulators.faults import Fault, for_device, parse_fault
+from simulators.machine_clock import MachineClock
+from simulators.machine_file import parse_machine
+from simulators.profile import Limits
+from simulators.scenario import load_machine
+from simulators.truth_machine import TruthMachine, random_machine
+
+_START_TIMEOUT_S = 20.0
+_STOP_TIMEOUT_S = 3.0
+
+
+class Bench:
+    """A simulated machine with its tracker, behind real links.
+
+    machine : content of machine.json; the bundled demonstration machine without it
+    speed : device clocks run so many times faster than the wall clock; patience of links
+        (keep-alive, watchdog) stays in wall seconds
+    faults : see `simulators.faults`; `inject` adds more while it runs
+    workdir : holds the links `tracker` and `modbus-rtu` to the terminals
+    tracker : link of the tracker, `pty` or `tcp`
+    """
+
+    def __init__(
+        self,
+        machine: Mapping[str, Any] | None = None,
+        seed: int = 1,
+        speed: float = 1.0,
+        faults: Sequence[str] = (),
+        workdir: Path | None = None,
+        *,
+        tracker: Literal["pty", "tcp"] = "pty",
+        host: str = "127.0.0.1",
+        tracker_port: int = 0,
+        modbus_port: int = 0,
+        error_scale: float = 1.0,
+        limits: Limits | None = None,
+    ) -> None:
+        if speed <= 0.0:
+            raise SimulatorError(f"speed: {speed} is not above zero")
+        self.machine = dict(machine) if machine is not None else load_machine("demo")
+        self.truth: TruthMachine = random_machine(
+            parse_machine(self.machine), seed, scale=error_scale
+        )
+        self._faults = [parse_fault(text) for text in faults]
+        self._workdir = workdir
+        self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
+        self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
+        self._cnc_link = {"host": host, "port": modbus_port}
+        self._common = {
+            "machine": self.machine,
+            "seed": seed,
+            "speed": speed,
+            "error_scale": error_scale,
+            "limits": asdict(limits or Limits()),
+        }
+        self._children: dict[str, _Child] = {}
+        self._addresses: dict[str, dict[str, Any]] = {}
+
+    def start(self) -> Self:
+        """Start both processes; returns when both listen.
+
+        Raises SimulatorError if one does not come up.
+        """
+        folder = self._folder()
+        board = new_board()
+        self._common |= {
+            "epoch_ns": MachineClock.starting_now().epoch_ns,
+            "board": board,
+        }
+        tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
+        cnc_link = self._cnc_link | {
+            "tcp": True,
+            "rtu": True,
+            "rtu_symlink": str(folder / "modbus-rtu"),
+        }
+        try:
+            for device, link in (("cnc", cnc_link), ("tracker", tracker_link)):
+                faults = [str(f) for f in for_device(self._faults, device)]
+                orders = self._common | {"link": link, "faults": faults}
+                self._children[device] = _Child(device, orders, board)
+            for device, child in self._children.items():
+                self._addresses[device] = child.listening()
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            os.close(board)
+        return self
+
+    @property
+    def tracker_options(self) -> dict[str, Any]:
+        """Options for the factory of the tracker driver."""
+        return dict(self._addresses["tracker"])
+
+    @property
+    def motion_options(self) -> dict[str, Any]:
+        """Options for the factory of the motion driver, over Modbus TCP."""
+        return {**self._addresses["cnc"]["tcp"], "unit": 1}
+
+    @property
+    def motion_options_rtu(self) -> dict[str, Any]:
+        """Options for the factory of the motion driver, over Modbus RTU."""
+        return {**self._addresses["cnc"]["rtu"], "baudrate": 115_200, "unit": 1}
+
+    @property
+    def process_ids(self) -> dict[str, int]:
+        """Process identifiers of `tracker` and `cnc`."""
+        return {device: child.process_id for device, child in self._children.items()}
+
+    @property
+    def alive(self) -> bool:
+        """Whether both processes run."""
+        return len(self._children) == 2 and all(
+            child.alive for child in self._children.values()
+        )
+
+    def inject(self, fault: str) -> None:
+        """Let a fault begin now, or as long after now as it says."""
+        parsed: Fault = parse_fault(fault)
+        self._children[parsed.device].tell(str(parsed))
+
+    def truth_at(self, points_mm: np.ndarray) -> np.ndarray:
+        """Return the true volumetric error in µm at axis positions, (n, 3)."""
+        return 1e3 * self.truth.deviation_mm(np.asarray(points_mm, float))
+
+    def close(self) -> None:
+        """End both processes and wait for them. Idempotent."""
+        for child in self._children.values():
+            child.release()
+        for child in self._children.values():
+            child.end(_STOP_TIMEOUT_S)
+        self._children = {}
+        if self._own_workdir is not None:
+            self._own_workdir.cleanup()
+            self._own_workdir = None
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _folder(self) -> Path:
+        if self._workdir is not None:
+            self._workdir.mkdir(parents=True, exist_ok=True)
+            return self._workdir
+        self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
+        return Path(self._own_workdir.name)
+
+
+class _Child:
+    """One simulator process and its life line."""
+
+    def __init__(self, device: str, orders: Mapping[str, Any], board: int) -> None:
+        self._device = device
+        # Many small matrices: threads of a BLAS would only fight for the cores.
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(  # noqa: S603, our own module
+            [sys.executable, "-m", f"simulators.{device}_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=[board],
+            env=environment,
+        )
+        self.tell(json.dumps(orders))
+
+    @property
+    def process_id(self) -> int:
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        return self._process.poll() is None
+
+    def tell(self, line: str) -> None:
+        if self._process.stdin is None:
+            raise SimulatorError(f"the simulated {self._device} is closed")
+        try:
+            self._process.stdin.write(line.encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError as error:
+            raise SimulatorError(f"the simulated {self._device} has ended") from error
+
+    def listening(self) -> dict[str, Any]:
+        """Wait until the process listens; return where."""
+        stdout = self._process.stdout
+        if stdout is None:
+            raise SimulatorError(f"the simulated {self._device} is closed")
+        deadline_s = time.monotonic() + _START_TIMEOUT_S
+        line = b""
+        while not line.endswith(b"\n"):
+            left_s = max(deadline_s - time.monotonic(), 0.0)
+            ready, _, _ = select.select([stdout], [], [], left_s)
+            part = os.read(stdout.fileno(), 4096) if ready else b""
+            if not part:
+                raise SimulatorError(
+                    f"the simulated {self._device} did not start; "
+                    f"its last words are on standard error"
+                )
+            line += part
+        return json.loads(line)
+
+    def release(self) -> None:
+        """Let go of the life line; the process ends by itself."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def end(self, timeout_s: float) -> None:
+        """Wait for the end, with force if it takes longer."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()

@@ -1,0 +1,223 @@
+"""The controller of the CNC without its wire: path, states, motion. Time is given.
+
+Every change of the motion takes effect a little after the decision, so that it is
+published before anyone needs to know it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from drivers.cnc.modbus.registers import (
+    ALLOWED,
+    MAX_WAYPOINTS,
+    Command,
+    HoldReason,
+    Result,
+)
+from drivers.interfaces.records import MotionState
+from simulators import interruption
+from simulators.machine_file import MachineFile
+from simulators.profile import Limits
+from simulators.timeline import Program, Timeline, follow, standing
+
+MAX_FEED_MM_MIN = 40_000.0
+_KEPT_S = 60.0
+# Planning and publishing thousands of rows takes some 30 ms; a brake takes one.
+_LONG_LEAD = 5.0
+
+
+class Controller:
+    """Runs one machine. All times are machine seconds.
+
+    publish : is given every new timeline before it takes effect
+    lead_s : how long after a decision to brake it takes effect; five times as long after
+        one to move
+    """
+
+    def __init__(
+        self,
+        machine: MachineFile,
+        limits: Limits,
+        publish: Callable[[Timeline], None],
+        lead_s: float,
+    ) -> None:
+        self.machine = machine
+        self.state = MotionState.IDLE
+        self.hold_reason = HoldReason.NONE
+        self.alarm_code = 0
+        self.alarm_text = ""
+        self.path: Program | None = None
+        self._limits = limits
+        self._publish = publish
+        self._lead_s = lead_s
+        self._override = 1.0
+        self._running: Program | None = None
+        self._stopping_for: MotionState | None = None
+        self._stopping_reason = HoldReason.NONE
+        self._runs_path = False
+        self._line = 0
+        home = np.array([axis.zero_mm for axis in machine.axes])
+        self._timeline = standing(home, 0.0, 0)
+        publish(self._timeline)
+
+    def update(self, now_s: float) -> None:
+        """Let time pass: a motion that has ended changes the state."""
+        if self.state is not MotionState.RUNNING or now_s < self._timeline.end_s:
+            return
+        self.state = self._stopping_for or MotionState.FINISHED
+        self.hold_reason = self._stopping_reason
+        self._stopping_for, self._stopping_reason = None, HoldReason.NONE
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether any motion has been ordered so far."""
+        return self._running is not None
+
+    def position(self, now_s: float) -> np.ndarray:
+        """Return where the axes are."""
+        return self._timeline.positions(np.array([now_s]))[0]
+
+    def feed_mm_min(self, now_s: float) -> float:
+        """Return how fast they move along the path."""
+        return 60.0 * max(float(self._timeline.speeds(np.array([now_s]))[0]), 0.0)
+
+    def line(self, now_s: float) -> int:
+        """Return the row of the path that the machine moves towards or dwells at."""
+        if self._runs_path:
+            self._line = int(self._timeline.rows(np.array([now_s]))[0])
+        return self._line
+
+    def refusal(self, command: Command) -> Result | None:
+        """Return why a command cannot be done in this state, None if it can."""
+        if self.state in ALLOWED[command]:
+            return None
+        in_alarm = self.state is MotionState.ALARM
+        return Result.IN_ALARM if in_alarm else Result.WRONG_STATE
+
+    def fault_of(self, program: Program) -> Result | None:
+        """Return what is wrong with rows, None if nothing is."""
+        feed_mm_min = 60.0 * program.feed_mm_s
+        if np.any(feed_mm_min <= 0.0) or np.any(feed_mm_min > MAX_FEED_MM_MIN):
+            return Result.BAD_ARGUMENT
+        if not 0 < len(program) <= MAX_WAYPOINTS or np.any(program.dwell_s < 0.0):
+            return Result.BAD_ARGUMENT
+        inside = (program.position >= self.machine.low_mm - 1e-9) & (
+            program.position <= self.machine.high_mm + 1e-9
+        )
+        return None if inside.all() else Result.OUT_OF_TRAVEL
+
+    def commit(self, program: Program) -> None:
+        """Take a path that `fault_of` has passed."""
+        self.path = program
+        self.state = MotionState.READY
+        self._runs_path, self._line = False, 0
+
+    def forget_path(self) -> None:
+        """Drop the committed path."""
+        self.path = None
+        if self.state is MotionState.READY:
+            self.state = MotionState.IDLE
+
+    def move_to(self, row: Program, now_s: float) -> None:
+        """Move straight to a position that `fault_of` has passed."""
+        self._runs_path, self._line = False, 0
+        self._run(row, now_s)
+
+    def start(self, now_s: float) -> Result:
+        """Run the committed path from its first row."""
+        if self.path is None:
+            return Result.NO_PATH
+        self._runs_path = True
+        self._run(self.path, now_s)
+        return Result.DONE
+
+    def hold(self, reason: HoldReason, now_s: float) -> None:
+        """Brake along the line and stay there. Nothing where nothing runs."""
+        if self.state is MotionState.RUNNING and self._stopping_for is None:
+            self._brake(MotionState.HELD, now_s)
+            self._stopping_reason = reason
+
+    def resume(self, now_s: float) -> None:
+        """Go on after a hold; while still braking for one, as soon as the axes stand."""
+        braking = self._stopping_for is MotionState.HELD
+        if (self.state is not MotionState.HELD and not braking) or not self._running:
+            return
+        begin_s = max(now_s + _LONG_LEAD * self._lead_s, self._timeline.end_s)
+        self._change(
+            interruption.resumed(self._timeline, self._fed(), begin_s, self._limits)
+        )
+        self.state = MotionState.RUNNING
+        self.hold_reason = HoldReason.NONE
+        self._stopping_for, self._stopping_reason = None, HoldReason.NONE
+
+    def abort(self, now_s: float) -> None:
+        """Stop and forget the path."""
+        if self.state is MotionState.ALARM:
+            return
+        self.path = None
+        if self.state is not MotionState.RUNNING:
+            self.state, self.hold_reason = MotionState.ABORTED, HoldReason.NONE
+        elif self._stopping_for is None:
+            self._brake(MotionState.ABORTED, now_s)
+        elif self._stopping_for is MotionState.HELD:
+            self._stopping_for = MotionState.ABORTED
+            self._stopping_reason = HoldReason.NONE
+
+    def alarm(self, code: int, text: str, now_s: float) -> None:
+        """Stop by a fault of the machine."""
+        self.alarm_code, self.alarm_text = code, text
+        if self.state is not MotionState.RUNNING:
+            self.state, self.hold_reason = MotionState.ALARM, HoldReason.NONE
+        elif self._stopping_for is None:
+            self._brake(MotionState.ALARM, now_s)
+        else:
+            self._stopping_for = MotionState.ALARM
+            self._stopping_reason = HoldReason.NONE
+
+    def reset(self) -> None:
+        """Leave an alarm whose cause has gone."""
+        if self.state is MotionState.ALARM:
+            self.state, self.path = MotionState.IDLE, None
+            self.alarm_code, self.alarm_text = 0, ""
+
+    def override(self, factor: float, now_s: float) -> None:
+        """Turn the feed override; 1 is the programmed feed."""
+        self._override = factor
+        if self.state is MotionState.RUNNING and self._stopping_for is None:
+            at_s = now_s + _LONG_LEAD * self._lead_s
+            self._change(
+                interruption.with_feed(self._timeline, self._fed(), at_s, self._limits)
+            )
+
+    def _run(self, program: Program, now_s: float) -> None:
+        self._running = program
+        begin_s = now_s + _LONG_LEAD * self._lead_s
+        origin = self.position(begin_s)
+        past = self._timeline.since(now_s - _KEPT_S).cut(begin_s)
+        self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
+        self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
+
+    def _brake(self, state: MotionState, now_s: float) -> None:
+        at_s = now_s + self._lead_s
+        if self._running is not None:
+            self._running = interruption.program_left(
+                self._timeline, self._running, at_s
+            )
+        recent = self._timeline.since(now_s - _KEPT_S)
+        self._change(interruption.held(recent, at_s, self._limits))
+        self._stopping_for = state
+
+    def _fed(self) -> Program:
+        """Return the running program at the present override."""
+        if self._running is None:
+            raise RuntimeError("nothing runs")
+        feed = self._running.feed_mm_s * self._override
+        return replace(self._running, feed_mm_s=feed)
+
+    def _change(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._publish(timeline)

@@ -1,0 +1,155 @@
+"""The CNC as a process of its own: `python -m simulators.cnc_process`."""
+
+from __future__ import annotations
+
+import select
+import time
+from pathlib import Path
+from typing import Any
+
+from drivers.cnc.modbus.registers import HoldReason
+from simulators.board import BoardWriter
+from simulators.child import LifeLine
+from simulators.cnc_controller import Controller
+from simulators.cnc_registers import Clocks, CncRegisters
+from simulators.faults import Fault, Schedule, parse_fault
+from simulators.machine_clock import MachineClock
+from simulators.machine_file import parse_machine
+from simulators.modbus_ports import ModbusPort, ModbusRtuPort, ModbusTcpPort
+from simulators.modbus_wire import READ_HOLDING, answer, exception
+from simulators.profile import Limits
+
+PERIOD_S = 0.005
+_LEAD_S = 0.02
+_ALARM_TEXT = "Servo alarm: following error of an axis"
+
+
+class Panel:
+    """What happens to the machine besides its masters: operator, alarms, line faults."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        registers: CncRegisters,
+        faults: Schedule,
+        clock: MachineClock,
+    ) -> None:
+        self._controller = controller
+        self._registers = registers
+        self._faults = faults
+        self._clock = clock
+        self._held: Fault | None = None
+        self._overridden: Fault | None = None
+
+    def inject(self, line: str) -> None:
+        """Take a fault that begins now."""
+        self._faults.add(parse_fault(line), self._clock.now_s())
+
+    def update(self) -> None:
+        """Let time pass: states, watchdog, operator, alarms."""
+        now_s = self._clock.now_s()
+        self._controller.update(now_s)
+        self._registers.watch()
+        if self._controller.has_moved:
+            self._faults.begin(now_s)
+        self._raise_alarms(now_s)
+        self._operate(now_s)
+        if self._strikes("wrong-identity", now_s):
+            self._registers.lie_about_identity()
+
+    def disconnects(self) -> bool:
+        """Tell whether connections break now."""
+        return self._strikes("disconnect", self._clock.now_s()) is not None
+
+    def answer(self, pdu: bytes) -> bytes | None:
+        """Return the answer to a request; None where the device is mute."""
+        now_s = self._clock.now_s()
+        if self._strikes("silence", now_s):
+            return None
+        refused = self._strikes("exception", now_s)
+        if refused:
+            return exception(pdu, int(refused.amount))
+        if pdu[0] != READ_HOLDING and self._strikes("ignore-writes", now_s):
+            return pdu[:5]
+        return answer(pdu, self._registers)
+
+    def _raise_alarms(self, now_s: float) -> None:
+        alarm = self._strikes("alarm", now_s)
+        if alarm and not self._registers.cause_of_alarm_stays:
+            self._controller.alarm(int(alarm.amount), _ALARM_TEXT, now_s)
+        self._registers.cause_of_alarm_stays = bool(alarm and alarm.lasts)
+
+    def _operate(self, now_s: float) -> None:
+        held = self._strikes("feed-hold", now_s)
+        if held and held is not self._held:
+            self._controller.hold(HoldReason.OPERATOR, now_s)
+        elif self._held and not held:
+            self._controller.resume(now_s)
+        self._held = held
+        overridden = self._strikes("override", now_s)
+        if overridden is not self._overridden:
+            factor = overridden.amount if overridden else 1.0
+            self._controller.override(factor, now_s)
+        self._overridden = overridden
+
+    def _strikes(self, kind: str, now_s: float) -> Fault | None:
+        return self._faults.strikes(kind, now_s, self._controller.line(now_s))
+
+
+def main() -> None:
+    """Serve until the parent ends."""
+    life = LifeLine()
+    orders = life.orders()
+    if not orders:
+        return
+    ports = _ports(orders["link"])
+    board = BoardWriter(orders["board"])
+    try:
+        panel = _panel(orders, board)
+        life.report({name: port.address for name, port in ports.items()})
+        _serve(life, list(ports.values()), panel)
+    finally:
+        for port in ports.values():
+            port.close()
+
+
+def _serve(life: LifeLine, ports: list[ModbusPort], panel: Panel) -> None:
+    while not life.ended:
+        for line in life.lines():
+            panel.inject(line)
+        panel.update()
+        if panel.disconnects():
+            for port in ports:
+                port.disconnect()
+        for port in ports:
+            port.serve(panel.answer)
+        waited = [life.descriptor, *(d for port in ports for d in port.descriptors())]
+        select.select(waited, [], [], PERIOD_S)
+
+
+def _ports(link: dict[str, Any]) -> dict[str, ModbusPort]:
+    ports: dict[str, ModbusPort] = {}
+    if link["tcp"]:
+        ports["tcp"] = ModbusTcpPort(link["host"], link["port"])
+    if link["rtu"]:
+        symlink = link["rtu_symlink"]
+        ports["rtu"] = ModbusRtuPort(Path(symlink) if symlink else None)
+    return ports
+
+
+def _panel(orders: dict[str, Any], board: BoardWriter) -> Panel:
+    clock = MachineClock(orders["epoch_ns"], orders["speed"])
+    controller = Controller(
+        parse_machine(orders["machine"]),
+        Limits(**orders["limits"]),
+        board.publish,
+        _LEAD_S * orders["speed"],
+    )
+    clocks = Clocks(clock.now_s, time.monotonic)
+    registers = CncRegisters(controller, clocks, f"SIM-C{orders['seed']:06d}")
+    faults = Schedule(map(parse_fault, orders["faults"]))
+    return Panel(controller, registers, faults, clock)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""Ports of a simulated device: a pseudo-terminal or a TCP listener. Nothing blocks.
+
+A port is a set of descriptors to wait for and a way for bytes; it never waits itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import tty
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+_BLOCK = 1 << 16
+
+
+class Port(ABC):
+    """One host at the other end, or none."""
+
+    @property
+    @abstractmethod
+    def address(self) -> dict[str, str | int]:
+        """Where a host finds it: `port` (a path), or `host` and `port` (a number)."""
+
+    @abstractmethod
+    def descriptors(self) -> list[int]:
+        """Descriptors that become readable when there is something to do."""
+
+    @abstractmethod
+    def receive(self) -> bytes | None:
+        """Return what has come; b"" if nothing has, None if the host has gone."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Queue bytes and pass on what the other end takes now."""
+
+    @property
+    @abstractmethod
+    def waiting_bytes(self) -> int:
+        """Bytes that the other end has not taken yet."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Break the connection as a pulled cable does; a host can connect anew."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the port."""
+
+
+class PtyPort(Port):
+    """A pseudo-terminal, raw at both ends; the host opens its name like a serial port.
+
+    link : path of a symbolic link to it, which stays when the terminal changes
+    """
+
+    def __init__(self, link: Path | None = None) -> None:
+        self._link = link
+        self._waiting = b""
+        self._open()
+
+    @property
+    def address(self) -> dict[str, str | int]:
+        """The link if there is one, else the terminal."""
+        return {"port": str(self._link or self._name)}
+
+    def descriptors(self) -> list[int]:
+        """Return the master."""
+        return [self._master]
+
+    def receive(self) -> bytes | None:
+        """Read what the host has written."""
+        try:
+            return os.read(self._master, _BLOCK)
+        except BlockingIOError:
+            return b""
+
+    def send(self, data: bytes) -> None:
+        """Write what the terminal takes: 16 kB where nobody reads."""
+        self._waiting += data
+        with contextlib.suppress(BlockingIOError):
+            while self._waiting:
+                self._waiting = self._waiting[os.write(self._master, self._waiting) :]
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that did not fit into the terminal."""
+        return len(self._waiting)
+
+    def disconnect(self) -> None:
+        """Close the terminal and open another under the same link."""
+        self._shut()
+        self._open()
+
+    def close(self) -> None:
+        """Close the terminal and remove the link."""
+        self._shut()
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def _open(self) -> None:
+        # The slave stays open here, else the terminal hangs up when a host closes it.
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self._name = os.ttyname(self._slave)
+        self._waiting = b""
+        if self._link is not None:
+            fresh = self._link.with_name(self._link.name + ".new")
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(self._name)
+            fresh.replace(self._link)
+
+    def _shut(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+
+
+class TcpPort(Port):
+    """A listener for one host at a time; a new one takes the place of the old."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener = socket.create_server((host, port), backlog=4)
+        self._listener.setblocking(False)
+        self._host: socket.socket | None = None
+        self._waiting = b""
+
+    @property
+    def address(self) -> dict[str, str | int]:
+        """Host and port, as bound."""
+        host, port = self._listener.getsockname()[:2]
+        return {"host": host, "port": port}
+
+    def descriptors(self) -> list[int]:
+        """Return the listener and the connection, if there is one."""
+        descriptors = [self._listener.fileno()]
+        if self._host is not None:
+            descriptors.append(self._host.fileno())
+        return descriptors
+
+    def receive(self) -> bytes | None:
+        """Take a new host, or what the present one has sent."""
+        with contextlib.suppress(BlockingIOError):
+            fresh, _ = self._listener.accept()
+            self.disconnect()
+            fresh.setblocking(False)
+            fresh.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._host = fresh
+            return None
+        if self._host is None:
+            return b""
+        try:
+            data = self._host.recv(_BLOCK)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if data:
+            return data
+        self.disconnect()
+        return None
+
+    def send(self, data: bytes) -> None:
+        """Send what the connection takes now; without a host it is lost."""
+        if self._host is None:
+            return
+        self._waiting += data
+        try:
+            while self._waiting:
+                self._waiting = self._waiting[self._host.send(self._waiting) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.disconnect()
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that the connection has not taken."""
+        return len(self._waiting)
+
+    def disconnect(self) -> None:
+        """Close the connection; the listener stays."""
+        host, self._host, self._waiting = self._host, None, b""
+        if host is not None:
+            host.close()
+
+    def close(self) -> None:
+        """Close connection and listener."""
+        self.disconnect()
+        self._listener.close()

@@ -1,0 +1,160 @@
+"""Modbus masters on TCP connections and on a serial line. Nothing blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+
+from simulators.links import PtyPort
+from simulators.modbus_wire import (
+    GATEWAY_TARGET_SILENT,
+    RtuFramer,
+    TcpFramer,
+    exception,
+    rtu_frame,
+    tcp_frame,
+)
+
+UNIT = 1
+_TCP_UNITS = (0, UNIT, 255)
+_BLOCK = 4096
+# Longer than the pause of a scheduler, shorter than the time-out of a master.
+_HALF_REQUEST_S = 0.1
+
+# Answers a PDU; None is silence.
+Answer = Callable[[bytes], bytes | None]
+
+
+class ModbusPort(ABC):
+    """A way by which masters come."""
+
+    @property
+    @abstractmethod
+    def address(self) -> dict[str, str | int]:
+        """Where masters find it."""
+
+    @abstractmethod
+    def descriptors(self) -> list[int]:
+        """Descriptors that become readable when there is something to do."""
+
+    @abstractmethod
+    def serve(self, answer: Answer) -> None:
+        """Answer every request that is there now."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Break what connections there are."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the port."""
+
+
+class ModbusTcpPort(ModbusPort):
+    """A listener with any number of connections."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener = socket.create_server((host, port), backlog=16)
+        self._listener.setblocking(False)
+        self._masters: dict[socket.socket, TcpFramer] = {}
+
+    @property
+    def address(self) -> dict[str, str | int]:
+        """Host and port, as bound."""
+        host, port = self._listener.getsockname()[:2]
+        return {"host": host, "port": port}
+
+    def descriptors(self) -> list[int]:
+        """Return the listener and every connection."""
+        return [self._listener.fileno(), *(m.fileno() for m in self._masters)]
+
+    def serve(self, answer: Answer) -> None:
+        """Take new masters and answer all."""
+        self._accept()
+        for master in list(self._masters):
+            try:
+                self._serve_one(master, answer)
+            except BlockingIOError:
+                continue
+            except OSError:
+                self._drop(master)
+
+    def disconnect(self) -> None:
+        """Close every connection; the listener stays."""
+        for master in list(self._masters):
+            self._drop(master)
+
+    def close(self) -> None:
+        """Close everything."""
+        self.disconnect()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                master, _ = self._listener.accept()
+                master.setblocking(False)
+                master.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._masters[master] = TcpFramer()
+
+    def _serve_one(self, master: socket.socket, answer: Answer) -> None:
+        data = master.recv(_BLOCK)
+        requests = self._masters[master].feed(data) if data else None
+        if requests is None:
+            self._drop(master)
+            return
+        for transaction, unit, pdu in requests:
+            if unit in _TCP_UNITS:
+                reply = answer(pdu)
+            else:
+                reply = exception(pdu, GATEWAY_TARGET_SILENT)
+            if reply is not None:
+                master.send(tcp_frame(transaction, unit, reply))
+
+    def _drop(self, master: socket.socket) -> None:
+        del self._masters[master]
+        master.close()
+
+
+class ModbusRtuPort(ModbusPort):
+    """A pseudo-terminal that looks like a serial line with one device on it."""
+
+    def __init__(self, link: Path | None) -> None:
+        self._pty = PtyPort(link)
+        self._framer = RtuFramer()
+        self._heard_s = 0.0
+
+    @property
+    def address(self) -> dict[str, str | int]:
+        """Path of the terminal."""
+        return {"serial_port": self._pty.address["port"]}
+
+    def descriptors(self) -> list[int]:
+        """Return the terminal."""
+        return self._pty.descriptors()
+
+    def serve(self, answer: Answer) -> None:
+        """Answer what is for our unit; a broadcast (unit 0) is done without answer."""
+        data = self._pty.receive()
+        if not data:
+            return
+        now_s = time.monotonic()
+        if now_s - self._heard_s > _HALF_REQUEST_S:
+            self._framer.expire()
+        self._heard_s = now_s
+        for unit, pdu in self._framer.feed(data):
+            reply = answer(pdu) if unit in (0, UNIT) else None
+            if reply is not None and unit == UNIT:
+                self._pty.send(rtu_frame(unit, reply))
+
+    def disconnect(self) -> None:
+        """Hang up the terminal; another takes its name."""
+        self._pty.disconnect()
+
+    def close(self) -> None:
+        """Close the terminal."""
+        self._pty.close()

@@ -1,0 +1,264 @@
+"""The tracker behind its wire: commands in, frames out. No I/O, time is given.
+
+What the host hears of comes in wall seconds (keep-alive), what it measures in machine
+seconds: a sped-up simulation shortens the measurement, not the patience of a link.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.tracker.streaming.framing import FrameReader
+from drivers.tracker.streaming.measurements import (
+    RawSamples,
+    StatusBit,
+    encode_measurements,
+)
+from drivers.tracker.streaming.messages import (
+    VERSION,
+    Ack,
+    DeviceInfo,
+    DeviceState,
+    Event,
+    EventCode,
+    Format,
+    Hello,
+    Message,
+    Nak,
+    NakCode,
+    Ping,
+    Start,
+    Status,
+    Stop,
+    StreamInfo,
+    Type,
+    encode_message,
+    parse_message,
+)
+from simulators.faults import Schedule
+from simulators.frame_damage import FrameDamage
+from simulators.randomness import generator
+from simulators.timeline import Timeline
+from simulators.tracker_head import (
+    Air,
+    SampleNoise,
+    TrackerClock,
+    TrackerPose,
+    measured,
+)
+from simulators.truth_machine import TruthMachine
+
+MAX_RATE_HZ = 5000.0
+PING_PATIENCE_S = 5.0
+STATUS_PERIOD_S = 0.5
+BUFFER_BYTES = 1 << 16
+_LOCKED_SIGNAL = 200
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerParts:
+    """What a tracker is made of."""
+
+    truth: TruthMachine
+    pose: TrackerPose
+    clock: TrackerClock
+    air: Air
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Stream:
+    """A running stream: sample i is due at begin + i / rate on the device clock."""
+
+    rate_hz: float
+    format: Format
+    begin_us: int
+    noise: SampleNoise
+
+    def clock_us(self, index: np.ndarray) -> np.ndarray:
+        return self.begin_us + np.rint(index * (1e6 / self.rate_hz)).astype(np.int64)
+
+
+class TrackerDevice:
+    """Answers commands and samples the truth. Samples are numbered since power-on."""
+
+    def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
+        self._parts = parts
+        self._faults = faults
+        self._frames = FrameReader()
+        self._line = FrameDamage(faults, generator(parts.seed, "faults: damage"))
+        self._stream: _Stream | None = None
+        self._sequence = 0
+        self._sent_of_stream = 0
+        self._frames_sent = 0
+        self._frames_dropped = 0
+        self._high_water = 0
+        self._overflown = False
+        self._beam_locked = True
+        self._last_heard_s = -np.inf
+        self._next_status_s = 0.0
+
+    @property
+    def streaming(self) -> bool:
+        """Whether a stream runs."""
+        return self._stream is not None
+
+    def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
+        """Take bytes of the host; return the replies."""
+        replies = b""
+        for body in self._frames.feed(data):
+            self._last_heard_s = wall_s
+            reply = self._answer(body, true_s)
+            if reply is not None:
+                replies += encode_message(reply)
+        return b"" if self._faults.strikes("silence", true_s) else replies
+
+    def due(
+        self, timeline: Timeline, true_s: float, wall_s: float, waiting_bytes: int = 0
+    ) -> bytes:
+        """Return every frame due by now.
+
+        waiting_bytes : what the link has not taken yet. Beyond the device's buffer
+        samples are lost, and the next one says so.
+        """
+        if self._stream is None:
+            return b""
+        if wall_s - self._last_heard_s > PING_PATIENCE_S:
+            self._stream = None
+            event = Event(EventCode.STREAM_STOPPED_NO_PING, self._device_us(true_s))
+            return encode_message(event)
+        self._high_water = max(self._high_water, waiting_bytes)
+        full = waiting_bytes > BUFFER_BYTES
+        frames = self._samples_due(self._stream, timeline, true_s, full=full)
+        return frames + (b"" if full else self._status_due(true_s, wall_s))
+
+    def forget_host(self) -> None:
+        """Stop streaming: the connection has gone."""
+        self._stream = None
+
+    def _answer(self, body: bytes, true_s: float) -> Message | None:
+        match parse_message(body):
+            case Hello(transaction):
+                return Ack(transaction, Type.HELLO, self._info(true_s))
+            case Start() as start:
+                return self._start(start, true_s)
+            case Stop(transaction):
+                self._stream = None
+                return Ack(transaction, Type.STOP)
+            case Ping(transaction):
+                return Ack(transaction, Type.PING)
+            case None if len(body) > 2:
+                code = (
+                    NakCode.UNKNOWN_COMMAND
+                    if body[0] == VERSION
+                    else NakCode.VERSION_NOT_SPOKEN
+                )
+                return Nak(body[2], body[1], code, "not understood")
+            case _:
+                return None
+
+    def _info(self, true_s: float) -> DeviceInfo:
+        if self._faults.strikes("wrong-identity", true_s):
+            return DeviceInfo("Nobody", "Barcode scanner", "0", "0", 1.0, version=99)
+        serial = f"SIM-{self._parts.seed:06d}"
+        return DeviceInfo("Truepath", "Simulated tracker", serial, "1.0", MAX_RATE_HZ)
+
+    def _start(self, start: Start, true_s: float) -> Message:
+        if not 0.0 < start.rate_hz <= MAX_RATE_HZ:
+            text = f"{start.rate_hz:g} Hz is not in 0 to {MAX_RATE_HZ:g} Hz"
+            return Nak(start.transaction, Type.START, NakCode.RATE_NOT_POSSIBLE, text)
+        now_us = self._device_us(true_s)
+        if self._stream is None:
+            noise = SampleNoise(self._parts.seed, start.rate_hz, self._parts.air)
+            self._stream = _Stream(start.rate_hz, start.format, now_us, noise)
+            self._sent_of_stream = 0
+            self._faults.begin(true_s)
+        elif (self._stream.rate_hz, self._stream.format) != (
+            start.rate_hz,
+            start.format,
+        ):
+            return Nak(start.transaction, Type.START, NakCode.BUSY, "streams otherwise")
+        info = StreamInfo(start.rate_hz, self._sequence & 0xFFFF, now_us)
+        return Ack(start.transaction, Type.START, info)
+
+    def _samples_due(
+        self, stream: _Stream, timeline: Timeline, true_s: float, *, full: bool
+    ) -> bytes:
+        elapsed_s = 1e-6 * (self._device_us(true_s) - stream.begin_us)
+        count = int(elapsed_s * stream.rate_hz) + 1 - self._sent_of_stream
+        if count <= 0:
+            return b""
+        index = self._sent_of_stream + np.arange(count)
+        number = self._sequence + np.arange(count)
+        self._sent_of_stream += count
+        self._sequence += count
+        raw, moments_s = self._measure(stream, timeline, index, number)
+        if full:
+            self._frames_dropped += count
+            self._overflown = True
+            return b""
+        self._frames_sent += count
+        frames = self._line.applied(encode_measurements(raw), moments_s, number)
+        return frames + self._beam_event(raw)
+
+    def _measure(
+        self,
+        stream: _Stream,
+        timeline: Timeline,
+        index: np.ndarray,
+        number: np.ndarray,
+    ) -> tuple[RawSamples, np.ndarray]:
+        """Return samples and the machine times at which they were taken."""
+        parts = self._parts
+        clock_us = stream.clock_us(index)
+        moments_s = parts.clock.true_s(1e-6 * clock_us)
+        point = parts.pose.from_table(
+            parts.truth.seen_mm(timeline.positions(moments_s))
+        )
+        noise = stream.noise.draw(len(index))
+        polar = measured(point, noise, parts.truth.machine.tracker)
+        for fault, mask in self._faults.struck("spike", moments_s, number):
+            polar[mask, 0] += fault.amount
+        status = np.zeros(len(index), np.int64)
+        for _, mask in self._faults.struck("beam-break", moments_s, number):
+            status[mask] |= StatusBit.BEAM_BROKEN
+        if self._overflown:
+            status[0] |= StatusBit.OVERFLOW
+            self._overflown = False
+        locked = (status & StatusBit.BEAM_BROKEN) == 0
+        return RawSamples(
+            stream.format,
+            number,
+            clock_us.astype(np.uint64),
+            1e-3 * polar[:, 0],
+            polar[:, 1],
+            polar[:, 2],
+            status,
+            np.where(locked, _LOCKED_SIGNAL, 0),
+        ), moments_s
+
+    def _beam_event(self, raw: RawSamples) -> bytes:
+        locked = not raw.status[-1] & StatusBit.BEAM_BROKEN
+        if locked == self._beam_locked:
+            return b""
+        self._beam_locked = locked
+        code = EventCode.BEAM_LOCKED if locked else EventCode.BEAM_BROKEN
+        return encode_message(Event(code, int(raw.clock_us[-1])))
+
+    def _status_due(self, true_s: float, wall_s: float) -> bytes:
+        if wall_s < self._next_status_s or self._faults.strikes("silence", true_s):
+            return b""
+        self._next_status_s = wall_s + STATUS_PERIOD_S
+        status = Status(
+            DeviceState.STREAMING,
+            self._device_us(true_s),
+            self._frames_sent,
+            self._frames_dropped,
+            self._high_water,
+        )
+        return encode_message(status)
+
+    def _device_us(self, true_s: float) -> int:
+        return int(1e6 * self._parts.clock.device_s(true_s))

@@ -1,0 +1,102 @@
+"""The tracker as a process of its own: `python -m simulators.tracker_process`."""
+
+from __future__ import annotations
+
+import select
+import time
+from pathlib import Path
+from typing import Any
+
+from simulators import tracker_head
+from simulators.board import BoardReader
+from simulators.child import LifeLine
+from simulators.faults import Schedule, parse_fault
+from simulators.links import Port, PtyPort, TcpPort
+from simulators.machine_clock import MachineClock
+from simulators.machine_file import parse_machine
+from simulators.tracker_device import TrackerDevice, TrackerParts
+from simulators.tracker_head import Air
+from simulators.truth_machine import random_machine
+
+# Four samples at 500 Hz: few wake-ups, and well below what a host notices.
+PERIOD_S = 0.008
+_IDLE_S = 0.1
+
+
+def main() -> None:
+    """Serve until the parent ends."""
+    life = LifeLine()
+    orders = life.orders()
+    if not orders:
+        return
+    port = _port(orders["link"])
+    try:
+        _serve(life, port, orders)
+    finally:
+        port.close()
+
+
+def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
+    clock = MachineClock(orders["epoch_ns"], orders["speed"])
+    board = BoardReader(orders["board"])
+    faults = Schedule(map(parse_fault, orders["faults"]))
+    device = _device(orders, faults)
+    life.report(port.address)
+    wake_s = time.monotonic()
+    while not life.ended:
+        for line in life.lines():
+            faults.add(parse_fault(line), clock.now_s())
+        now_s, wall_s = clock.now_s(), time.monotonic()
+        timeline = board.timeline()
+        if faults.strikes("disconnect", now_s):
+            port.disconnect()
+            device.forget_host()
+        _converse(device, port, now_s, wall_s)
+        if timeline is not None:
+            port.send(device.due(timeline, now_s, wall_s, port.waiting_bytes))
+        wake_s = _next_wake(wake_s, wall_s, streaming=device.streaming)
+        _wait([life.descriptor, *port.descriptors()], wake_s)
+
+
+def _converse(device: TrackerDevice, port: Port, now_s: float, wall_s: float) -> None:
+    data = port.receive()
+    while data != b"":
+        if data is None:
+            device.forget_host()
+        else:
+            port.send(device.receive(data, now_s, wall_s))
+        data = port.receive()
+
+
+def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
+    """Keep to absolute deadlines; after a stall the next one is in the future again."""
+    if not streaming:
+        return now_s + _IDLE_S
+    steps = max(int((now_s - last_s) / PERIOD_S) + 1, 1)
+    return last_s + steps * PERIOD_S
+
+
+def _wait(descriptors: list[int], until_s: float) -> None:
+    select.select(descriptors, [], [], max(until_s - time.monotonic(), 0.0))
+
+
+def _port(link: dict[str, Any]) -> Port:
+    if link["kind"] == "tcp":
+        return TcpPort(link["host"], link["port"])
+    return PtyPort(Path(link["symlink"]) if link["symlink"] else None)
+
+
+def _device(orders: dict[str, Any], faults: Schedule) -> TrackerDevice:
+    machine, seed = parse_machine(orders["machine"]), orders["seed"]
+    parts = TrackerParts(
+        random_machine(machine, seed, scale=orders["error_scale"]),
+        tracker_head.random_pose(machine, seed),
+        tracker_head.random_clock(seed),
+        Air(),
+        seed,
+    )
+    return TrackerDevice(parts, faults)
+
+
+if __name__ == "__main__":
+    main()
