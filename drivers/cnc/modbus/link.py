@@ -126,7 +126,7 @@ class ModbusLink:
         return list(reply.registers)
 
     def write(self, address: int, words: Sequence[int]) -> None:
-        """Write registers in one request. After DeviceTimeout nobody knows the outcome."""
+        """Write registers in one request. DeviceTimeout leaves the outcome unknown."""
         client = self._connected()
         try:
             reply = client.write_registers(address, list(words), device_id=self._unit)

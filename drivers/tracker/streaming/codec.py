@@ -136,9 +136,10 @@ def _positions(raw: RawSamples) -> tuple[np.ndarray, np.ndarray]:
 
     Where a device sends what is not finite the position is 0 and the status says so.
     """
-    position_mm = spherical_to_cartesian_mm(
-        raw.range_m, raw.azimuth_rad, raw.elevation_rad
-    )
+    with np.errstate(invalid="ignore"):
+        position_mm = spherical_to_cartesian_mm(
+            raw.range_m, raw.azimuth_rad, raw.elevation_rad
+        )
     finite = np.isfinite(position_mm).all(axis=1)
     position_mm[~finite] = 0.0
     status = raw.status & FORBIDS_USE
