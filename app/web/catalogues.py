@@ -1,0 +1,44 @@
+"""The texts of the page, one JSON file a language."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from functools import cache
+from importlib.resources import files
+
+LANGUAGES = ("en", "de")
+DEFAULT_LANGUAGE = "en"
+
+
+@cache
+def catalogue(language: str) -> dict[str, str]:
+    """Return the texts of one of `LANGUAGES` by key."""
+    if language not in LANGUAGES:
+        raise KeyError(language)
+    path = files("app.web") / "static" / "locales" / f"{language}.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def choose_language(remembered: str | None, accepted: str | None) -> str:
+    """Choose a language: the one the operator set, else the browser's, else English.
+
+    accepted : an Accept-Language header
+    """
+    wanted = [remembered or "", *_by_preference(accepted or "")]
+    known = (tag.split("-")[0].lower() for tag in wanted)
+    return next((tag for tag in known if tag in LANGUAGES), DEFAULT_LANGUAGE)
+
+
+def _by_preference(header: str) -> Iterable[str]:
+    weighted = [_weighted(part) for part in header.split(",") if part.strip()]
+    return (tag for _, tag in sorted(weighted, key=lambda pair: -pair[0]))
+
+
+def _weighted(part: str) -> tuple[float, str]:
+    tag, _, parameter = part.strip().partition(";")
+    weight = parameter.strip().removeprefix("q=")
+    try:
+        return float(weight or 1.0), tag.strip()
+    except ValueError:
+        return 0.0, tag.strip()

@@ -1,0 +1,120 @@
+/* Abort: stands alone, so that it works when every other script of the page has failed.
+ *
+ * One touch posts the blanket stop, again every 2 s until the service takes it, then asks
+ * for the jobs until none is under way. Without that word within 6 s the whole screen says
+ * so, and goes on trying. Without any script the button is a plain form.
+ */
+(() => {
+  "use strict";
+  const RETRY_MS = 2000;
+  const POLL_MS = 300;
+  const UNCONFIRMED_MS = 6000;
+  const ENDED = new Set(["succeeded", "aborted", "failed", "interrupted"]);
+
+  const form = document.getElementById("abort-form");
+  const button = document.getElementById("abort");
+  const sheet = document.getElementById("abort-sheet");
+  const title = document.getElementById("abort-title");
+  const text = document.getElementById("abort-text");
+  const tries = document.getElementById("abort-tries");
+  const close = document.getElementById("abort-close");
+  let attempt = null;
+
+  function show(stage, note) {
+    sheet.hidden = false;
+    sheet.dataset.stage = stage;
+    title.textContent = sheet.dataset["abort" + capital(stage)];
+    text.textContent = sheet.dataset["abort" + capital(stage) + "Text"];
+    tries.textContent = note || "";
+    close.hidden = !(stage === "confirmed" || stage === "idle");
+    if (!close.hidden) close.focus();
+  }
+
+  function capital(word) {
+    return word[0].toUpperCase() + word.slice(1);
+  }
+
+  const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+
+  async function ask(path, options) {
+    const limit = new AbortController();
+    const timer = setTimeout(() => limit.abort(), RETRY_MS);
+    try {
+      const answer = await fetch(path, { ...options, signal: limit.signal });
+      return answer.ok ? await answer.json().catch(() => ({})) : null;
+    } catch {
+      return null;
+    } finally {
+      clearTimeout(timer);
+    }
+  }
+
+  /** Ids of measuring jobs that may still move the machine; null if nobody answers.
+   *
+   * A job that faulted during the abort counts: the machine has not said that it stands.
+   */
+  async function underWay(watched) {
+    const page = await ask("/api/v1/jobs?limit=20", { cache: "no-store" });
+    if (page === null) return null;
+    const jobs = (page.items || page.jobs || page).filter((job) => job.kind !== "analyse");
+    return jobs
+      .filter((job) => !ENDED.has(job.state))
+      .filter((job) => job.state !== "faulted" || watched.has(job.id))
+      .map((job) => job.id);
+  }
+
+  async function send(current) {
+    let count = 0;
+    while (attempt === current && !current.confirmed) {
+      const begun = performance.now();
+      count += 1;
+      current.count = count;
+      current.taken = (await ask("/api/v1/stop", { method: "POST", keepalive: true })) !== null
+        || current.taken;
+      await pause(Math.max(0, RETRY_MS - (performance.now() - begun)));
+    }
+  }
+
+  async function watch(current) {
+    while (attempt === current && !current.confirmed) {
+      if (current.taken) {
+        const ids = await underWay(current.watched);
+        for (const id of ids || []) current.watched.add(id);
+        current.confirmed = ids !== null && ids.length === 0;
+      }
+      if (!current.confirmed) await pause(POLL_MS);
+      report(current);
+    }
+  }
+
+  function report(current) {
+    const waited_ms = performance.now() - current.begun;
+    const note = `${current.count} × · ${(waited_ms / 1000).toFixed(0)} s`;
+    if (current.confirmed) show(current.watched.size ? "confirmed" : "idle");
+    else if (waited_ms > UNCONFIRMED_MS) show("unconfirmed", note);
+    else show(current.taken ? "waiting" : "sending", note);
+  }
+
+  function abort() {
+    if (attempt && !attempt.confirmed) return;
+    const followed = document.body.dataset.measuring;
+    attempt = { begun: performance.now(), taken: false, confirmed: false, count: 0,
+      watched: new Set(followed ? [followed] : []) };
+    report(attempt);
+    send(attempt);
+    watch(attempt);
+  }
+
+  // On touch-down, not on release: a gloved finger that slides still stops the machine.
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button === 0) abort();
+  });
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    abort();
+  });
+  close.addEventListener("click", () => {
+    sheet.hidden = true;
+    button.focus();
+  });
+})();

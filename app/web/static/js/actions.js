@@ -1,0 +1,152 @@
+/* What the operator can ask for; the answers go to the store. */
+import * as api from "./api.js";
+import { addressOf, hasEnded, isActive, isMeasuring } from "./flow.js";
+import { t } from "./texts.js";
+
+/** Bind the actions to a store; `go(address)` changes the step. */
+export function createActions(store, go) {
+  /** Run one request at a time under a name; a refusal becomes the problem shown. */
+  async function during(busy, work) {
+    if (store.get().busy) return null;
+    store.set({ busy, problem: null });
+    try {
+      return await work();
+    } catch (error) {
+      refuse(error);
+      return null;
+    } finally {
+      store.set({ busy: null });
+    }
+  }
+
+  function refuse(error) {
+    if (!(error instanceof api.Problem)) throw error;
+    const { title, text, action } = worded(error);
+    store.set({ problem: { title, text, action, tone: "fault" } });
+  }
+
+  async function loadSystem() {
+    const [system, machine] = await Promise.all([api.system(), api.machine()]);
+    store.set({ system, machine });
+  }
+
+  async function loadRecords() {
+    const [jobs, runs] = await Promise.all([api.jobs(), api.runs()]);
+    store.set({ jobs, runs });
+  }
+
+  /** Take over what the service says of a job: the followed one, or one that now moves. */
+  function hear(job) {
+    const { job: followed, jobs } = store.get();
+    const others = jobs.filter((other) => other.id !== job.id);
+    store.set({ jobs: [job, ...others].sort(byCreation) });
+    if (followed?.id === job.id) store.set({ job: newer(followed, job) });
+    else if (isMeasuring(job) && isActive(job) && (!followed || hasEnded(followed))) follow(job);
+  }
+
+  /** Follow a job and fetch what belongs to it: its plan, its result. */
+  function follow(job) {
+    const { job: before } = store.get();
+    const other = before?.id !== job.id;
+    const forgotten = { progress: null, health: null, live: null, plan: null, result: null };
+    store.set({ job, ...(other ? forgotten : {}) });
+    fetchPlan();
+    fetchResult();
+  }
+
+  async function fetchPlan() {
+    const { job, plan } = store.get();
+    if (!job || plan || !isMeasuring(job) || ["queued", "preparing"].includes(job.state)) return;
+    await keep("plan", job, api.plan);
+  }
+
+  async function fetchResult() {
+    const { job, result } = store.get();
+    if (job?.state !== "succeeded" || result) return;
+    await keep("result", job, api.result);
+  }
+
+  async function keep(name, { id }, load) {
+    try {
+      const content = await load(id);
+      if (store.get().job?.id === id) store.set({ [name]: content });
+    } catch (error) {
+      // A job that was aborted early has no plan; that is nothing to report.
+      if (!(error instanceof api.Problem) || ![404, 409].includes(error.status)) refuse(error);
+    }
+  }
+
+  async function verb(name, send) {
+    const { job } = store.get();
+    // Never behind another request: a pause must not wait for a connect.
+    store.set({ asked: name, problem: null });
+    try {
+      hear(await send(job));
+    } catch (error) {
+      refuse(error);
+      await reload(job.id);
+    } finally {
+      store.set({ asked: null });
+    }
+  }
+
+  /** After a refusal the service's word counts, not ours. */
+  async function reload(id) {
+    try {
+      hear(await api.job(id));
+    } catch (error) {
+      refuse(error);
+    }
+  }
+
+  async function begin(order) {
+    const job = await during("prepare", () => api.createJob(order));
+    if (!job) return;
+    hear(job);
+    follow(job);
+    go(addressOf(job));
+  }
+
+  return {
+    loadSystem, loadRecords, hear, follow, fetchPlan, fetchResult, refuse,
+    connect: () => during("connect", async () => {
+      await api.connect();
+      await loadSystem();
+    }),
+    prepare: begin,
+    arm: () => verb("arm", api.arm),
+    pause: () => verb("pause", api.pause),
+    resume: () => verb("resume", api.resume),
+    abort: () => verb("abort", api.abort),
+    analyse: (run) => begin({ kind: "analyse", run_id: run }),
+    async upload(file) {
+      const run = await during("upload", () => api.upload(file));
+      if (run) await begin({ kind: "analyse", run_id: run.id });
+    },
+    /** Open a job by id, as an address names it. */
+    async open(id) {
+      if (store.get().job?.id === id) return;
+      try {
+        follow(await api.job(id));
+      } catch (error) {
+        refuse(error);
+        go("#/records");
+      }
+    },
+    dismiss: () => store.set({ problem: null }),
+  };
+}
+
+const byCreation = (a, b) => (a.created < b.created ? 1 : -1);
+
+const newer = (a, b) => ((b.version ?? 0) >= (a.version ?? 0) ? b : a);
+
+function worded({ status, code, title, detail, action }) {
+  if (code === "unreachable") {
+    return { title: t("problem.unreachable"), text: "", action: t("problem.unreachable_action") };
+  }
+  if (status === 412) {
+    return { title: t("problem.stale"), text: "", action: t("problem.stale_action") };
+  }
+  return { title: title || t("problem.refused"), text: detail === title ? "" : detail, action };
+}

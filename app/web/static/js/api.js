@@ -1,0 +1,68 @@
+/* The REST interface. Every refusal arrives as a Problem (RFC 9457). */
+const ROOT = "/api/v1";
+const PATIENCE_MS = 15000;
+
+/** What the service refused, in its own words: title, detail, action, status, code. */
+export class Problem extends Error {
+  constructor(status, body) {
+    super(body.detail || body.title || `HTTP ${status}`);
+    this.status = status;
+    this.title = body.title || "";
+    this.detail = body.detail || "";
+    this.action = body.action || "";
+    this.code = body.code || "";
+  }
+}
+
+async function call(method, path, { json, form, version, patience_ms = PATIENCE_MS } = {}) {
+  const headers = { Accept: "application/json" };
+  if (json !== undefined) headers["Content-Type"] = "application/json";
+  if (version !== undefined) headers["If-Match"] = `"${version}"`;
+  const body = form ?? (json === undefined ? undefined : JSON.stringify(json));
+  const signal = AbortSignal.timeout(patience_ms);
+  let answer;
+  try {
+    answer = await fetch(ROOT + path, { method, headers, body, signal, cache: "no-store" });
+  } catch {
+    throw new Problem(0, { code: "unreachable" });
+  }
+  const content = await answer.json().catch(() => ({}));
+  if (!answer.ok) throw new Problem(answer.status, content);
+  return content;
+}
+
+const items = (page) => page.items ?? page;
+
+export const system = () => call("GET", "/system");
+export const machine = () => call("GET", "/machines/current");
+export const connect = () =>
+  call("POST", "/machines/current:connect", { patience_ms: 60000 });
+
+export const job = (id) => call("GET", `/jobs/${id}`);
+export const jobs = async (limit = 50) => items(await call("GET", `/jobs?limit=${limit}`));
+export const createJob = (order) => call("POST", "/jobs", { json: order });
+export const plan = (id) => call("GET", `/jobs/${id}/plan`);
+export const result = (id) => call("GET", `/jobs/${id}/result`);
+
+export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
+export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
+export const resume = ({ id, version }) => call("POST", `/jobs/${id}/resume`, { version });
+export const abort = ({ id }) => call("POST", `/jobs/${id}/abort`);
+
+export const runs = async () => items(await call("GET", "/runs"));
+
+/** Send a bundle; answers the Run. */
+export function upload(file) {
+  const form = new FormData();
+  form.append("bundle", file, file.name);
+  return call("POST", "/runs", { form, patience_ms: 600000 });
+}
+
+/** Addresses of what can be taken away. */
+export const links = {
+  csv: (id) => `${ROOT}/jobs/${id}/result/error-tables.csv`,
+  json: (id) => `${ROOT}/jobs/${id}/result`,
+  report: (id) => `${ROOT}/jobs/${id}/result/report.html`,
+  bundle: (run) => `${ROOT}/runs/${run}/bundle`,
+  events: `${ROOT}/events`,
+};

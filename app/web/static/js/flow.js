@@ -1,0 +1,43 @@
+/* The steps, where a job belongs among them, and which can be reached. */
+export const STEPS = ["connect", "plan", "check", "run", "result"];
+
+const BEFORE_MOTION = new Set(["queued", "preparing", "ready"]);
+const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
+const COMPUTING = new Set(["aligning", "estimating", "reporting"]);
+
+export const isMeasuring = (job) => Boolean(job) && job.kind !== "analyse";
+export const hasEnded = (job) => ENDED.has(job.state);
+export const isActive = (job) => Boolean(job) && !hasEnded(job);
+export const isComputing = (job) => COMPUTING.has(job.stage);
+export const isMoving = (job) =>
+  isActive(job) && isMeasuring(job) && !BEFORE_MOTION.has(job.state) && !isComputing(job);
+export const isConnected = (machine) => Boolean(machine?.connected);
+
+/** The step that shows a job as it is now. */
+export function stepOf(job) {
+  if (!job) return "connect";
+  if (job.state === "succeeded") return "result";
+  if (isMeasuring(job) && BEFORE_MOTION.has(job.state)) return "check";
+  return "run";
+}
+
+/** Address of the step that shows a job. */
+export const addressOf = (job) => (job ? `#/${stepOf(job)}/${job.id}` : "#/connect");
+
+/** Step and job id of an address. */
+export function place(hash) {
+  const [, step = "", id = null] = hash.match(/^#\/(\w+)(?:\/([\w-]+))?$/) ?? [];
+  const found = STEPS.includes(step) || step === "records" ? step : null;
+  return { step: found, id };
+}
+
+/** Address of a step, or null where there is nothing to show yet. */
+export function reach(step, { job, machine }) {
+  if (step === "connect") return "#/connect";
+  if (step === "plan") return isConnected(machine) ? "#/plan" : null;
+  if (!job) return null;
+  const own = stepOf(job);
+  if (step === own) return `#/${step}/${job.id}`;
+  if (step === "run" && own === "result") return `#/run/${job.id}`;
+  return null;
+}

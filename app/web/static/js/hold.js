@@ -1,0 +1,47 @@
+/* Hold to confirm: for what starts motion. */
+const HOLD_MS = 1500;
+
+/** Call `done` once the button was held for 1.5 s by finger, mouse, Enter or Space. */
+export function holdToConfirm(button, done) {
+  let begun = null;
+  let frame = 0;
+
+  function step(now) {
+    const share = Math.min(1, (now - begun) / HOLD_MS);
+    button.style.setProperty("--held", share);
+    if (share < 1) {
+      frame = requestAnimationFrame(step);
+      return;
+    }
+    release();
+    done();
+  }
+
+  function press() {
+    if (begun !== null || button.disabled) return;
+    begun = performance.now();
+    frame = requestAnimationFrame(step);
+  }
+
+  function release() {
+    cancelAnimationFrame(frame);
+    begun = null;
+    button.style.setProperty("--held", 0);
+  }
+
+  const isKey = (event) => event.key === "Enter" || event.key === " ";
+  button.classList.add("hold");
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button === 0) press();
+  });
+  for (const end of ["pointerup", "pointercancel", "pointerleave", "blur"]) {
+    button.addEventListener(end, release);
+  }
+  button.addEventListener("keydown", (event) => {
+    if (!isKey(event)) return;
+    event.preventDefault();
+    press();
+  });
+  button.addEventListener("keyup", release);
+  button.addEventListener("contextmenu", (event) => event.preventDefault());
+}

@@ -1,0 +1,135 @@
+/* Wires store, stream, views and shell together. */
+import { createActions } from "./actions.js";
+import * as api from "./api.js";
+import { addressOf, hasEnded, isActive, isMeasuring, place, stepOf } from "./flow.js";
+import { updateBar, updateLead, updateProblems, updateSteps } from "./shell.js";
+import { createStore } from "./store.js";
+import { listen } from "./stream.js";
+import * as check from "./views/check.js";
+import * as connect from "./views/connect.js";
+import * as plan from "./views/plan.js";
+import * as records from "./views/records.js";
+import * as result from "./views/result.js";
+import * as run from "./views/run.js";
+import { toggleSettings } from "./views/settings.js";
+
+const VIEWS = { connect, plan, check, run, result, records };
+const RETRY_MS = 2000;
+
+const store = createStore({
+  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null,
+  progress: null, health: null, live: null, problem: null, busy: null, asked: null,
+  link: { stale: false, last: null },
+});
+const go = (address) => {
+  if (location.hash === address) route();
+  else location.hash = address;
+};
+const actions = createActions(store, go);
+const context = { store, actions, go };
+const root = document.getElementById("main");
+let mounted = null;
+let current = null;
+
+/** Show the view that the address names. */
+async function route() {
+  const { step, id } = place(location.hash);
+  if (!step) {
+    go(addressOf(store.get().job));
+    return;
+  }
+  if (id) await actions.open(id);
+  if (place(location.hash).step !== step) return;
+  show(step);
+}
+
+function show(step, focus = true) {
+  mounted?.close();
+  root.replaceChildren();
+  for (const sheet of document.querySelectorAll("dialog[open]")) if (sheet.id !== "settings") sheet.close();
+  current = step;
+  mounted = VIEWS[step].mount(root, context);
+  render(store.get());
+  if (!focus) return;
+  scrollTo({ top: 0 });
+  root.focus({ preventScroll: true });
+}
+
+function render(state) {
+  if (!mounted) return;
+  follow(state);
+  updateBar(state);
+  updateSteps(state, current);
+  updateProblems(state, actions.dismiss);
+  updateLead(VIEWS[current].lead(state, context), state.link, state.job);
+  mounted.update(state);
+}
+
+let seen = {};
+
+/** Go with the job from step to step: armed → Run, done → Result. */
+function follow({ job }) {
+  const before = seen;
+  seen = job ? { id: job.id, state: job.state, step: stepOf(job) } : {};
+  if (!job || before.state === job.state) return;
+  actions.fetchPlan();
+  actions.fetchResult();
+  const known = before.id === job.id;
+  const moved = known && before.step !== seen.step && current === before.step;
+  const begun = !known && current === "connect" && isMeasuring(job) && isActive(job);
+  if (moved || begun) go(addressOf(job));
+}
+
+function hear(type, data) {
+  const { job } = store.get();
+  if (type === "job") actions.hear(data);
+  const own = job && (data.job_id ?? job.id) === job.id && !hasEnded(job);
+  if (type === "progress" && own) {
+    store.set({ progress: data, health: data.samples === undefined ? store.get().health : data });
+  }
+  if (type === "live" && own) store.set({ live: data });
+}
+
+let linked = {};
+
+function age(link) {
+  const changed = link.stale !== linked.stale;
+  const regained = linked.stale && !link.stale;
+  if (changed || !link.stale) store.set({ link });
+  linked = link;
+  if (regained) load().catch(actions.refuse);
+}
+
+async function load() {
+  await Promise.all([actions.loadSystem(), actions.loadRecords()]);
+  const { jobs, job } = store.get();
+  const active = jobs.find((other) => isMeasuring(other) && isActive(other)) ?? jobs.find(isActive);
+  if (job) actions.hear(await api.job(job.id));
+  else if (active) actions.follow(active);
+}
+
+/** The service may still be starting: try until it answers. */
+async function start() {
+  try {
+    await load();
+  } catch (error) {
+    if (!(error instanceof api.Problem)) throw error;
+    actions.refuse(error);
+    setTimeout(start, RETRY_MS);
+    return;
+  }
+  actions.dismiss();
+}
+
+document.getElementById("open-settings").addEventListener("click", () => {
+  toggleSettings(() => show(current, false));
+});
+document.addEventListener("truepath:themed", () => {
+  if (mounted) show(current, false);
+});
+addEventListener("hashchange", route);
+store.listen(render);
+listen(hear, age);
+await start();
+await document.fonts.ready;
+await route();

@@ -1,0 +1,75 @@
+/* Pieces that several views share. */
+import { h, icon } from "./dom.js";
+import { known, t } from "./texts.js";
+
+/** Heading of a view. */
+export const head = (title, text) =>
+  h("div", { class: "view-head" }, h("div", {}, h("h1", {}, title), text && h("p", {}, text)));
+
+/** A card with a heading. */
+export const card = (title, ...content) =>
+  h("section", { class: "card" }, title && h("h2", {}, title), content);
+
+/** Name and value in rows: pairs([[name, value], …]). */
+export const pairs = (rows) =>
+  h("dl", { class: "pairs" }, rows.map(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
+
+/** One number with its name; `write(value)` changes it. */
+export function tile(name, value = "–") {
+  const number = h("dd", {}, value);
+  const element = h("div", { class: "tile" }, h("dt", {}, name), number);
+  return { element, number };
+}
+
+/** A choice among few, all visible: segments(label, [[value, text], …], chosen, choose). */
+export function segments(label, options, chosen, choose, small = false) {
+  const group = h("div", { class: `segments${small ? " is-small" : ""}`, role: "group", "aria-label": label });
+  const buttons = options.map(([value, text]) =>
+    h("button", { type: "button", "aria-pressed": String(value === chosen), "data-value": value,
+      onclick: () => {
+        for (const b of buttons) b.setAttribute("aria-pressed", String(b.dataset.value === value));
+        choose(value);
+      } }, text));
+  group.append(...buttons);
+  return group;
+}
+
+/** A message with a shape, a word and a way out. */
+export function notice(tone, title, text, action) {
+  const shape = tone === "fault" || tone === "held" ? "warning" : "info";
+  return h("div", { class: `notice${tone ? ` is-${tone}` : ""}` }, icon(shape),
+    h("div", {}, h("strong", {}, title), text && h("p", {}, text), action && h("p", {}, action)));
+}
+
+const TONES = {
+  pausing: "held", paused: "held", aborting: "held", resuming: "held",
+  failed: "fault", faulted: "fault", aborted: "fault", interrupted: "fault",
+};
+const SHAPES = {
+  running: "play", pausing: "pause", paused: "pause", resuming: "play", succeeded: "check",
+  ready: "hold", aborting: "stop", aborted: "stop", failed: "warning", faulted: "warning",
+  interrupted: "warning",
+};
+
+/** Tone of a state: held (will go on), fault (needs a person) or none. */
+export const toneOf = (state) => TONES[state] ?? null;
+
+/** Shape that goes with a state. */
+export const shapeOf = (state) => SHAPES[state] ?? "info";
+
+/** Word for a state. */
+export const wordOf = (state) => known(`state.${state}`, state);
+
+/** Word for a kind of job. */
+export const kindOf = (kind) => known(`kind.${kind}`, kind);
+
+/** A link that looks like a button. */
+export const linkButton = (address, shape, text, more = {}) =>
+  h("a", { class: "button", href: address, ...more }, icon(shape), text);
+
+/** Everything a job's error says, as a notice. */
+export function errorNotice(job) {
+  if (!job.error) return null;
+  const { title, detail, action } = job.error;
+  return notice("fault", title || t("problem.refused"), detail, action);
+}

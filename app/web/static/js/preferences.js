@@ -1,0 +1,17 @@
+/* What the operator set on this panel: units, light or dark, language. */
+const KEYS = { units: "mm", theme: "auto", scale: "common" };
+
+/** Read a preference. */
+export function preference(name) {
+  return localStorage.getItem(`truepath.${name}`) || KEYS[name];
+}
+
+/** Keep a preference. */
+export function prefer(name, value) {
+  localStorage.setItem(`truepath.${name}`, value);
+}
+
+/** Keep the language where the service sees it, so that the shell comes in it next time. */
+export function rememberLanguage(language) {
+  document.cookie = `truepath_language=${language}; path=/; max-age=31536000; SameSite=Strict`;
+}

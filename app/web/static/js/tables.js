@@ -1,0 +1,71 @@
+/* Error tables of a result, named and ordered for people. */
+import { t } from "./texts.js";
+
+const TRANSLATIONS = "XYZ";
+const ROTATIONS = "ABC";
+
+/** Error motions of a result by axis: [{axis, tables: [table, …]}, …].
+ *
+ * table: {symbol, axis, name, kind, positionKind, positions, values, uncertainties}
+ */
+export function tablesByAxis(result) {
+  const groups = new Map();
+  for (const [symbol, entry] of Object.entries(result.error_tables ?? {})) {
+    const table = read(symbol, entry);
+    if (!groups.has(table.axis)) groups.set(table.axis, []);
+    groups.get(table.axis).push(table);
+  }
+  return [...groups.keys()].sort(byLetter("XYZABC"))
+    .map((axis) => ({ axis, tables: groups.get(axis).sort(byMotion(axis)) }));
+}
+
+function read(symbol, entry) {
+  const kind = entry.value_um ? "error" : "angle";
+  const rotary = Boolean(entry.position_deg);
+  const values = entry.value_um ?? entry.value_urad ?? [];
+  return {
+    symbol, axis: symbol[2], name: nameOf(symbol), kind,
+    positionKind: rotary ? "turn" : "travel",
+    positions: entry.position_mm ?? entry.position_deg ?? [],
+    values,
+    uncertainties: entry.uncertainty_um ?? entry.uncertainty_urad ?? [],
+    known: values.length > 0 && values.every((v) => v !== null),
+  };
+}
+
+/** What an error motion is, in words. */
+export function nameOf(symbol) {
+  const [, motion, axis] = symbol;
+  if (ROTATIONS.includes(axis)) return rotaryName(motion, axis);
+  if (motion === axis) return t("error.positioning", { axis });
+  if (TRANSLATIONS.includes(motion)) return t("error.straightness", { axis, along: motion });
+  const about = TRANSLATIONS[ROTATIONS.indexOf(motion)];
+  return t(about === axis ? "error.roll" : "error.tilt", { axis, about });
+}
+
+function rotaryName(motion, axis) {
+  if (motion === axis) return t("error.angular_positioning", { axis });
+  if (TRANSLATIONS.includes(motion)) return t("error.shift", { axis, along: motion });
+  return t("error.tilt", { axis, about: TRANSLATIONS[ROTATIONS.indexOf(motion)] });
+}
+
+/** What a squareness or location error is between: C0Y is Y to X. */
+export function squarenessName(symbol) {
+  const [motion, , axis] = symbol;
+  if (!TRANSLATIONS.includes(axis)) return t("error.location", { axis });
+  const about = TRANSLATIONS[ROTATIONS.indexOf(motion)];
+  const other = [...TRANSLATIONS].find((letter) => letter !== axis && letter !== about);
+  return t("error.squareness", { axis, other });
+}
+
+const byLetter = (order) => (a, b) => order.indexOf(a) - order.indexOf(b);
+
+/** Positioning and roll first, then the others in the order X Y Z, A B C. */
+function byMotion(axis) {
+  const own = TRANSLATIONS.includes(axis) ? ROTATIONS[TRANSLATIONS.indexOf(axis)] : axis;
+  const rank = ({ symbol: [, motion] }) => {
+    const group = TRANSLATIONS.includes(motion) ? 0 : 10;
+    return group + (motion === axis || motion === own ? 0 : 1 + "XYZABC".indexOf(motion) % 3);
+  };
+  return (a, b) => rank(a) - rank(b);
+}

@@ -1,0 +1,110 @@
+/* Step 3: what will move, and the hold that starts it. */
+import { h, icon } from "../dom.js";
+import { addressOf, hasEnded, stepOf } from "../flow.js";
+import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
+import { duration, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+import { pathCard } from "./path-card.js";
+
+/** Button that leads on: held, because the machine moves. */
+export function lead({ job, link, asked }, { actions, go }) {
+  if (!job || hasEnded(job)) {
+    return { next: { key: "again", label: t("run.again"), run: () => go("#/plan") } };
+  }
+  if (stepOf(job) !== "check") {
+    return { next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
+  }
+  const reason = refusal(job, link, asked);
+  const back = { label: t("check.discard"), run: () => discard(actions, go) };
+  return { back, reason: reason || t("check.hold_reason"),
+    next: { key: "arm", label: t("check.hold"), icon: "hold", hold: true,
+      disabled: Boolean(reason), run: actions.arm } };
+}
+
+function refusal(job, link, asked) {
+  if (asked) return t("check.asked");
+  if (job.state !== "ready") return t("check.preparing");
+  return link.stale ? t("check.stale") : "";
+}
+
+async function discard(actions, go) {
+  await actions.abort();
+  go("#/plan");
+}
+
+/** Show the plan. */
+export function mount(root) {
+  const path = pathCard(false);
+  const facts = h("div");
+  const reach = h("div", { class: "reach" });
+  const failure = h("div");
+  root.append(
+    head(t("check.title"), t("check.text")), failure,
+    h("div", { class: "columns is-main-left" }, path.element,
+      h("div", { class: "stack" }, card(t("check.plan"), facts), card(t("check.reach"), reach),
+        card(t("check.before"), before()))),
+  );
+  let described = "";
+  return {
+    update({ job, plan, machine }) {
+      path.update(plan, machine);
+      const key = [job?.id, job?.state, Boolean(plan), Boolean(machine)].join();
+      if (key === described || !job) return;
+      described = key;
+      facts.replaceChildren(pairs(describe(job, plan, machine)));
+      reach.replaceChildren(...(plan ? rows(plan, machine) : [h("p", { class: "empty" }, t("path.waiting"))]));
+      failure.replaceChildren(...[errorNotice(job)].filter(Boolean));
+    },
+    close: path.close,
+  };
+}
+
+function describe(job, plan, machine) {
+  const facts = [[t("check.machine"), machine?.name ?? "–"], [t("check.kind"), kindOf(job.kind)]];
+  if (!plan) return facts;
+  const standing = !plan.feed_mm_min;
+  const length = lengthOf(plan);
+  facts.push([t(standing ? "check.points" : "check.lines"),
+    number(plan.position.length - (standing ? 0 : 1))]);
+  facts.push([t("check.length"), quantity(length, "distance")]);
+  if (!standing) facts.push([t("check.feed"), feeds(plan.feed_mm_min)]);
+  const time_s = job.progress?.eta_s ?? plan.duration_s;
+  if (time_s) facts.push([t("check.time"), `${duration(time_s)} min`]);
+  return facts;
+}
+
+function feeds(feed_mm_min) {
+  const values = feed_mm_min.slice(1).filter((feed) => feed > 0);
+  const [least, most] = [Math.min(...values), Math.max(...values)];
+  return least === most ? quantity(most, "feed")
+    : `${quantity(least, "feed")} … ${quantity(most, "feed")}`;
+}
+
+function lengthOf({ axes, position }) {
+  const linear = axes.map((name, i) => ("XYZ".includes(name) ? i : -1)).filter((i) => i >= 0);
+  return position.slice(1).reduce((sum, row, i) =>
+    sum + Math.hypot(...linear.map((a) => row[a] - position[i][a])), 0);
+}
+
+/** How far the plan reaches within the travel of each axis. */
+function rows({ axes, position }, machine) {
+  return axes.map((name, i) => {
+    const values = position.map((row) => row[i]);
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const axis = machine?.axes?.[name] ?? {};
+    const [from, to] = [axis.min_mm ?? axis.min_deg ?? low, axis.max_mm ?? axis.max_deg ?? high];
+    const share = (v) => (100 * (v - from)) / (to - from || 1);
+    const kind = axis.type === "rotary" ? "turn" : "length";
+    const style = `left:${share(low)}%;width:${share(high) - share(low)}%`;
+    return h("div", { class: "reach-row" }, h("b", {}, name),
+      h("div", { class: "reach-track" }, h("i", { style })),
+      h("span", { class: "reach-note" }, t("check.within", {
+        low: quantity(low, kind, 1), high: quantity(high, kind, 1),
+        from: quantity(from, kind, 1), to: quantity(to, kind, 1) })));
+  });
+}
+
+function before() {
+  const keys = ["check.before_reflector", "check.before_sight", "check.before_clear"];
+  return h("ul", { class: "before" }, keys.map((key) => h("li", {}, icon("info"), t(key))));
+}

@@ -1,0 +1,63 @@
+/* The card with the path in space, as Check and Run show it. */
+import { h, mark } from "../dom.js";
+import { segments } from "../parts.js";
+import { drawPath } from "../plots/path-plot.js";
+import { t } from "../texts.js";
+
+const VIEWS = ["iso", "top", "front", "side"];
+
+/** A card that draws the plan as soon as it is there; `progress` and `close` as the plot's. */
+export function pathCard(live) {
+  const view = h("div", { class: "path-view", role: "img" });
+  const missing = h("div", { class: "path-view path-missing" }, t("path.waiting"));
+  const tools = h("div", { class: "path-tools", hidden: true });
+  const element = h("section", { class: "card path-card", "aria-label": t("path.title") },
+    legend(live), missing, view, tools);
+  mark(view, "hidden", "");
+  let plan = null;
+  let plot = null;
+  let closed = false;
+
+  async function draw(next, machine) {
+    plan = next;
+    missing.hidden = true;
+    view.hidden = false;
+    const drawn = await drawPath(view, plan, machine);
+    if (closed) drawn.close();
+    else show(drawn);
+  }
+
+  function show(drawn) {
+    plot = drawn;
+    view.dataset.drawn = "";
+    tools.append(segments(t("path.view"), VIEWS.map((name) => [name, t(`path.${name}`)]), "iso",
+      plot.view, true));
+    tools.hidden = false;
+  }
+
+  return {
+    element,
+    update(next, machine) {
+      if (next && !plan) {
+        draw(next, machine).catch((error) => {
+          missing.textContent = t("path.failed", { reason: error.message });
+          missing.hidden = false;
+          view.hidden = true;
+        });
+      }
+    },
+    progress(done, position) {
+      plot?.progress(done, position);
+    },
+    close() {
+      closed = true;
+      plot?.close();
+    },
+  };
+}
+
+function legend(live) {
+  const entry = (name, text) => h("li", { class: `is-${name}` }, h("i"), text);
+  return h("ul", { class: "path-legend" }, entry("planned", t("path.planned")),
+    live && [entry("done", t("path.done")), entry("now", t("path.now"))]);
+}

@@ -1,0 +1,175 @@
+/* Step 5: error tables with their uncertainty, squareness, and what can be taken away. */
+import { links } from "../api.js";
+import { h, icon, write } from "../dom.js";
+import { card, head, kindOf, linkButton, notice, segments, tile } from "../parts.js";
+import { COVERAGE, drawErrors, reachOf } from "../plots/error-chart.js";
+import { prefer, preference } from "../preferences.js";
+import { squarenessName, tablesByAxis } from "../tables.js";
+import { dateTime, number, t } from "../texts.js";
+import { figure, quantity, unitOf } from "../units.js";
+import { showTable } from "./table-sheet.js";
+
+/** Button that leads on. */
+export function lead(state, { go }) {
+  return { next: { key: "measure", label: t("result.next"), run: () => go("#/connect") },
+    back: state.job ? { label: t("result.to_run"), run: () => go(`#/run/${state.job.id}`) } : null };
+}
+
+/** Show the result of the job. */
+export function mount(root) {
+  let charts = [];
+  let drawn = null;
+
+  function close() {
+    for (const chart of charts) chart.close();
+    charts = [];
+  }
+
+  function draw(job, result) {
+    close();
+    const body = h("div", { class: "stack" });
+    root.replaceChildren(heading(job, result), verdict(job, result), ...warnings(result), body);
+    charts = drawTables(body, result);
+  }
+
+  root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
+  return {
+    update({ job, result }) {
+      if (!result || result === drawn) return;
+      drawn = result;
+      draw(job, result);
+    },
+    close,
+  };
+}
+
+function heading(job, result) {
+  const machine = result.machine?.name ?? "";
+  const said = t("result.text", { machine, kind: kindOf(job.kind), when: dateTime(job.ended ?? job.created) });
+  const row = head(t("result.title"), said);
+  row.append(downloads(job));
+  return row;
+}
+
+function downloads({ id, run_id }) {
+  return h("div", { class: "downloads", "aria-label": t("result.downloads"), role: "group" },
+    linkButton(links.report(id), "report", t("result.report"), { target: "_blank", rel: "noopener" }),
+    linkButton(links.csv(id), "download", "CSV", { download: `error_tables-${id}.csv` }),
+    linkButton(links.json(id), "download", "JSON", { download: `result-${id}.json` }),
+    run_id && linkButton(links.bundle(run_id), "download", t("result.bundle"), { download: `${run_id}.zip` }));
+}
+
+function verdict(job, result) {
+  const tables = tablesByAxis(result).flatMap((group) => group.tables).filter((table) => table.known);
+  const worst = (kind) => tables.filter((table) => table.kind === kind)
+    .map((table) => [Math.max(...table.values.map(Math.abs)), table.symbol])
+    .sort((a, b) => b[0] - a[0])[0];
+  const [error, angle] = [worst("error"), worst("angle")];
+  const { rank, parameters } = result.observability ?? {};
+  const figures = [
+    error && [t("result.worst", { symbol: error[1] }), error[0], "error"],
+    angle && [t("result.worst", { symbol: angle[1] }), angle[0], "angle"],
+    [t("result.residual"), result.residuals?.rms_um, "error"],
+  ].filter(Boolean).map(([name, value, kind]) => {
+    const shown = tile(name, figure(value, kind));
+    shown.number.append(h("span", { class: "unit" }, unitOf(kind)));
+    return shown.element;
+  });
+  const counts = [
+    [t("run.samples"), number(job.health?.samples)],
+    [t("run.lost"), number(job.health?.lost_samples)],
+    rank !== undefined && [t("result.rank"), `${number(rank)} / ${number(parameters)}`],
+  ].filter(Boolean).filter(([, value]) => value !== "–").map(([name, value]) => tile(name, value).element);
+  return h("section", { class: "card verdict", "aria-label": t("result.summary") },
+    h("dl", { class: "tiles" }, figures, counts));
+}
+
+function warnings(result) {
+  const unseen = result.observability?.unobservable ?? [];
+  if (!unseen.length) return [];
+  return [notice("held", t("result.unobservable"), unseen.join(" · "), t("result.unobservable_note"))];
+}
+
+function drawTables(body, result) {
+  const groups = tablesByAxis(result);
+  const charts = [];
+  const grid = h("div");
+  body.append(toolbar(() => fill()), grid, squareness(result));
+  fill();
+  return charts;
+
+  function fill() {
+    for (const chart of charts.splice(0)) chart.close();
+    grid.replaceChildren();
+    const common = preference("scale") === "common" ? reaches(groups) : null;
+    for (const group of groups) {
+      const plots = h("div", { class: "charts" });
+      grid.append(h("div", { class: "axis-head" }, h("h3", {}, t("result.axis", { axis: group.axis }))), plots);
+      for (const table of group.tables) {
+        const [element, draw] = chartCard(table);
+        plots.append(element);
+        if (draw) charts.push(draw(common?.[table.kind] ?? null));
+      }
+    }
+  }
+}
+
+/** The largest reach of all tables of a kind: one scale makes them comparable. */
+function reaches(groups) {
+  const all = groups.flatMap((group) => group.tables).filter((table) => table.known);
+  const largest = (kind) =>
+    Math.max(0, ...all.filter((table) => table.kind === kind).map(reachOf));
+  return { error: largest("error"), angle: largest("angle") };
+}
+
+function toolbar(redraw) {
+  const scale = segments(t("result.scale"),
+    [["common", t("result.scale_common")], ["own", t("result.scale_own")]], preference("scale"),
+    (value) => {
+      prefer("scale", value);
+      redraw();
+    });
+  const legend = h("ul", { class: "key" }, h("li", {}, h("i"), t("result.value")),
+    h("li", { class: "is-band" }, h("i"), t("result.band", { k: COVERAGE })));
+  return h("div", { class: "result-bar" }, h("h2", {}, t("result.tables")), legend, scale);
+}
+
+function chartCard(table) {
+  const unit = unitOf(table.kind);
+  const read = h("p", { class: "chart-read" });
+  const title = h("h3", {}, table.symbol, h("span", { class: "unit" }, unit), h("small", {}, table.name));
+  const open = h("button", { class: "button is-plain", type: "button",
+    "aria-label": t("result.enlarge", { symbol: table.symbol }), onclick: () => showTable(table) }, icon("expand"));
+  if (!table.known) {
+    const missing = h("p", { class: "chart-missing" }, t("result.unknown"));
+    return [h("article", { class: "chart", "data-symbol": table.symbol }, h("header", {}, title), missing), null];
+  }
+  const plot = h("div", { class: "chart-plot", role: "img", "aria-label": summary(table) });
+  const element = h("article", { class: "chart", "data-symbol": table.symbol },
+    h("header", {}, title, open), plot, read);
+  return [element, (reach) => {
+    write(read, summary(table));
+    return drawErrors(plot, table, { reach, read: (text) => write(read, text || summary(table)) });
+  }];
+}
+
+/** The largest value with its expanded uncertainty. */
+function summary(table) {
+  const at = table.values.reduce((best, v, i, all) => (Math.abs(v) > Math.abs(all[best]) ? i : best), 0);
+  const expanded = COVERAGE * table.uncertainties[at];
+  return t("result.largest", {
+    value: figure(table.values[at], table.kind), u: quantity(expanded, table.kind) });
+}
+
+function squareness(result) {
+  const rows = Object.entries(result.squareness_urad ?? {}).map(([symbol, { value, uncertainty }]) =>
+    h("tr", {}, h("td", { class: "symbol" }, symbol), h("td", {}, squarenessName(symbol)),
+      h("td", { class: "right" }, figure(value, "angle")),
+      h("td", { class: "right" }, `± ${figure(uncertainty === null ? null : COVERAGE * uncertainty, "angle")}`)));
+  return card(t("result.squareness"), h("div", { class: "table-scroll" }, h("table", {},
+    h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
+      h("th", { class: "right" }, t("result.value_in", { unit: unitOf("angle") })),
+      h("th", { class: "right" }, t("result.u_in", { unit: unitOf("angle"), k: COVERAGE })))),
+    h("tbody", {}, rows))));
+}
+

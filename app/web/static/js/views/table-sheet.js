@@ -1,0 +1,36 @@
+/* One error motion large, with its numbers. */
+import { h } from "../dom.js";
+import { COVERAGE, columns, drawErrors } from "../plots/error-chart.js";
+import { closeSheet, openSheet } from "../sheets.js";
+import { number, t } from "../texts.js";
+import { decimalsOf, unitOf } from "../units.js";
+
+/** Open the sheet with a table's plot and values. */
+export function showTable(table) {
+  const sheet = document.getElementById("detail");
+  const plot = h("div", { class: "chart-plot" });
+  const read = h("p", { class: "chart-read" });
+  const title = `${table.symbol} · ${table.name}`;
+  sheet.replaceChildren(
+    h("div", { class: "sheet-head" }, h("h2", { id: "detail-title" }, title),
+      h("button", { class: "button", type: "button", onclick: () => closeSheet(sheet) }, t("shell.close"))),
+    plot, read, values(table));
+  openSheet(sheet);
+  const chart = drawErrors(plot, table, { read: (text) => { read.textContent = text; } });
+  sheet.addEventListener("close", () => chart.close(), { once: true });
+}
+
+function values(table) {
+  const { x, value, expanded } = columns(table);
+  const digits = decimalsOf(table.kind);
+  const unit = unitOf(table.kind);
+  const rows = x.map((position, i) => h("tr", {},
+    h("td", { class: "right" }, number(position, decimalsOf(table.positionKind))),
+    h("td", { class: "right" }, number(value[i], digits)),
+    h("td", { class: "right" }, `± ${number(expanded[i], digits)}`)));
+  const title = (text) => h("th", { class: "right" }, text);
+  return h("div", { class: "detail-table", tabindex: "0" }, h("table", {},
+    h("thead", {}, h("tr", {}, title(`${table.axis} (${unitOf(table.positionKind)})`),
+      title(t("result.value_in", { unit })), title(t("result.u_in", { unit, k: COVERAGE })))),
+    h("tbody", {}, rows)));
+}
