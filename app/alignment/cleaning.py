@@ -21,6 +21,8 @@ def valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
 
 def _is_spike(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     # A running median leaves steady motion alone, and a jump across a gap as well.
-    excess = np.abs(position_mm - median_filter(position_mm, size=(5, 1), mode="nearest"))
+    excess = np.abs(
+        position_mm - median_filter(position_mm, size=(5, 1), mode="nearest")
+    )
     scale = 1.4826 * np.median(excess, axis=0) if len(excess) else np.zeros(3)
-    return (excess > np.maximum(_SPIKE_MM, 10.0 * scale)).any(axis=1)
+    return np.any(excess > np.maximum(_SPIKE_MM, 10.0 * scale), axis=1)

@@ -1,4 +1,4 @@
-"""What alignment hands to estimation: one row a cell, nothing about samples any more."""
+"""What alignment hands to estimation: one row a cell, no samples any more."""
 
 from __future__ import annotations
 

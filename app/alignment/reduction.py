@@ -1,9 +1,9 @@
 """Reduce samples to cells: short stretches whose mean carries all that they tell.
 
-Within a cell the machine error is as good as straight, so its mean loses nothing but the
-noise. A cell's nominal position is its place on its own commanded line by a constant
-feed; the phase and speed of that feed are parameters of the solve. Takes no clock of the
-controller.
+Within a cell the machine error is as good as straight, so its mean loses nothing but
+the noise. A cell's nominal position is its place on its own commanded line by a
+constant feed; the phase and speed of that feed are parameters of the solve. Takes no
+clock of the controller.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _OUTLIER = 6.0  # of the samples' own standard deviation
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Means of the samples of each cell; `scatter_square` and `freedom` tell their noise.
+    """Means of the samples of each cell, and how samples scatter about them.
 
     time_s : (n,), tracker_mm : (n, 3), count : (n,)
     scatter_square : (2,) sums over samples of squared deviations along and across the
@@ -42,7 +42,7 @@ def reduce_to_cells(
     velocity_mm_s: Float64[np.ndarray, "3"],
     noise: TrackerNoise,
 ) -> Cells:
-    """Cut one pass (or one standstill, velocity 0) into cells of equal time and average each.
+    """Cut a pass (or a standstill, velocity 0) into cells of equal time; average.
 
     velocity_mm_s : (3,) in the tracker's frame
     """
@@ -107,7 +107,7 @@ def _scatter(
     velocity_mm_s: Float64[np.ndarray, "3"],
     noise: TrackerNoise,
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return each sample's deviation from its cell along and across the beam, in sigmas."""
+    """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
     known = np.minimum(cell, len(means.count) - 1)
     lag = time_s - means.time_s[known]
     off = tracker_mm - means.tracker_mm[known] - lag[:, None] * velocity_mm_s
@@ -117,11 +117,9 @@ def _scatter(
 
 
 def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:
-    """Return rows: unit beam, unit azimuth, unit elevation at points in the tracker's frame."""
+    """Return rows: unit beam, azimuth, elevation at points in the tracker's frame."""
     beam = tracker_mm / np.linalg.norm(tracker_mm, axis=1, keepdims=True)
     azimuth = np.cross(np.array([0.0, 0.0, 1.0]), beam)
     flat = np.linalg.norm(azimuth, axis=1, keepdims=True)
     azimuth = np.where(flat > 1e-9, azimuth / np.maximum(flat, 1e-9), [1.0, 0.0, 0.0])
     return np.stack([beam, azimuth, np.cross(beam, azimuth)], axis=1)
-
-

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from app.alignment.observations import Pass
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops, speed_mm_s
+from app.numerics.rigid import RigidTransform
 
 _ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
 _STEADY = 0.02  # relative change of speed that counts as a ramp
@@ -25,11 +27,15 @@ _SHORTEST_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Valid samples in the workpiece frame (rough pose), and their indices in the Run."""
+    """Valid samples in order of time; `pose` takes the workpiece to the tracker."""
 
     time_s: Float64[np.ndarray, " n"]
-    point_mm: Float64[np.ndarray, "n 3"]
-    index: Int64[np.ndarray, " n"]
+    tracker_mm: Float64[np.ndarray, "n 3"]
+    pose: RigidTransform
+
+    def points_mm(self, first: int, last: int) -> Float64[np.ndarray, "n 3"]:
+        """Return a stretch of the samples in the workpiece frame."""
+        return self.pose.inverse().apply(self.tracker_mm[first:last])
 
 
 def cut_into_passes(
@@ -57,7 +63,7 @@ def _stretches(
     """Yield (row, first, last) of what was driven between neighbouring standstills."""
     matched = dict(zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True))
     order = sorted(matched)
-    for here, there in zip(order, order[1:], strict=False):
+    for here, there in pairwise(order):
         a, b = matched[here], matched[there]
         # A standstill of no waypoint (a hold) ends one pass and begins another.
         for k in range(here, there):
@@ -78,10 +84,13 @@ def _told_by_place(
     a: int,
     b: int,
 ) -> Iterator[tuple[int, int, int]]:
-    """Yield the stretches of the lines a→a+1 … b-1→b among samples whose corners are lost."""
-    points = stream.point_mm[first:last]
+    """Yield the stretches of the lines from a to b where their corners are lost."""
+    points = stream.points_mm(first, last)
     away = np.stack(
-        [_distance(points, waypoint_mm[r - 1], waypoint_mm[r]) for r in range(a + 1, b + 1)]
+        [
+            _distance(points, waypoint_mm[r - 1], waypoint_mm[r])
+            for r in range(a + 1, b + 1)
+        ]
     )
     nearest = np.argmin(away, axis=0)
     nearest[away.min(axis=0) > _ON_LINE_MM] = -1
@@ -105,8 +114,8 @@ def _distance(
 def _steady_part(
     stream: Stream, first: int, last: int, ends_mm: Float64[np.ndarray, "2 3"]
 ) -> tuple[int, int, float] | None:
-    """Return first, last and speed of the part at constant feed, ramps and settling left out."""
-    time, points = stream.time_s[first:last], stream.point_mm[first:last]
+    """Return first, last and speed of the part at constant feed, without ramps."""
+    time, points = stream.time_s[first:last], stream.points_mm(first, last)
     on = _distance(points, ends_mm[0], ends_mm[1]) < _ON_LINE_MM
     if on.sum() < 20 or time[-1] - time[0] < _SHORTEST_S:
         return None

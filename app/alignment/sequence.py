@@ -1,8 +1,8 @@
 """Which standstill is which waypoint: the sequence decides, not the nearest point.
 
 Distances between standstills do not depend on where the tracker stands, so the longest
-chain of standstills whose mutual distances match those of the waypoints, in order, tells
-the correspondence without a first guess of the pose.
+chain of standstills whose mutual distances match those of the waypoints, in order,
+tells the correspondence without a first guess of the pose.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Standstill `stop[k]` is waypoint `waypoint[k]`; both increase. `pose` is rough."""
+    """Standstill `stop[k]` is waypoint `waypoint[k]`, both in order; a rough `pose`."""
 
     stop: Int64[np.ndarray, " k"]
     waypoint: Int64[np.ndarray, " k"]
@@ -60,8 +60,8 @@ def _longest_chain(
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
     """Dynamic programming over pairs (standstill, waypoint) with few skips.
 
-    A link is allowed where the distance to the previous pair fits, and to the pair before
-    that one as well; each pair adds one, each skip costs a little.
+    A link is allowed where the distance to the previous pair fits, and to the pair
+    before that one as well; each pair adds one, each skip costs a little.
     """
     m, w = len(places), len(waypoints)
     score = np.ones((m, w))
@@ -78,9 +78,7 @@ def _longest_chain(
                 better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
                 take = fits & (better > score[i, a])
                 score[i, a[take]] = better[take]
-                back[i, a[take]] = np.column_stack(
-                    [np.full(take.sum(), j), b[take]]
-                )
+                back[i, a[take]] = np.column_stack([np.full(take.sum(), j), b[take]])
     return _traced(score, back)
 
 
@@ -115,7 +113,7 @@ def _traced(
 def _rematch(
     places: Float64[np.ndarray, "m 3"], expected: Float64[np.ndarray, "w 3"]
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Longest common order of standstills and waypoints at the same place, pose known."""
+    """Longest common order of standstills and waypoints that lie at one place."""
     m, w = len(places), len(expected)
     near = np.linalg.norm(places[:, None] - expected[None], axis=2) < _TOLERANCE_MM
     length = np.zeros((m + 1, w + 1), np.int64)

@@ -34,7 +34,7 @@ class Stops:
 def speed_mm_s(
     time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the speed between the mean of the block before and of the block after each sample."""
+    """Return the speed from the block before each sample to the block after it."""
     n, w = len(time_s), min(_BLOCK, max(1, len(time_s) // 3))
     stacked = np.column_stack([time_s - time_s[0], position_mm - position_mm[0]])
     total = np.vstack([np.zeros(4), np.cumsum(stacked, axis=0)])
@@ -76,7 +76,7 @@ def _merged(
     last: Int64[np.ndarray, " m"],
     where: Float64[np.ndarray, "m 3"],
 ) -> Stops:
-    """Join neighbours at one place: a lost frame or a knock does not make two standstills."""
+    """Join neighbours at one place: a lost frame does not make two standstills."""
     moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > _SAME_PLACE_MM
     begins = np.flatnonzero(np.concatenate([[True], moved]))
     ends = np.append(begins[1:], len(first)) - 1

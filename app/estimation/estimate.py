@@ -1,4 +1,4 @@
-"""What estimation hands on: parameters with their covariance, and how well they are known."""
+"""What estimation hands on: parameters, and how well they are known."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ class Estimate:
     theta : (p,), covariance : (p, p), of those effects alone; pose and timing laws are
         integrated out
     strength : prior strength of each error motion's bending, found from the data
-    pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad about
+    pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
+    about
         `centre_mm`
     """
 

@@ -2,9 +2,9 @@
 
 With one tool offset only 14 of the 18 error motions of a three-axis machine move the
 target in ways of their own: turns of the last axis merge with its straightness, and the
-turn of the last but one about the last axis' direction merges likewise. Two tool lengths
-give 16, three offsets off one line 18. What merges is left out of the solve and named; a
-pseudo-inverse would return it as a silent zero.
+turn of the last but one about the last axis' direction merges likewise. Two tool
+lengths give 16, three offsets off one line 18. What merges is left out of the solve and
+named; a pseudo-inverse would return it as a silent zero.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from jaxtyping import Float64
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.effects.squareness import squareness_between
-from app.kinematics.machine import Machine
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, meaning
 
-KNOT_SPACING_MM = 35.0
+KNOT_SPACING_MM = 22.0
 _PROBE = 400  # configurations that stand for the whole volume
 _NEW_SHAPE = 1e-6  # relative size of a new singular value
 
@@ -49,10 +49,12 @@ def identifiable_model(
     offsets_mm: Float64[np.ndarray, "t 3"],
     *,
     knot_spacing_mm: float = KNOT_SPACING_MM,
+    intervals: int | None = None,
 ) -> tuple[MachineModel, tuple[Merged, ...]]:
-    """Return the model of all error motions that these targets can tell, and what merged.
+    """Return the model of what these targets can tell, and what merged.
 
     offsets_mm : the offsets of the measured targets
+    intervals : the same number of knot intervals on every axis, instead of a spacing
     """
     symbols = [s for axis in machine.linear_axes for s in error_motions(axis.name)]
     # Displacements first: where a turn merges with one, the displacement is kept.
@@ -70,9 +72,18 @@ def identifiable_model(
     ordered = [
         s for axis in machine.linear_axes for s in error_motions(axis.name) if s in kept
     ]
-    motions = tuple(error_motion(s, travels[s[2]], knot_spacing_mm) for s in ordered)
+    motions = tuple(
+        error_motion(
+            s, travels[s[2]], intervals or _intervals(travels[s[2]], knot_spacing_mm)
+        )
+        for s in ordered
+    )
     squareness = squareness_between(tuple(travels))
     return MachineModel(machine, motions + squareness), tuple(merged)
+
+
+def _intervals(axis: LinearAxis, spacing_mm: float) -> int:
+    return max(3, round((axis.max_mm - axis.min_mm) / spacing_mm))
 
 
 def _probe(machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]) -> Conditions:
@@ -87,13 +98,13 @@ def _probe(machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]) -> Conditio
 def _absorbed_by(
     symbol: str, kept: list[str], machine: Machine, probe: Conditions
 ) -> tuple[str, ...] | None:
-    """Return the kept motions that already make all of this motion's shapes, or None."""
+    """Return the kept motions that make all of this one's shapes already, or None."""
     axis = next(a for a in machine.linear_axes if a.name == symbol[2])
     mates = [k for k in kept if k[2] == symbol[2]]
 
-    # A few smooth shapes stand for all; those of the gauge (constant, slope) do not count.
+    # A few smooth shapes stand for all.
     def columns(name: str) -> Float64[np.ndarray, "m p"]:
-        motion = error_motion(name, axis, (axis.max_mm - axis.min_mm) / 4)
+        motion = error_motion(name, axis, 4)
         rows = motion.spline.basis(probe.axis_mm(axis.name))
         free = ErrorMotion(name, axis, motion.spline, np.eye(motion.spline.size))
         arm = free.jacobian(probe).reshape(-1, rows.shape[1])

@@ -1,4 +1,4 @@
-"""The noise model of one Run: what the tracker states, corrected by what the data show."""
+"""The noise of one Run: what the tracker states, corrected by what the data show."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ class NoiseModel:
     white : (2,) standard deviation of a sample, in units of the tracker's stated one
     slow : (2,) standard deviation of the slow part, in the same units
     slow_time_s : correlation time of the slow part
-    along_sigma_mm : standard deviation of a cell along the travel beyond phase and speed;
+    along_sigma_mm : standard deviation of a cell along the travel beyond phase and
+    speed;
         infinite where only deviations across the path are used
     """
 

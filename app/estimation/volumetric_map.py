@@ -1,7 +1,8 @@
 """The volumetric error anywhere, without the rigid motion of the whole volume.
 
-Where the tracker stands is not the machine's error: the map is stated after its best-fit
-rigid motion over the axis travel (uniform weight) is removed, and so is its uncertainty.
+Where the tracker stands is not the machine's error: the map is stated after its best-
+fit rigid motion over the axis travel (uniform weight) is removed, and so is its
+uncertainty.
 """
 
 from __future__ import annotations

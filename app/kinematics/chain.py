@@ -1,4 +1,4 @@
-"""Lever arms of a serial chain: what a turn of one axis moves (formats.md, conventions)."""
+"""Lever arms of a serial chain: what a turn of one axis moves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def lever_mm(
     position_mm: Float64[np.ndarray, "n a"],
     offset_mm: Float64[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return L_i(q): the target's offset plus the positions of all axes right of `axis`."""
+    """Return L_i(q): the target's offset plus the positions of all later axes."""
     lever = offset_mm.copy()
     order, columns = machine.order, machine.axis_names
     for later in order[order.index(axis) + 1 :]:

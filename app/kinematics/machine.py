@@ -42,7 +42,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class TrackerNoise:
-    """Standard deviations of one sample along and across the beam, where it stands and how fast."""
+    """Standard deviations of one sample, its rate, and where the tracker stands."""
 
     range_sigma_um: float = 1.0
     range_ppm: float = 0.3

@@ -14,7 +14,7 @@ from app.kinematics.machine import Machine
 
 @dataclass(frozen=True)
 class MachineModel:
-    """Nominal machine and a tuple of effects; θ is their parameters one after another."""
+    """A nominal machine and effects; θ is their parameters one after another."""
 
     machine: Machine
     effects: tuple[Effect, ...]

@@ -1,16 +1,19 @@
 """Symbols of ISO 230-1 and what they mean.
 
-An error motion is `E`, the direction (X, Y, Z for a displacement, A, B, C for a turn about
-X, Y, Z), then the axis that moves: EYX is the straightness of X in Y, ECX its yaw. The
-squareness of two axes is the turn, a zero, and the axis that is out of square to its
-reference: C0Y, B0Z, A0Z. Readers accept the letter O for the zero.
+An error motion is `E`, the direction (X, Y, Z for a displacement, A, B, C for a turn
+about X, Y, Z), then the axis that moves: EYX is the straightness of X in Y, ECX its
+yaw. The squareness of two axes is the turn, a zero, and the axis that is out of square
+to its reference: C0Y, B0Z, A0Z. Readers accept the letter O for the zero.
 """
 
 from __future__ import annotations
 
 LINEAR = ("X", "Y", "Z")
 TURNS = ("A", "B", "C")
-DIRECTION = {**{d: i for i, d in enumerate(LINEAR)}, **{d: i for i, d in enumerate(TURNS)}}
+DIRECTION = {
+    **{d: i for i, d in enumerate(LINEAR)},
+    **{d: i for i, d in enumerate(TURNS)},
+}
 SQUARENESS = ("C0Y", "B0Z", "A0Z")
 
 

@@ -1,4 +1,4 @@
-"""Rigid motions in space: rotation vectors and weighted fits of one point set to another."""
+"""Rigid motions in space, and the fit of one point set to another."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ class RigidTransform:
     rotation: Float64[np.ndarray, "3 3"]
     shift_mm: Float64[np.ndarray, "3"]
 
-    def apply(self, points_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def apply(
+        self, points_mm: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
         """Move the points."""
         return points_mm @ self.rotation.T + self.shift_mm
 

@@ -1,9 +1,9 @@
 """Natural and cyclic cubic splines as linear maps of their control values.
 
 A spline S over knots t_1 … t_K is linear in its control values a (brunn-hanebeck-2005,
-eq. 2–11): S(t) = mᵀ(t) a. The second derivatives solve a tridiagonal (natural) or cyclic
-tridiagonal system; the forward recursion printed as eq. 5 is ill-conditioned and does
-not enforce the end condition, so it is not used.
+eq. 2–11): S(t) = mᵀ(t) a. The second derivatives solve a tridiagonal (natural) or
+cyclic tridiagonal system; the forward recursion printed as eq. 5 is ill-conditioned and
+does not enforce the end condition, so it is not used.
 """
 
 from __future__ import annotations
@@ -48,16 +48,15 @@ class CubicSpline:
         return rows
 
     def slope(self, at: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n k"]:
-        """Return the first derivative's row for each t inside the knots of a natural spline."""
+        """Return the row of S' for each t inside the knots of a natural spline."""
         left = _interval(self.knots, at)
         h = np.diff(self.knots)[left]
         b = (at - self.knots[left]) / h
         a = 1.0 - b
         M = self.curvature_map
-        rows = (
-            ((1.0 - 3.0 * a**2) * h / 6.0)[:, None] * M[left]
-            + ((3.0 * b**2 - 1.0) * h / 6.0)[:, None] * M[left + 1]
-        )
+        rows = ((1.0 - 3.0 * a**2) * h / 6.0)[:, None] * M[left] + (
+            (3.0 * b**2 - 1.0) * h / 6.0
+        )[:, None] * M[left + 1]
         n = np.arange(len(at))
         rows[n, left] -= 1.0 / h
         rows[n, left + 1] += 1.0 / h
@@ -109,7 +108,7 @@ class CubicSpline:
     ) -> Float64[np.ndarray, "n k"]:
         h, _, right = self._spans()
         turned = self.knots[0] + np.mod(at - self.knots[0], self.period)
-        left = np.searchsorted(self.knots, turned, side="right") - 1
+        left = np.asarray(np.searchsorted(self.knots, turned, side="right")) - 1
         return self._values(left, right[left], turned, h[left])
 
     def _spans(
@@ -139,7 +138,7 @@ _GRAM = np.array(
 
 
 def natural_spline(knots: Float64[np.ndarray, " k"]) -> CubicSpline:
-    """Return the natural spline space over `knots` (eq. 2–6 by the tridiagonal system)."""
+    """Return the natural spline space over `knots` (eq. 2–6)."""
     K = len(knots)
     h = np.diff(knots)
     system = np.eye(K)
@@ -155,7 +154,7 @@ def natural_spline(knots: Float64[np.ndarray, " k"]) -> CubicSpline:
 
 
 def cyclic_spline(knots: Float64[np.ndarray, " k"], period: float) -> CubicSpline:
-    """Return the cyclic spline space (eq. 7–10 by the cyclic system); K >= 3 knots in a period."""
+    """Return the cyclic spline space (eq. 7–10), at least 3 knots in a period."""
     K = len(knots)
     h = np.diff(np.append(knots, knots[0] + period))
     system, right = np.zeros((K, K)), np.zeros((K, K))

@@ -1,1 +1,1 @@
-"""Everything that moves the measured point off its nominal, one physical cause a file."""
+"""What moves the measured point off its nominal, one physical cause a file."""

@@ -54,7 +54,7 @@ def standstill(
     offset_mm: Float64[np.ndarray, "n 3"] | None = None,
 ) -> Conditions:
     """Return conditions of a machine that stands at the given positions."""
-    n, a = position_mm.shape
+    n, a = len(position_mm), len(machine.axes)
     if offset_mm is None:
         offset_mm = np.tile(np.array(machine.target().offset_mm), (n, 1))
     return Conditions(
@@ -106,5 +106,5 @@ class Effect(ABC):
         return self.jacobian(at) @ theta
 
     def roughness(self) -> Float64[np.ndarray, "p p"] | None:
-        """Return the quadratic form that the prior charges for, or None for no prior."""
+        """Return the quadratic form that the prior charges for, None for no prior."""
         return None

@@ -19,7 +19,8 @@ from app.numerics.splines import CubicSpline, natural_spline
 class ErrorMotion(Effect):
     """E or ω of an axis: values of a spline in the gauge of formats.md.
 
-    gauge : (K, p), control values per free parameter. Positioning and turns are 0 at the
+    gauge : (K, p), control values per free parameter. Positioning and turns are 0 at
+    the
         axis zero (else at the lowest position); straightness is 0 at both ends of the
         travel. What the gauge removes is squareness or the pose of the whole volume.
     """
@@ -46,7 +47,7 @@ class ErrorMotion(Effect):
         return self.spline.basis(at_mm) @ self.gauge
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the arm of the error times its spline rows: e_d, or e_d × L for a turn."""
+        """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
         arm = np.zeros((len(at), 3))
         unit = np.eye(3)[DIRECTION[self.symbol[1]]]
         if is_turn(self.symbol):
@@ -63,10 +64,9 @@ class ErrorMotion(Effect):
         return self.gauge.T @ self.spline.bending() @ self.gauge
 
 
-def error_motion(symbol: str, axis: LinearAxis, knot_spacing_mm: float) -> ErrorMotion:
-    """Return the error motion over the axis' travel with about the given knot spacing."""
-    count = max(4, round((axis.max_mm - axis.min_mm) / knot_spacing_mm) + 1)
-    knots_mm = np.linspace(axis.min_mm, axis.max_mm, count)
+def error_motion(symbol: str, axis: LinearAxis, intervals: int) -> ErrorMotion:
+    """Return the error motion over the axis' travel, knots at equal intervals."""
+    knots_mm = np.linspace(axis.min_mm, axis.max_mm, intervals + 1)
     return error_motion_over(symbol, axis, knots_mm)
 
 

@@ -10,13 +10,13 @@ from jaxtyping import Float64
 from app.kinematics.effects.base import Conditions, Effect, Parameter
 from app.kinematics.effects.error_motion import reference_position_mm
 
-# Turn of the axis out of square: which axis, which way it leans, sign of a right-handed turn.
+# The axis out of square, which way it leans, the sign of a right-handed turn.
 _LEAN = {"C0Y": ("Y", 0, -1.0), "B0Z": ("Z", 0, 1.0), "A0Z": ("Z", 1, -1.0)}
 
 
 @dataclass(frozen=True)
 class Squareness(Effect):
-    """C0Y, B0Z or A0Z: the axis leans by a right-handed turn about the symbol's direction."""
+    """C0Y, B0Z or A0Z: the axis leans by a right-handed turn."""
 
     symbol: str
 
@@ -31,7 +31,7 @@ class Squareness(Effect):
         return (Parameter(self.symbol, "rad"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return the lean: a displacement across the axis in proportion to its position."""
+        """Return the lean: a displacement in proportion to the axis' position."""
         name, direction, sign = _LEAN[self.symbol]
         axis = next(a for a in at.machine.linear_axes if a.name == name)
         columns = np.zeros((len(at), 3, 1))

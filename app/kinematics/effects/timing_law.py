@@ -1,4 +1,4 @@
-"""When the machine was where on a line: one phase and one speed a line, no shared clock."""
+"""When the machine was where on a line: a phase and a speed, no shared clock."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from app.kinematics.effects.base import Conditions, Effect, Parameter
 
 @dataclass(frozen=True)
 class TimingLaw(Effect):
-    """Along each line the machine is late by a constant and slow by a constant ratio."""
+    """Along each line the machine is late by a constant, off its speed by another."""
 
     lines: tuple[int, ...]
 
@@ -31,14 +31,12 @@ class TimingLaw(Effect):
         )
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return direction of travel, and direction of travel times time from mid line."""
+        """Return the direction of travel, and the same times the time from mid line."""
         columns = np.zeros((len(at), 3, 2 * len(self.lines)))
         speed = np.linalg.norm(at.velocity_mm_s, axis=1)
         moving = np.flatnonzero(speed)
         column = np.searchsorted(np.array(self.lines), at.line[moving])
         direction = at.velocity_mm_s[moving] / speed[moving, None]
         columns[moving, :, 2 * column] = direction
-        columns[moving, :, 2 * column + 1] = (
-            direction * at.line_time_s[moving, None]
-        )
+        columns[moving, :, 2 * column + 1] = direction * at.line_time_s[moving, None]
         return columns

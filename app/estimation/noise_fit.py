@@ -1,0 +1,131 @@
+"""Find the noise of a Run from the Run itself.
+
+500 Hz samples are correlated in time; who counts them as independent states intervals
+that hold the truth far too seldom. The white part is what samples scatter about their
+cell. The slow part, its correlation time and the jitter of the feed maximise the
+evidence of the whole problem, so that what the error motions take up is accounted for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.optimize import minimize
+
+from app.alignment.observations import Observations
+from app.errors import Unidentifiable
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import information, posterior
+from app.estimation.noise import NoiseModel
+from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
+from app.estimation.problem import Problem, coarser, pose_problem
+from app.numerics.rigid import RigidTransform
+
+_MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
+_COARSE_MM = (
+    60.0  # knots for judging noise; fine shapes of the errors do not matter to it
+)
+_JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
+_BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [1e-6, 0.1]])
+
+
+def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
+    """Return the tracker's noise with the scatter of this Run and a usual slow part."""
+    white = (float(seen.scatter[0]), float(seen.scatter[1]))
+    along = np.inf if perpendicular_only or not seen.passes else 2e-4
+    return NoiseModel(white, (0.1, 0.1), 1.0, along)
+
+
+def fit_noise(
+    seen: Observations, pose: RigidTransform, noise: NoiseModel
+) -> NoiseModel:
+    """Return the noise model of greatest evidence, starting from `noise`."""
+    model, _ = identifiable_model(
+        seen.at.machine, seen.at.offset_mm, knot_spacing_mm=_COARSE_MM
+    )
+    problem = pose_problem(seen, model, pose)
+    prior, result = fitted(information(problem, noise), first_guess(problem.model))
+    small = coarser(problem, _merge(seen))
+    noise = _minimised(_residual_cost(small, result.theta), noise, step=0.7, calls=80)
+    return _minimised(_evidence_cost(small, prior), noise, step=0.3, calls=40)
+
+
+def _merge(seen: Observations) -> int:
+    """Return how many cells make a stretch that is still short for the slow part."""
+    length = float(np.median(seen.count)) / seen.at.machine.tracker.rate_hz
+    return max(1, round(_MERGED_S / length))
+
+
+def _residual_cost(
+    problem: Problem, theta: Float64[np.ndarray, " p"]
+) -> Callable[[NoiseModel], float]:
+    """Return −2 log p(residuals): quick, but blind to what the model has taken up."""
+    left = problem.rows[:, :, -1:] - problem.rows[:, :, :-1] @ theta[:, None]
+    bare = replace(problem, rows=left)
+
+    def cost(noise: NoiseModel) -> float:
+        data = information(bare, noise)
+        return data.log_determinant + data.square
+
+    return cost
+
+
+def _evidence_cost(
+    problem: Problem, prior: BendingPrior
+) -> Callable[[NoiseModel], float]:
+    """Return −2 log p(data), the prior's strengths held."""
+    precision = prior.precision()
+
+    def cost(noise: NoiseModel) -> float:
+        data = information(problem, noise)
+        return evidence_cost(data, prior, posterior(data, precision))
+
+    return cost
+
+
+def _minimised(
+    cost: Callable[[NoiseModel], float], noise: NoiseModel, *, step: float, calls: int
+) -> NoiseModel:
+    start = _packed(noise)
+    bounds = _BOUNDS[: len(start)]
+
+    def bounded(x: Float64[np.ndarray, " k"]) -> float:
+        inside = np.clip(x, bounds[:, 0], bounds[:, 1])
+        penalty = 1e3 * float(np.sum((x - inside) ** 2))
+        try:
+            return cost(_unpacked(inside, noise)) + penalty
+        except (Unidentifiable, np.linalg.LinAlgError):
+            return np.inf
+
+    simplex = np.vstack([start, start + step * np.eye(len(start))])
+    found = minimize(
+        bounded,
+        start,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": simplex,
+            "maxfev": calls,
+            "xatol": 0.05,
+            "fatol": 0.5,
+        },
+    )
+    best = np.asarray(found.x, np.float64)
+    return _unpacked(np.clip(best, bounds[:, 0], bounds[:, 1]), noise)
+
+
+def _packed(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
+    known = [*noise.slow, noise.slow_time_s]
+    if np.isfinite(noise.along_sigma_mm):
+        known.append(max(noise.along_sigma_mm, _JITTER_FLOOR_MM))
+    return np.log(known)
+
+
+def _unpacked(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
+    beam, across, tau, *jitter = (float(v) for v in np.exp(x))
+    along = noise.along_sigma_mm
+    if jitter:
+        along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
+    return NoiseModel(noise.white, (beam, across), tau, along)

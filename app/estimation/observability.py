@@ -1,0 +1,63 @@
+"""What a measurement cannot tell, by name: singular values of the whitened problem."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.estimation.estimate import Observability
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import information, without
+from app.estimation.noise import NoiseModel
+from app.estimation.problem import pose_problem
+from app.kinematics.model import MachineModel
+from app.kinematics.symbols import is_straightness
+from app.numerics.rigid import RigidTransform
+
+_INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bridges
+_UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
+
+
+def observability(
+    seen: Observations, pose: RigidTransform, noise: NoiseModel
+) -> Observability:
+    """Return rank and the named null space of the machine's parameters."""
+    model, merged = identifiable_model(
+        seen.at.machine, seen.at.offset_mm, intervals=_INTERVALS
+    )
+    data = information(pose_problem(seen, model, pose), noise)
+    told = without(data, model.size)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(data.matrix)[: model.size], 1e-300))
+    value, vector = np.linalg.eigh(told * scale[:, None] * scale)
+    blind = value < _UNSEEN**2 * value[-1] + 1e-13
+    statements = [str(m) for m in merged]
+    statements += _blind_shapes(model, vector[:, blind] * scale[:, None])
+    return Observability(
+        model.size + sum(_shapes(m.symbol) for m in merged),
+        int(model.size - blind.sum()),
+        tuple(statements),
+    )
+
+
+def _blind_shapes(model: MachineModel, shapes: Float64[np.ndarray, "p b"]) -> list[str]:
+    """Say which motions take part in shapes that the measured places do not show."""
+    count = shapes.shape[1]
+    if not count:
+        return []
+    usual = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
+    part = [
+        effect.name
+        for effect in model.effects
+        if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * usual
+    ]
+    return [
+        f"{count} common shape{'s' if count > 1 else ''} of {', '.join(part)} not seen "
+        "at the measured places; more lines or points that are not corner to corner "
+        "show them"
+    ]
+
+
+def _shapes(symbol: str) -> int:
+    """Count the shapes that the gauge leaves to an error motion."""
+    return _INTERVALS + 1 - (2 if is_straightness(symbol) else 1)

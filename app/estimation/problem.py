@@ -1,0 +1,100 @@
+"""Observations as a linear problem in θ: measured minus nominal, in the beam frame.
+
+The pose is linearised about its latest value and solved jointly with the errors, never
+by fitting points to the closest point of the path, which drags errors into the pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from numpy.typing import NDArray
+
+from app.alignment.observations import Observations
+from app.alignment.reduction import beam_frame
+from app.kinematics.effects.timing_law import TimingLaw
+from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.model import MachineModel
+from app.numerics.rigid import RigidTransform
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Rows of all cells, data in the last column.
+
+    model : machine effects, then pose, then timing laws
+    machine_size : number of leading parameters that belong to the machine
+    frame : (n, 3, 3) workpiece to beam frame
+    rows : (n, 3, p + 1)
+    """
+
+    seen: Observations
+    model: MachineModel
+    machine_size: int
+    pose: RigidTransform
+    frame: Float64[np.ndarray, "n 3 3"]
+    rows: Float64[np.ndarray, "n 3 q"]
+
+
+def pose_problem(
+    seen: Observations, machine_model: MachineModel, pose: RigidTransform
+) -> Problem:
+    """Return the problem of all effects, pose and timing laws about the given pose."""
+    nuisances: list[TrackerPose | TimingLaw] = [TrackerPose(_centre(seen))]
+    if seen.passes:
+        nuisances.append(TimingLaw(tuple(range(len(seen.passes)))))
+    model = machine_model.with_effects(*nuisances)
+    frame = beam_frame(seen.tracker_mm) @ pose.rotation
+    off = pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    local = np.concatenate([model.jacobian(seen.at), off[:, :, None]], axis=2)
+    return Problem(
+        seen, model, machine_model.size, pose, frame, np.matmul(frame, local)
+    )
+
+
+def coarser(problem: Problem, merge: int) -> Problem:
+    """Return the problem with up to `merge` neighbouring cells of a line made one.
+
+    The noise's slow part shows as well in the coarser cells, at a fraction of the cost.
+    """
+    seen = problem.seen
+    breaks = (np.diff(seen.at.line) != 0) | (np.diff(seen.row) != 0)
+    begin = np.flatnonzero(np.concatenate([[True], breaks]))
+    size = np.diff(np.append(begin, len(seen)))
+    within = np.arange(len(seen)) - np.repeat(begin, size)
+    starts = np.flatnonzero(within % merge == 0)
+    count = np.add.reduceat(seen.count, starts)
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        total = np.add.reduceat(values * seen.count.reshape(shape), starts, axis=0)
+        return total / count.reshape(shape)
+
+    at = replace(
+        seen.at,
+        position_mm=seen.at.position_mm[starts],
+        offset_mm=seen.at.offset_mm[starts],
+        time_s=mean(seen.at.time_s),
+        line=seen.at.line[starts],
+        line_time_s=seen.at.line_time_s[starts],
+        velocity_mm_s=seen.at.velocity_mm_s[starts],
+        approach=seen.at.approach[starts],
+    )
+    merged = replace(
+        seen,
+        at=at,
+        tracker_mm=mean(seen.tracker_mm),
+        count=count,
+        direction=seen.direction[starts],
+        row=seen.row[starts],
+    )
+    return replace(
+        problem, seen=merged, frame=problem.frame[starts], rows=mean(problem.rows)
+    )
+
+
+def _centre(seen: Observations) -> tuple[float, float, float]:
+    x, y, z = seen.at.point_mm.mean(axis=0)
+    return float(x), float(y), float(z)
