@@ -1,0 +1,277 @@
+"""Opens Runs on disk: closed ones, and ones whose writer was killed or disk failed.
+
+Whatever was committed is there again. A batch whose CRC does not match is left out and
+named, a hole in the tracker's counter is named; nothing is joined silently.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.errors import BundleError
+from app.measurement.bundle_files import sync_folder
+from app.measurement.recorder import (
+    ClosedRun,
+    connect,
+    insert_batches,
+    insert_manifest,
+    seal,
+    sha256_of,
+    transaction,
+)
+from app.measurement.run import Run, RunEvent
+from app.measurement.run_file import (
+    AXES_STREAM,
+    CLOSED,
+    LINK_STREAM,
+    TABLES,
+    TRACKER_STREAM,
+    Batch,
+    header_of,
+    unpack_axes,
+    unpack_samples,
+)
+from drivers.interfaces.records import AxisSamples, TrackerSamples
+
+_LEAST_ROW_BYTES = 64
+_NAMED_PROBLEMS = 100
+
+Row = tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """All readable rows of a Run file, and what could not be read."""
+
+    manifest: dict[str, str]
+    batches: list[Batch]
+    events: list[RunEvent]
+    event_rows: list[Row]
+    problems: list[str]
+
+
+def open_run(file: str | Path) -> Run:
+    """Return a Run as far as it was recorded. The file is left as it is.
+
+    Events of kind `bad-batch` and `gap` name what is missing. Raises BundleError if the
+    file is not a Run, or its manifest is lost.
+    """
+    place = Path(file)
+    content = _read(place)
+    try:
+        header = header_of(content.manifest, file=place.name)
+        closed = json.loads(content.manifest.get(CLOSED, '{"outcome": "torn"}'))
+        started = json.loads(content.manifest["started"])
+    except (KeyError, ValueError) as error:
+        raise BundleError(
+            f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
+        ) from error
+    tracker = _tracker(content.batches)
+    missing = [*content.problems, *_gaps(tracker)]
+    return Run(
+        name=header.name,
+        machine=header.machine,
+        commanded=header.commanded,
+        tracker=tracker,
+        axis_samples=_axes(content.batches, header.axes),
+        events=(*content.events, *_notes(missing)),
+        provenance={
+            "source": place.name,
+            "started": started,
+            "outcome": closed["outcome"],
+            **{
+                name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
+                for name, who in header.devices.items()
+            },
+        },
+    )
+
+
+def link_bytes(file: str | Path) -> bytes:
+    """Return the bytes that the tracker's port received, to decode them again."""
+    batches = _read(Path(file)).batches
+    return b"".join(b.payload for b in batches if b.stream == LINK_STREAM)
+
+
+def settle(file: str | Path) -> ClosedRun:
+    """Make one closed file of a Run whose writer was killed.
+
+    What SQLite itself cannot repair is copied batch by batch into a new file; the
+    damaged one is kept beside it as `.torn`. A closed Run stays as it is.
+    """
+    place = Path(file)
+    content = _read(place)
+    tracker = _tracker(content.batches)
+    failure = "; ".join(content.problems[:_NAMED_PROBLEMS])
+    if content.problems:
+        sha256 = _salvage(place, content)
+    elif CLOSED in content.manifest and not _log(place).exists():
+        sha256 = sha256_of(place)
+    else:
+        sha256 = seal(connect(place), place)
+    lost = int(np.diff(tracker.sequence).sum()) - max(len(tracker) - 1, 0)
+    return ClosedRun(place, sha256, len(tracker), lost, failure)
+
+
+def _read(file: Path) -> _Content:
+    if not file.is_file():
+        raise BundleError("no such Run", file=str(file), remedy="check the path")
+    try:
+        with _opened(file) as database:
+            return _rows(database, file)
+    except sqlite3.Error as error:
+        raise BundleError(
+            f"is not a Run file ({error})", file=file.name, remedy="use a copy"
+        ) from error
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[sqlite3.Connection]:
+    """Open a Run to read. One with a log left behind is recovered in a copy of both."""
+    log = _log(file)
+    if not log.exists():
+        address = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
+        database = sqlite3.connect(address, uri=True)
+        try:
+            yield database
+        finally:
+            database.close()
+        return
+    with tempfile.TemporaryDirectory(prefix="truepath-run-") as folder:
+        copy = Path(folder) / file.name
+        shutil.copyfile(file, copy)
+        shutil.copyfile(log, copy.with_name(log.name))
+        database = sqlite3.connect(copy)
+        try:
+            yield database
+        finally:
+            database.close()
+
+
+def _log(file: Path) -> Path:
+    return file.with_name(file.name + "-wal")
+
+
+def _rows(database: sqlite3.Connection, file: Path) -> _Content:
+    problems: list[str] = []
+    manifest = _table(database, "manifest", "key, value", file, problems)
+    columns = "stream, seq0, n, mono_ns, wall_ns, payload, crc32"
+    batches: list[Batch] = []
+    for *row, crc32 in _table(database, "batch", columns, file, problems):
+        batch = Batch(*row)
+        if _is_whole(batch, crc32):
+            batches.append(batch)
+        else:
+            problems.append(f"batch of {row[0]} at {row[1]}: its CRC does not match")
+    batches.sort(key=lambda b: (b.stream, b.seq0))
+    event_rows = _table(
+        database, "event", "seq, mono_ns, wall_ns, kind, body", file, problems
+    )
+    events = [_event(row, problems) for row in event_rows]
+    return _Content(
+        dict(manifest), batches, [e for e in events if e], event_rows, problems
+    )
+
+
+def _is_whole(batch: Batch, crc32: int) -> bool:
+    try:
+        return batch.crc32 == crc32
+    except (TypeError, AttributeError, ArithmeticError, ValueError):
+        return False  # a damaged page may hold any type in any column
+
+
+def _event(row: Row, problems: list[str]) -> RunEvent | None:
+    seq, mono_ns, _, kind, body = row
+    try:
+        return RunEvent(int(mono_ns), str(kind), str(json.loads(body)["text"]))
+    except (TypeError, ValueError, KeyError):
+        problems.append(f"event {seq} is damaged")
+        return None
+
+
+def _table(
+    database: sqlite3.Connection,
+    table: str,
+    columns: str,
+    file: Path,
+    problems: list[str],
+) -> list[Row]:
+    """Return all rows; one by one where a page is damaged."""
+    query = f"SELECT {columns} FROM {table}"  # noqa: S608
+    try:
+        return database.execute(f"{query} ORDER BY rowid").fetchall()
+    except sqlite3.DatabaseError as error:
+        if "no such table" in str(error):
+            raise
+    problems.append(f"pages of the table {table} are damaged")
+    rows: list[Row] = []
+    for number in range(1, file.stat().st_size // _LEAST_ROW_BYTES):
+        try:
+            rows += database.execute(f"{query} WHERE rowid = ?", (number,)).fetchall()
+        except sqlite3.DatabaseError:
+            continue
+    return rows
+
+
+def _tracker(batches: list[Batch]) -> TrackerSamples:
+    return TrackerSamples.joined(
+        [unpack_samples(b.payload) for b in batches if b.stream == TRACKER_STREAM]
+    )
+
+
+def _axes(batches: list[Batch], axes: tuple[str, ...]) -> AxisSamples | None:
+    blocks = [unpack_axes(b.payload, axes) for b in batches if b.stream == AXES_STREAM]
+    if not blocks:
+        return None
+    return AxisSamples(
+        axes,
+        np.concatenate([b.host_time_s for b in blocks]),
+        np.concatenate([b.position_mm for b in blocks]),
+    )
+
+
+def _gaps(tracker: TrackerSamples) -> list[str]:
+    steps = np.diff(tracker.sequence)
+    return [
+        f"gap: {steps[i] - 1} samples after sequence {tracker.sequence[i]}"
+        for i in np.flatnonzero(steps > 1)[:_NAMED_PROBLEMS]
+    ]
+
+
+def _notes(missing: list[str]) -> list[RunEvent]:
+    return [
+        RunEvent(0, "gap" if text.startswith("gap") else "bad-batch", text)
+        for text in missing[:_NAMED_PROBLEMS]
+    ]
+
+
+def _salvage(file: Path, content: _Content) -> str:
+    """Copy the readable rows into a new file of that name; the old becomes `.torn`."""
+    draft = file.with_name(file.name + ".salvage")
+    draft.unlink(missing_ok=True)
+    database = connect(draft)
+    database.executescript(TABLES)
+    insert_manifest(database, content.manifest)
+    with transaction(database):
+        insert_batches(database, tuple(content.batches))
+        database.executemany(
+            "INSERT INTO event VALUES (?, ?, ?, ?, ?)", content.event_rows
+        )
+    sha256 = seal(database, draft)
+    file.replace(file.with_name(file.name + ".torn"))
+    if _log(file).exists():
+        _log(file).replace(file.with_name(file.name + ".torn-wal"))
+    file.with_name(file.name + "-shm").unlink(missing_ok=True)
+    draft.replace(file)
+    sync_folder(file.parent)
+    return sha256

@@ -1,0 +1,295 @@
+"""Bundles: there and back again, folders and archives, speed."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+
+from app.errors import BundleError
+from app.kinematics.machine import RotaryAxis, Target
+from app.measurement import bundle_files
+from app.measurement.bundle import read_bundle, write_bundle, zip_bundle
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+
+
+def assert_same(first: Run, second: Run) -> None:
+    """Everything that a bundle carries is equal to the last bit."""
+    assert first.machine == second.machine
+    assert type(first.commanded) is type(second.commanded)
+    assert first.commanded.axes == second.commanded.axes
+    assert first.commanded.target == second.commanded.target
+    for key in ("position", "dwell_s") + ("feed_mm_min",) * (first.mode == "otf"):
+        np.testing.assert_array_equal(
+            getattr(first.commanded, key), getattr(second.commanded, key)
+        )
+    for key in ("sequence", "device_time_s", "position_mm", "status"):
+        np.testing.assert_array_equal(
+            getattr(first.tracker, key), getattr(second.tracker, key)
+        )
+    assert (first.temperature is None) == (second.temperature is None)
+    if first.temperature and second.temperature:
+        assert first.temperature.names == second.temperature.names
+        np.testing.assert_array_equal(
+            first.temperature.time_s, second.temperature.time_s
+        )
+        np.testing.assert_array_equal(
+            first.temperature.celsius, second.temperature.celsius
+        )
+    assert len(first.reference) == len(second.reference)
+    for a, b in zip(first.reference, second.reference, strict=True):
+        assert (a.error, a.direction, a.unit) == (b.error, b.direction, b.unit)
+        np.testing.assert_array_equal(a.position_mm, b.position_mm)
+        np.testing.assert_array_equal(a.value, b.value)
+
+
+def standstill(run: Run) -> Run:
+    points = Configurations(
+        run.commanded.axes, run.commanded.position, np.full(len(run.commanded), 2.0)
+    )
+    return replace(run, commanded=points, temperature=None, reference=())
+
+
+def five_axes(run: Run) -> Run:
+    """The Run of a machine with a table C, an inclined B and two targets."""
+    machine = replace(
+        run.machine,
+        workpiece_side=("C", "X"),
+        tool_side=("Y", "Z", "B"),
+        axes=(
+            *run.machine.axes,
+            RotaryAxis("B", -90.0, 90.0, (1.0, 2.0, 3.5), (0.0, 0.6, 0.8)),
+            RotaryAxis("C", 0.0, 360.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        ),
+        targets=(
+            Target("T1", "tool", (20.0, 30.0, -150.0)),
+            Target("T2", "workpiece", (0.0, 100.0, 50.0)),
+        ),
+        tracker=replace(run.machine.tracker, stands_on="base", rate_hz=1000.0),
+    )
+    path = run.commanded
+    angles = np.linspace(0.0, 80.0, len(path))
+    position = np.column_stack([path.position, angles, 2 * angles])
+    commanded = Path(
+        ("X", "Y", "Z", "B", "C"),
+        position,
+        np.full(len(path), 3000.1),
+        path.dwell_s,
+        ("T1", "T1", "T2", "T2"),
+    )
+    return replace(run, machine=machine, commanded=commanded)
+
+
+@pytest.mark.parametrize("change", [lambda run: run, standstill, five_axes])
+def test_reading_what_was_written_gives_the_run_back(run, tmp_path, change):
+    wanted = change(run)
+    write_bundle(wanted, tmp_path / "out")
+    assert_same(read_bundle(tmp_path / "out"), wanted)
+
+
+@pytest.mark.parametrize("change", [lambda run: run, standstill, five_axes])
+def test_an_archive_holds_the_same_run(run, tmp_path, change):
+    file = tmp_path / "upload.zip"
+    file.write_bytes(zip_bundle(change(run)))
+    assert_same(read_bundle(file), change(run))
+    assert read_bundle(file).name == "upload"
+
+
+def test_an_archive_may_hold_the_files_at_its_top(bundle, run, tmp_path):
+    file = tmp_path / "flat.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        for one in bundle.iterdir():
+            archive.write(one, one.name)
+        archive.writestr("__MACOSX/._machine.json/x/machine.json", "junk")
+        archive.writestr("notes.txt", "mounted on the left")
+    assert_same(read_bundle(file), run)
+
+
+def test_an_odd_run_name_is_a_safe_folder_in_the_archive(run, tmp_path):
+    file = tmp_path / "odd.zip"
+    file.write_bytes(zip_bundle(replace(run, name="../../etc/ä b")))
+    with zipfile.ZipFile(file) as archive:
+        folders = {name.rsplit("/", 1)[0] for name in archive.namelist()}
+    assert folders == {"-..-etc-ä-b"}
+    assert_same(read_bundle(file), run)
+
+
+def test_a_csv_stream_is_read_like_a_parquet_stream(bundle, run):
+    table = pq.read_table(bundle / "tracker.parquet")
+    (bundle / "tracker.parquet").unlink()
+    pacsv.write_csv(table, bundle / "tracker.csv")
+    assert_same(read_bundle(bundle), run)
+
+
+def test_a_stream_of_single_precision_and_integers_is_read(bundle):
+    table = pa.table(
+        {
+            "t_s": pa.array([0, 1, 2], pa.int64()),
+            "x_mm": pa.array([1.5, 2.5, 3.5], pa.float32()),
+            "y_mm": pa.array([1, 2, 3], pa.int32()),
+            "z_mm": pa.array([0.0, 0.0, 0.0]),
+        }
+    )
+    pq.write_table(table, bundle / "tracker.parquet")
+    tracker = read_bundle(bundle).tracker
+    np.testing.assert_array_equal(
+        tracker.position_mm, [[1.5, 1, 0], [2.5, 2, 0], [3.5, 3, 0]]
+    )
+    assert (tracker.status == 0).all()
+
+
+def test_cells_with_blanks_around_numbers_are_read(bundle, run):
+    file = bundle / "path.csv"
+    header, *rows = file.read_text().splitlines()
+    spaced = [header.replace(",", " , "), *(r.replace(",", " ,  ") for r in rows)]
+    file.write_text("﻿" + "\r\n".join(spaced) + "\r\n", encoding="utf-8")
+    assert_same(read_bundle(bundle), run)
+
+
+def test_a_pause_in_the_stream_counts_as_lost_samples(bundle, run):
+    keep = np.r_[0:100, 250:400]
+    whole = run.tracker
+    part = TrackerSamples(
+        whole.sequence[keep],
+        whole.device_time_s[keep],
+        whole.position_mm[keep],
+        whole.status[keep],
+    )
+    write_bundle(replace(run, tracker=part), bundle)
+    np.testing.assert_array_equal(read_bundle(bundle).tracker.sequence, keep)
+
+
+def test_a_stream_of_one_sample_has_a_counter(bundle, run):
+    one = TrackerSamples(
+        np.array([9]), np.array([5.0]), np.zeros((1, 3)), np.array([0])
+    )
+    write_bundle(replace(run, tracker=one), bundle)
+    assert read_bundle(bundle).tracker.sequence.tolist() == [0]
+
+
+def test_a_bundle_says_where_it_came_from(bundle):
+    read = read_bundle(bundle)
+    assert read.name == "bundle"
+    assert read.provenance["source"] == "bundle"
+    assert len(read.provenance["tracker.parquet sha256"]) == 64
+
+
+def test_writing_twice_replaces_the_files(run, bundle):
+    write_bundle(replace(run, name="again"), bundle)
+    assert_same(read_bundle(bundle), run)
+    assert sorted(p.name for p in bundle.iterdir()) == [
+        "environment.csv",
+        "machine.json",
+        "path.csv",
+        "reference.csv",
+        "tracker.parquet",
+    ]
+
+
+def test_a_bundle_is_not_mixed_with_another_one(run, bundle):
+    with pytest.raises(BundleError, match=r"path\.csv: of another bundle"):
+        write_bundle(standstill(run), bundle)
+
+
+def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatch):
+    def full(_handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(bundle_files.os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_bundle(run, tmp_path / "out")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_members_that_point_out_of_the_archive_are_refused(tmp_path):
+    for evil in ("../machine.json", "/etc/machine.json", "C:/machine.json", "a\\..\\b"):
+        file = tmp_path / "evil.zip"
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr(evil, "{}")
+        with pytest.raises(BundleError, match="points out of the archive"):
+            read_bundle(file)
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(bundle_files, "MAX_TEXT_BYTES", 1 << 20)
+    file = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("machine.json", b" " * (5 << 20))
+    assert file.stat().st_size < 10_000
+    with pytest.raises(BundleError, match=r"machine\.json: is larger than 1 MiB"):
+        read_bundle(file)
+
+
+def test_a_text_file_that_is_too_large_is_refused(bundle, monkeypatch):
+    monkeypatch.setattr(bundle_files, "MAX_TEXT_BYTES", 100)
+    with pytest.raises(BundleError, match=r"machine\.json: is larger than"):
+        read_bundle(bundle)
+
+
+def test_an_archive_of_too_many_files_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(bundle_files, "MAX_MEMBERS", 3)
+    file = tmp_path / "many.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        for i in range(4):
+            archive.writestr(f"{i}.txt", "")
+    with pytest.raises(BundleError, match=r"many\.zip: holds more than 3 files"):
+        read_bundle(file)
+
+
+def test_a_bundle_spread_over_folders_is_refused(tmp_path):
+    file = tmp_path / "spread.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a/machine.json", "{}")
+        archive.writestr("b/path.csv", "")
+    with pytest.raises(BundleError, match="spreads a bundle over a, b"):
+        read_bundle(file)
+
+
+def test_a_file_twice_in_an_archive_is_refused(tmp_path):
+    file = tmp_path / "twice.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a/machine.json", "{}")
+        archive.writestr("b/machine.json", "{}")
+    with pytest.raises(BundleError, match=r"machine\.json: is in the archive twice"):
+        read_bundle(file)
+
+
+def test_a_truncated_archive_is_refused(run, tmp_path):
+    file = tmp_path / "cut.zip"
+    file.write_bytes(zip_bundle(run)[:-100])
+    with pytest.raises(BundleError, match=r"cut\.zip: is truncated or not a zip"):
+        read_bundle(file)
+
+
+def test_a_damaged_member_is_refused(run, tmp_path):
+    file = tmp_path / "damaged.zip"
+    data = bytearray(zip_bundle(run))
+    at = data.index(b"PAR1") + 500
+    data[at : at + 10] = bytes(10)
+    file.write_bytes(data)
+    with pytest.raises(BundleError, match=r"tracker\.parquet: is damaged in the arch"):
+        read_bundle(file)
+
+
+def test_an_encrypted_archive_is_refused(run, tmp_path):
+    file = tmp_path / "secret.zip"
+    data = bytearray(zip_bundle(run))
+    for mark in (b"PK\x03\x04", b"PK\x01\x02"):
+        at = data.index(mark)
+        flags = at + (6 if mark == b"PK\x03\x04" else 8)
+        data[flags] |= 1
+    file.write_bytes(data)
+    with pytest.raises(BundleError, match="without a password"):
+        read_bundle(file)
+
+
+def test_a_place_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(BundleError, match=r"nowhere: no such folder or file"):
+        read_bundle(tmp_path / "nowhere")
