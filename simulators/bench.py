@@ -1,4 +1,4 @@
-"""Tracker and CNC as processes, ready to be driven: for demonstrations, tests and rigs."""
+"""Tracker and CNC as processes, ready to be driven by demonstrations and tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from simulators.board import new_board
 from simulators.errors import SimulatorError
-from simulators.faults import Fault, for_device, parse_fault
+from simulators.faults import parse_fault
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
 from simulators.profile import Limits
@@ -34,8 +34,8 @@ class Bench:
     """A simulated machine with its tracker, behind real links.
 
     machine : content of machine.json; the bundled demonstration machine without it
-    speed : device clocks run so many times faster than the wall clock; patience of links
-        (keep-alive, watchdog) stays in wall seconds
+    speed : device clocks run so many times faster than the wall clock; the patience of
+        links (keep-alive, watchdog) stays in wall seconds
     faults : see `simulators.faults`; `inject` adds more while it runs
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     tracker : link of the tracker, `pty` or `tcp`
@@ -55,6 +55,7 @@ class Bench:
         modbus_port: int = 0,
         error_scale: float = 1.0,
         limits: Limits | None = None,
+        rtu: bool = True,
     ) -> None:
         if speed <= 0.0:
             raise SimulatorError(f"speed: {speed} is not above zero")
@@ -62,11 +63,12 @@ class Bench:
         self.truth: TruthMachine = random_machine(
             parse_machine(self.machine), seed, scale=error_scale
         )
-        self._faults = [parse_fault(text) for text in faults]
+        self._faults = [(parse_fault(text).device, text) for text in faults]
         self._workdir = workdir
         self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
         self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
-        self._cnc_link = {"host": host, "port": modbus_port}
+        self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
+        self.has_rtu = rtu
         self._common = {
             "machine": self.machine,
             "seed": seed,
@@ -90,13 +92,11 @@ class Bench:
         }
         tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
         cnc_link = self._cnc_link | {
-            "tcp": True,
-            "rtu": True,
             "rtu_symlink": str(folder / "modbus-rtu"),
         }
         try:
             for device, link in (("cnc", cnc_link), ("tracker", tracker_link)):
-                faults = [str(f) for f in for_device(self._faults, device)]
+                faults = [text for name, text in self._faults if name == device]
                 orders = self._common | {"link": link, "faults": faults}
                 self._children[device] = _Child(device, orders, board)
             for device, child in self._children.items():
@@ -137,8 +137,7 @@ class Bench:
 
     def inject(self, fault: str) -> None:
         """Let a fault begin now, or as long after now as it says."""
-        parsed: Fault = parse_fault(fault)
-        self._children[parsed.device].tell(str(parsed))
+        self._children[parse_fault(fault).device].tell(fault)
 
     def truth_at(self, points_mm: np.ndarray) -> np.ndarray:
         """Return the true volumetric error in µm at axis positions, (n, 3)."""
@@ -185,6 +184,7 @@ class _Child:
             [sys.executable, "-m", f"simulators.{device}_process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            bufsize=0,
             pass_fds=[board],
             env=environment,
         )
@@ -203,7 +203,6 @@ class _Child:
             raise SimulatorError(f"the simulated {self._device} is closed")
         try:
             self._process.stdin.write(line.encode() + b"\n")
-            self._process.stdin.flush()
         except BrokenPipeError as error:
             raise SimulatorError(f"the simulated {self._device} has ended") from error
 

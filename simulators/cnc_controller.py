@@ -34,8 +34,8 @@ class Controller:
     """Runs one machine. All times are machine seconds.
 
     publish : is given every new timeline before it takes effect
-    lead_s : how long after a decision to brake it takes effect; five times as long after
-        one to move
+    lead_s : how long after a decision to brake it takes effect; five times as long
+        after one to move
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class Controller:
             self._stopping_reason = reason
 
     def resume(self, now_s: float) -> None:
-        """Go on after a hold; while still braking for one, as soon as the axes stand."""
+        """Go on after a hold; while braking for one, as soon as the axes stand."""
         braking = self._stopping_for is MotionState.HELD
         if (self.state is not MotionState.HELD and not braking) or not self._running:
             return

@@ -19,13 +19,13 @@ from simulators.modbus_ports import ModbusPort, ModbusRtuPort, ModbusTcpPort
 from simulators.modbus_wire import READ_HOLDING, answer, exception
 from simulators.profile import Limits
 
-PERIOD_S = 0.005
+PERIOD_S = 0.01
 _LEAD_S = 0.02
 _ALARM_TEXT = "Servo alarm: following error of an axis"
 
 
 class Panel:
-    """What happens to the machine besides its masters: operator, alarms, line faults."""
+    """What happens to the machine besides its masters: operator, alarms, faults."""
 
     def __init__(
         self,
@@ -93,6 +93,8 @@ class Panel:
         self._overridden = overridden
 
     def _strikes(self, kind: str, now_s: float) -> Fault | None:
+        if not self._faults.has(kind):
+            return None
         return self._faults.strikes(kind, now_s, self._controller.line(now_s))
 
 
@@ -128,9 +130,7 @@ def _serve(life: LifeLine, ports: list[ModbusPort], panel: Panel) -> None:
 
 
 def _ports(link: dict[str, Any]) -> dict[str, ModbusPort]:
-    ports: dict[str, ModbusPort] = {}
-    if link["tcp"]:
-        ports["tcp"] = ModbusTcpPort(link["host"], link["port"])
+    ports: dict[str, ModbusPort] = {"tcp": ModbusTcpPort(link["host"], link["port"])}
     if link["rtu"]:
         symlink = link["rtu_symlink"]
         ports["rtu"] = ModbusRtuPort(Path(symlink) if symlink else None)

@@ -19,7 +19,7 @@ from drivers.cnc.modbus.registers import (
 )
 from drivers.interfaces.records import MotionState
 from simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
-from simulators.modbus_wire import ILLEGAL_ADDRESS, ModbusException, Registers
+from simulators.modbus_wire import ILLEGAL_ADDRESS, ModbusError, Registers
 from simulators.timeline import Program
 
 _BLOCKS = (
@@ -100,7 +100,7 @@ class CncRegisters(Registers):
 
     def _check(self, address: int, count: int, allowed: frozenset[int]) -> None:
         if not allowed.issuperset(range(address, address + count)):
-            raise ModbusException(ILLEGAL_ADDRESS)
+            raise ModbusError(ILLEGAL_ADDRESS)
 
     def _describe(self, serial: str) -> None:
         machine = self._controller.machine

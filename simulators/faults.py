@@ -114,11 +114,6 @@ def parse_fault(text: str) -> Fault:
     )
 
 
-def for_device(faults: Iterable[Fault], device: str) -> list[Fault]:
-    """Return the faults of one device."""
-    return [fault for fault in faults if fault.device == device]
-
-
 @dataclass(slots=True)
 class _Armed:
     fault: Fault
@@ -142,6 +137,10 @@ class Schedule:
     def add(self, fault: Fault, now_s: float) -> None:
         """Add a fault whose time counts from now."""
         self._armed.append(_Armed(fault, now_s))
+
+    def has(self, kind: str) -> bool:
+        """Tell whether a fault of this kind is still to come or under way."""
+        return any(a.fault.kind == kind and not a.spent for a in self._armed)
 
     def struck(
         self, kind: str, time_s: np.ndarray, count: np.ndarray
@@ -182,10 +181,9 @@ def _begun(armed: _Armed, time_s: np.ndarray, count: np.ndarray) -> np.ndarray:
     fault = armed.fault
     if armed.began_s is not None:
         return time_s >= armed.began_s
-    if fault.begin is None and (fault.lasts or armed.reference_s is not None):
-        return np.ones(len(time_s), np.bool_)
-    if fault.unit != "s" and fault.begin is not None:
-        return count >= fault.begin
     if armed.reference_s is None:
-        return np.zeros(len(time_s), np.bool_)
-    return time_s >= armed.reference_s + (fault.begin or 0.0)
+        at_once = fault.begin is None and fault.lasts
+        return np.full(len(time_s), at_once)
+    if fault.begin is None or fault.unit == "s":
+        return time_s >= armed.reference_s + (fault.begin or 0.0)
+    return count >= fault.begin

@@ -1,7 +1,7 @@
 """Modbus on the device side: requests in, answers out, over TCP and RTU. No I/O.
 
-Written after the Modbus application protocol (V1.1b3) and the guides for TCP (V1.0b) and
-serial line (V1.02), not with the library of the driver, so that the two can disagree.
+Written after the Modbus application protocol (V1.1b3) and the guides for TCP (V1.0b)
+and serial line (V1.02), not with the library of the driver: the two may disagree.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MAX_PDU = 253
 _MAX_BUFFER = 4096
 
 
-class ModbusException(Exception):
+class ModbusError(Exception):
     """A request that is answered by an exception code."""
 
     def __init__(self, code: int) -> None:
@@ -35,7 +35,7 @@ class ModbusException(Exception):
 
 
 class Registers(ABC):
-    """Holding registers behind a server. Both raise ModbusException."""
+    """Holding registers behind a server. Both raise ModbusError."""
 
     @abstractmethod
     def read(self, address: int, count: int) -> list[int]:
@@ -50,7 +50,7 @@ def answer(pdu: bytes, registers: Registers) -> bytes:
     """Return the answer to a request, without unit and without framing."""
     try:
         return _answer(pdu, registers)
-    except ModbusException as error:
+    except ModbusError as error:
         return exception(pdu, error.code)
 
 
@@ -62,9 +62,9 @@ def exception(pdu: bytes, code: int) -> bytes:
 def _answer(pdu: bytes, registers: Registers) -> bytes:
     function = pdu[0]
     if function not in (READ_HOLDING, WRITE_SINGLE, WRITE_MULTIPLE):
-        raise ModbusException(ILLEGAL_FUNCTION)
+        raise ModbusError(ILLEGAL_FUNCTION)
     if len(pdu) < _REQUEST.size:
-        raise ModbusException(ILLEGAL_VALUE)
+        raise ModbusError(ILLEGAL_VALUE)
     _, address, count = _REQUEST.unpack_from(pdu)
     if function == WRITE_SINGLE:
         registers.write(address, [count])
@@ -73,7 +73,7 @@ def _answer(pdu: bytes, registers: Registers) -> bytes:
         registers.write(address, _values(pdu, count))
         return pdu[: _REQUEST.size]
     if not 1 <= count <= _MAX_READ:
-        raise ModbusException(ILLEGAL_VALUE)
+        raise ModbusError(ILLEGAL_VALUE)
     words = registers.read(address, count)
     return struct.pack(f">BB{count}H", function, 2 * count, *words)
 
@@ -81,7 +81,7 @@ def _answer(pdu: bytes, registers: Registers) -> bytes:
 def _values(pdu: bytes, count: int) -> list[int]:
     data = pdu[_REQUEST.size + 1 :]
     if not 1 <= count <= _MAX_WRITE or len(data) != 2 * count:
-        raise ModbusException(ILLEGAL_VALUE)
+        raise ModbusError(ILLEGAL_VALUE)
     return list(struct.unpack(f">{count}H", data))
 
 
@@ -113,7 +113,7 @@ def tcp_frame(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 class RtuFramer:
-    """Requests on a serial line: unit and PDU, cut by their length and checked by CRC."""
+    """Requests on a serial line: unit and PDU, cut by length and checked by CRC."""
 
     def __init__(self) -> None:
         self._buffer = b""
@@ -154,7 +154,7 @@ def crc16(data: bytes) -> int:
 
 
 def _rtu_length(buffer: bytes) -> int:
-    """Return how long the request at the begin of a buffer is, as far as one can tell."""
+    """Return how long the first request of a buffer is, as far as one can tell."""
     function = buffer[1]
     counted = {15: (6, 9), 16: (6, 9), 22: (None, 10), 23: (10, 13)}
     at, fixed = counted.get(function, (None, 8))

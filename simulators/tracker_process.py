@@ -18,8 +18,8 @@ from simulators.tracker_device import TrackerDevice, TrackerParts
 from simulators.tracker_head import Air
 from simulators.truth_machine import random_machine
 
-# Four samples at 500 Hz: few wake-ups, and well below what a host notices.
-PERIOD_S = 0.008
+# Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
+PERIOD_S = 0.02
 _IDLE_S = 0.1
 
 

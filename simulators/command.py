@@ -1,0 +1,185 @@
+"""`truepath simulate`: the simulated tracker and CNC as stand-alone processes.
+
+Prints where they listen, one line each (or one JSON object), and serves until SIGINT or
+SIGTERM. Lines on standard input, where there are any, are faults to inject.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from simulators.bench import Bench
+from simulators.errors import SimulatorError
+from simulators.faults import KINDS, parse_fault
+from simulators.scenario import bundled_machines, load_machine
+
+_CHECK_S = 0.5
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run until a signal comes. Exit status 2 on a bad machine, fault or port."""
+    options = _parser().parse_args(argv)
+    try:
+        bench = _bench(options)
+        with _signals() as signalled, bench:
+            _announce(bench, as_json=options.json)
+            return _serve(bench, signalled)
+    except (SimulatorError, OSError) as error:
+        print(f"truepath simulate: {error}", file=sys.stderr)
+        return 2
+
+
+def _bench(options: argparse.Namespace) -> Bench:
+    return Bench(
+        load_machine(options.machine),
+        options.seed,
+        options.speed,
+        options.fault,
+        options.links,
+        tracker=options.tracker,
+        host=options.host,
+        tracker_port=options.tracker_port,
+        modbus_port=options.modbus_port,
+        error_scale=options.error_scale,
+        rtu=options.rtu,
+    )
+
+
+def _serve(bench: Bench, signalled: int) -> int:
+    """Wait for a signal, injecting faults from standard input meanwhile."""
+    lines = _LineReader(sys.stdin.fileno()) if _has_stdin() else None
+    while True:
+        waited = [signalled] + ([lines.descriptor] if lines else [])
+        ready, _, _ = select.select(waited, [], [], _CHECK_S)
+        if signalled in ready:
+            return 0
+        if not bench.alive:
+            print("truepath simulate: a simulator has ended", file=sys.stderr)
+            return 1
+        if lines and lines.descriptor in ready:
+            _inject(bench, lines.read())
+            lines = None if lines.ended else lines
+
+
+def _inject(bench: Bench, texts: list[str]) -> None:
+    for text in texts:
+        try:
+            bench.inject(text)
+        except SimulatorError as error:
+            print(f"truepath simulate: {error}", file=sys.stderr)
+
+
+class _LineReader:
+    """Lines of a descriptor as they come."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self.ended = False
+        self._rest = b""
+
+    def read(self) -> list[str]:
+        data = os.read(self.descriptor, 4096)
+        self.ended = not data
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        return [line.decode().strip() for line in lines if line.strip()]
+
+
+def _has_stdin() -> bool:
+    return sys.stdin is not None and not sys.stdin.closed
+
+
+@contextmanager
+def _signals() -> Iterator[int]:
+    """Yield a descriptor that becomes readable with SIGINT or SIGTERM."""
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    before = {
+        number: signal.signal(number, lambda *_: os.write(write, b"!"))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield read
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(read)
+        os.close(write)
+
+
+def _announce(bench: Bench, *, as_json: bool) -> None:
+    where: dict[str, Any] = {
+        "tracker": bench.tracker_options,
+        "modbus_tcp": bench.motion_options,
+    }
+    if bench.has_rtu:
+        where["modbus_rtu"] = bench.motion_options_rtu
+    where |= {"machine": bench.machine.get("name", ""), "pids": bench.process_ids}
+    if as_json:
+        print(json.dumps(where), flush=True)
+        return
+    for name, value in where.items():
+        print(f"{name:10s}  {_as_text(value)}", flush=True)
+
+
+def _as_text(value: object) -> str:
+    if not isinstance(value, dict):
+        return str(value)
+    return "  ".join(f"{key}={entry}" for key, entry in value.items())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="truepath simulate",
+        description="A simulated tracker (GST/1) and CNC (Modbus) for test rigs.",
+        epilog="faults: "
+        + "; ".join(
+            f"{device}:{kind} ({entry.meaning})"
+            for device, kinds in KINDS.items()
+            for kind, entry in kinds.items()
+        ),
+    )
+    add = parser.add_argument
+    add(
+        "--machine",
+        default="demo",
+        help=f"machine.json, or one of {', '.join(bundled_machines())}",
+    )
+    add("--seed", type=int, default=1, help="of the errors, the noise and the pose")
+    add("--speed", type=float, default=1.0, help="device seconds in a wall second")
+    add("--tracker", choices=["pty", "tcp"], default="pty", help="link of the tracker")
+    add("--tracker-port", type=int, default=0, help="TCP port; 0 takes a free one")
+    add("--modbus-port", type=int, default=0, help="TCP port; 0 takes a free one")
+    add("--rtu", action="store_true", help="serve Modbus RTU on a terminal as well")
+    add("--host", default="127.0.0.1", help="address to listen on")
+    add("--links", type=Path, help="folder for links named tracker and modbus-rtu")
+    add("--error-scale", type=float, default=1.0, help="0 is a perfect machine")
+    add(
+        "--fault",
+        action="append",
+        default=[],
+        type=_fault,
+        help="device:kind[@begin][+duration][*amount]; may be given several times",
+    )
+    add("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+def _fault(text: str) -> str:
+    try:
+        parse_fault(text)
+    except SimulatorError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(main())
