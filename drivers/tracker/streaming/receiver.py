@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 QUEUED_FRAMES = 1 << 15
 KEPT_BYTES = 1 << 22
 PING_PERIOD_S = 1.0
-_POLL_S = 0.1
+_POLL_S = 0.05
 
 
 class Receiver:
@@ -42,7 +42,7 @@ class Receiver:
         self._port = port
         self._ping = ping
         self._changed = threading.Condition()
-        self._bodies: deque[bytes] = deque(maxlen=QUEUED_FRAMES)
+        self._bodies: list[bytes] = []
         self._kept: deque[bytes] = deque()
         self._kept_bytes = 0
         self._awaited: int | None = None
@@ -71,8 +71,7 @@ class Receiver:
         with self._changed:
             self._changed.wait_for(lambda: self._bodies or self.error, timeout_s)
             self._changed.wait_for(lambda: self.error, gather_s)
-            bodies = list(self._bodies)
-            self._bodies.clear()
+            bodies, self._bodies = self._bodies, []
         if self.error is not None and not bodies:
             raise self.error
         return bodies
@@ -125,11 +124,21 @@ class Receiver:
         with self._changed:
             self._keep(data)
             was_empty = not self._bodies
-            self._bodies.extend(bodies)
-            answered = [b for b in bodies if not is_measurement(b) and self._answers(b)]
+            answered = [self._queue(body) for body in bodies]
             # The taker sleeps through the rest of its block, whatever else comes.
-            if answered or (was_empty and bodies):
+            if any(answered) or (was_empty and self._bodies):
                 self._changed.notify_all()
+
+    def _queue(self, body: bytes) -> bool:
+        """Queue a body; tell whether it is the awaited reply.
+
+        Where nobody takes, the newest samples go: their numbers tell how many. Other
+        frames have as much room again for themselves, so that no START is missed.
+        """
+        measured = is_measurement(body)
+        if len(self._bodies) < (QUEUED_FRAMES if measured else 2 * QUEUED_FRAMES):
+            self._bodies.append(body)
+        return not measured and self._answers(body)
 
     def _keep(self, data: bytes) -> None:
         self._kept.append(data)
