@@ -1,0 +1,123 @@
+"""Analysis as a job does it: one Run in; result file, tables and report out.
+
+`analyse` reads and writes nothing; `write_analysis` puts each file down whole or not at
+all. `predict_points` answers from a result file alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from app.alignment.align import align
+from app.errors import BundleError
+from app.estimation.batch import estimate
+from app.measurement.bundle_files import replace_file
+from app.measurement.json_fields import parse_json
+from app.measurement.run import Run
+from app.reporting.error_tables_csv import error_tables_csv
+from app.reporting.findings import Findings, Provenance, find
+from app.reporting.points_csv import predicted_csv, read_points
+from app.reporting.prediction import Prediction, predict
+from app.reporting.report_html import report_html
+from app.reporting.result_json import LoadedResult, read_result, result_json
+from app.reporting.run_account import account_of
+
+Progress = Callable[[float, str], None]
+
+RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
+_ALIGNED, _ESTIMATED = 0.1, 0.9  # share of the work that is then done
+_LARGEST = 1 << 30  # bytes of a result file or of points
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What became of a Run.
+
+    result : content of `result.json`; the others are texts of the files of that name
+    """
+
+    found: Findings
+    result: dict[str, Any]
+    tables_csv: str
+    report_html: str
+
+
+def analyse(
+    run: Run, *, perpendicular_only: bool = False, progress: Progress | None = None
+) -> Analysis:
+    """Analyse a Run.
+
+    perpendicular_only : leave out what is measured along the travel
+    progress : told the share done and the stage: aligning, estimating, reporting
+
+    Raises EstimationError if the data do not carry the answer.
+    """
+    told = progress or (lambda share, stage: None)
+    told(0.0, "aligning")
+    seen = align(run)
+    told(_ALIGNED, "estimating")
+    estimated = estimate(
+        seen,
+        perpendicular_only=perpendicular_only,
+        progress=lambda share: told(
+            _ALIGNED + share * (_ESTIMATED - _ALIGNED), "estimating"
+        ),
+    )
+    told(_ESTIMATED, "reporting")
+    provenance = Provenance(account_of(run), version("truepath"), datetime.now(UTC))
+    found = find(estimated, provenance)
+    analysis = Analysis(
+        found, result_json(found), error_tables_csv(found.tables), report_html(found)
+    )
+    told(1.0, "reporting")
+    return analysis
+
+
+def write_analysis(analysis: Analysis, folder: str | Path) -> None:
+    """Write `result.json`, `error_tables.csv` and `report.html` into a folder."""
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(analysis.result, ensure_ascii=False, allow_nan=False)
+    # The result last: where it stands, the others stand as well.
+    replace_file(place / TABLES, analysis.tables_csv.encode())
+    replace_file(place / REPORT, analysis.report_html.encode())
+    replace_file(place / RESULT, f"{text}\n".encode())
+
+
+def load_result(file: str | Path) -> LoadedResult:
+    """Read a result file. Raises BundleError."""
+    return read_result(parse_json(_bytes(file), str(file)), file=str(file))
+
+
+def predict_points(
+    result: str | Path, points: str | Path, output: str | Path
+) -> Prediction:
+    """Predict at the points of a CSV file from a result file, and write the answer.
+
+    Raises BundleError with the place; `Prediction.warnings` is for the user.
+    """
+    loaded = load_result(result)
+    asked = read_points(_bytes(points), loaded.machine, file=str(points))
+    predicted = predict(loaded, asked.position, asked.target)
+    replace_file(Path(output), predicted_csv(asked, predicted).encode())
+    return predicted
+
+
+def _bytes(file: str | Path) -> bytes:
+    place = Path(file)
+    try:
+        if place.stat().st_size > _LARGEST:
+            raise BundleError(f"is larger than {_LARGEST >> 20} MiB", file=str(file))
+        return place.read_bytes()
+    except OSError as error:
+        raise BundleError(
+            f"cannot be read ({error.strerror})",
+            file=str(file),
+            remedy="check the path",
+        ) from error

@@ -1,0 +1,223 @@
+"""`result.json` (schema `result/1` of the file formats), written and read.
+
+`error_tables` holds what is known and nothing else: an error motion that the measured
+targets cannot tell is named in `observability.unobservable`. `model` carries what
+prediction needs, so that the file alone gives the map of the estimate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.errors import BundleError
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.measurement.json_fields import Field, Fields
+from app.measurement.machine_file import machine_from_json, machine_to_json
+from app.reporting.error_tables import (
+    MICRO,
+    MILLI,
+    ErrorTable,
+    ErrorTables,
+    error_tables,
+)
+from app.reporting.findings import Findings
+from app.reporting.model_json import model_from_json, model_to_json
+
+SCHEMA = "result/1"
+MODES = ("otf", "standstill")
+_MANDATORY = (
+    "machine",
+    "mode",
+    "error_tables",
+    "squareness_urad",
+    "alignment",
+    "residuals",
+    "observability",
+    "provenance",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedResult:
+    """What a result file says about the machine.
+
+    unobservable : statements in words; provenance : as the file states it
+    """
+
+    machine: Machine
+    mode: str
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+    unobservable: tuple[str, ...]
+    provenance: dict[str, Any]
+
+    def tables(self) -> ErrorTables:
+        """Return the error tables."""
+        return error_tables(self.model, self.theta, self.covariance)
+
+
+def result_json(found: Findings) -> dict[str, Any]:
+    """Return the content of the result file."""
+    estimate = found.estimate
+    return {
+        "schema": SCHEMA,
+        "machine": machine_to_json(estimate.model.machine),
+        "mode": found.provenance.run.mode,
+        "error_tables": {t.symbol: _table_json(t) for t in found.tables.tables},
+        "squareness_urad": {
+            s.symbol: {"value": s.value_urad, "uncertainty": s.uncertainty_urad}
+            for s in found.tables.squareness
+        },
+        "holds_for": _holds_for(found.tables),
+        "volumetric_error": _volumetric_json(found),
+        "alignment": _alignment_json(found),
+        "residuals": _residuals_json(found),
+        "noise": _noise_json(found),
+        "observability": {
+            "rank": estimate.observability.rank,
+            "parameters": estimate.observability.parameters,
+            "unobservable": list(estimate.observability.unobservable),
+        },
+        "provenance": _provenance_json(found),
+        "model": model_to_json(estimate.model, estimate.theta, estimate.covariance),
+    }
+
+
+def read_result(content: object, *, file: str = "result.json") -> LoadedResult:
+    """Return what the parsed JSON of a result file says.
+
+    Raises BundleError naming file and key if it is of another schema or incomplete.
+    """
+    top = Field(file, "", content).mapping()
+    schema = top.child("schema")
+    if schema.value != SCHEMA:
+        raise schema.error("is not that of a result", f"give a file of {SCHEMA}")
+    for key in _MANDATORY:
+        top.child(key)
+    machine = machine_from_json(top.child("machine").value, file=file, key="machine")
+    if "model" not in top:
+        raise BundleError(
+            "model is missing, without which nothing can be predicted",
+            file=file,
+            remedy="analyse the bundle again",
+        )
+    saved = model_from_json(top.child("model"), machine)
+    return LoadedResult(
+        machine,
+        top.child("mode").choice(MODES),
+        saved.model,
+        saved.theta,
+        saved.covariance,
+        _unobservable(top),
+        dict(top.child("provenance").mapping().values),
+    )
+
+
+def _unobservable(top: Fields) -> tuple[str, ...]:
+    field = top.child("observability").mapping().child("unobservable")
+    return tuple(element.text() for element in field.elements())
+
+
+def _table_json(table: ErrorTable) -> dict[str, Any]:
+    return {
+        "position_mm": table.position_mm.tolist(),
+        f"value_{table.unit}": table.value.tolist(),
+        f"uncertainty_{table.unit}": table.uncertainty.tolist(),
+    }
+
+
+def _holds_for(tables: ErrorTables) -> dict[str, Any]:
+    return {
+        "any_tool": tables.any_tool,
+        "targets": [
+            {"name": t.name, "on": t.on, "offset_mm": list(t.offset_mm)}
+            for t in tables.targets
+        ],
+    }
+
+
+def _volumetric_json(found: Findings) -> dict[str, Any]:
+    return {
+        "before": asdict(found.volumetric.before),
+        "after_expected": asdict(found.volumetric.after),
+        "on": f"a grid of {len(found.volumetric.position_mm)} points over the travel, "
+        "without the rigid motion of the whole volume",
+    }
+
+
+def _alignment_json(found: Findings) -> dict[str, Any]:
+    estimate, run = found.estimate, found.provenance.run
+    sigma = np.sqrt(np.maximum(np.diag(estimate.pose_covariance), 0.0))
+    first = 1 if run.mode == "otf" else 0
+    rows = set(range(first, first + run.lines))
+    return {
+        "pose": {
+            "from": "workpiece",
+            "to": "tracker",
+            "rotation": estimate.pose.rotation.tolist(),
+            "shift_mm": estimate.pose.shift_mm.tolist(),
+        },
+        "pose_uncertainty": {
+            "about_mm": estimate.centre_mm.tolist(),
+            "shift_um": (MILLI * sigma[:3]).tolist(),
+            "turn_urad": (MICRO * sigma[3:]).tolist(),
+        },
+        "lines": run.lines,
+        "matched_lines": estimate.lines,
+        "rows_without_data": sorted(rows - set(found.by_line.row.tolist())),
+        "cells": estimate.cells,
+        "samples": estimate.offered_samples,
+        "used_samples": estimate.used_samples,
+    }
+
+
+def _residuals_json(found: Findings) -> dict[str, Any]:
+    residuals, lines = found.estimate.residuals, found.by_line
+    beam = MILLI * np.sqrt(np.mean(residuals.residual_mm**2, axis=0))
+    rows = zip(lines.row, lines.cells, lines.rms_um, strict=True)
+    return {
+        "rms_um": MILLI * residuals.rms_mm,
+        "noise_floor_um": MILLI * residuals.floor_mm,
+        "by_direction_um": dict(
+            zip(("beam", "azimuth", "elevation"), beam.tolist(), strict=True)
+        ),
+        "by_line": [
+            {"row": int(row), "cells": int(cells), "rms_um": float(rms)}
+            for row, cells, rms in rows
+        ],
+    }
+
+
+def _noise_json(found: Findings) -> dict[str, Any]:
+    noise, known = found.noise, ("along_beam", "across_beam")
+    return {
+        "distance_mm": noise.distance_mm,
+        "stated_um": dict(zip(known, noise.stated_um.tolist(), strict=True)),
+        "white_um": dict(zip(known, noise.white_um.tolist(), strict=True)),
+        "slow_um": dict(zip(known, noise.slow_um.tolist(), strict=True)),
+        "slow_time_s": noise.slow_time_s,
+        "along_travel_um": noise.along_travel_um,
+        "prior_strength": found.estimate.strength,
+    }
+
+
+def _provenance_json(found: Findings) -> dict[str, Any]:
+    provenance, run = found.provenance, found.provenance.run
+    return {
+        "software": "truepath",
+        "software_version": provenance.software_version,
+        "created": provenance.created.isoformat(timespec="seconds"),
+        "run": run.name,
+        "input_sha256": run.digest,
+        "source": run.source,
+        "options": {"perpendicular_only": found.estimate.perpendicular_only},
+        "measured_s": run.measured_s,
+        "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
+        "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
+    }
