@@ -223,7 +223,10 @@ class _Child:
                     f"its last words are on standard error"
                 )
             line += part
-        return json.loads(line)
+        report = json.loads(line)
+        if "error" in report:
+            raise SimulatorError(f"the simulated {self._device}: {report['error']}")
+        return report
 
     def release(self) -> None:
         """Let go of the life line; the process ends by itself."""

@@ -49,6 +49,10 @@ class LifeLine:
         *lines, self._rest = self._rest.split(b"\n")
         return [line.decode() for line in lines]
 
+    def report_failure(self, error: Exception) -> None:
+        """Tell the parent why the device cannot listen."""
+        self.report({"error": str(error)})
+
     def report(self, content: dict[str, Any]) -> None:
         """Tell the parent that the device listens, and where."""
         sys.stdout.write(json.dumps(content) + "\n")

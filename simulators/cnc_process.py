@@ -104,7 +104,11 @@ def main() -> None:
     orders = life.orders()
     if not orders:
         return
-    ports = _ports(orders["link"])
+    try:
+        ports = _ports(orders["link"])
+    except OSError as error:
+        life.report_failure(error)
+        return
     board = BoardWriter(orders["board"])
     try:
         panel = _panel(orders, board)

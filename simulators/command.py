@@ -56,9 +56,10 @@ def _bench(options: argparse.Namespace) -> Bench:
 
 def _serve(bench: Bench, signalled: int) -> int:
     """Wait for a signal, injecting faults from standard input meanwhile."""
-    lines = _LineReader(sys.stdin.fileno()) if _has_stdin() else None
+    lines = _LineReader(sys.stdin.fileno()) if sys.stdin else None
     while True:
-        waited = [signalled] + ([lines.descriptor] if lines else [])
+        listening = lines is not None and lines.ours
+        waited = [signalled, lines.descriptor] if lines and listening else [signalled]
         ready, _, _ = select.select(waited, [], [], _CHECK_S)
         if signalled in ready:
             return 0
@@ -86,15 +87,18 @@ class _LineReader:
         self.ended = False
         self._rest = b""
 
+    @property
+    def ours(self) -> bool:
+        """Whether reading is allowed: a terminal stops a background job that reads."""
+        if not os.isatty(self.descriptor):
+            return True
+        return os.tcgetpgrp(self.descriptor) == os.getpgrp()
+
     def read(self) -> list[str]:
         data = os.read(self.descriptor, 4096)
         self.ended = not data
         *lines, self._rest = (self._rest + data).split(b"\n")
         return [line.decode().strip() for line in lines if line.strip()]
-
-
-def _has_stdin() -> bool:
-    return sys.stdin is not None and not sys.stdin.closed
 
 
 @contextmanager

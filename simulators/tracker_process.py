@@ -29,7 +29,11 @@ def main() -> None:
     orders = life.orders()
     if not orders:
         return
-    port = _port(orders["link"])
+    try:
+        port = _port(orders["link"])
+    except OSError as error:
+        life.report_failure(error)
+        return
     try:
         _serve(life, port, orders)
     finally:

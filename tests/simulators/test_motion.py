@@ -1,0 +1,201 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulators import interruption
+from simulators.profile import Limits, brake, rest_to_rest
+from simulators.timeline import Program, Timeline, along, follow, standing
+
+JERKY = Limits(1500.0, 30_000.0)
+TRAPEZOID = Limits(1500.0, math.inf)
+
+lengths = st.floats(1e-3, 800.0)
+feeds = st.floats(0.5, 400.0)
+shares = st.floats(0.0, 1.0)
+limits = st.sampled_from([JERKY, TRAPEZOID])
+
+
+def one_line(length_mm: float, feed_mm_s: float, dwell_s: float = 0.5) -> Program:
+    return Program(
+        np.array([[length_mm, 0.0, 0.0]]), np.array([feed_mm_s]), np.array([dwell_s])
+    )
+
+
+def random_program(rng: np.random.Generator, n: int = 30) -> Program:
+    return Program(
+        rng.uniform(0.0, 500.0, (n, 3)),
+        rng.uniform(20.0, 200.0, n),
+        rng.choice([0.0, 0.1, 0.4], n),
+    )
+
+
+def assert_smooth(timeline: Timeline, limits: Limits, feed_mm_s: float) -> None:
+    """Position and speed have no jump; limits hold."""
+    joints = timeline.start_s[1:]
+    before, after = np.nextafter(joints, -np.inf), joints
+    step_mm = np.abs(timeline.positions(before) - timeline.positions(after)).max()
+    assert step_mm < 1e-6
+    jump = np.abs(timeline.speeds(before) - timeline.speeds(after)).max()
+    assert jump < 1e-6 * feed_mm_s + 1e-6
+    t = np.linspace(timeline.start_s[0] - 0.1, timeline.end_s + 0.1, 3000)
+    assert timeline.speeds(t).min() > -1e-6
+    assert timeline.speeds(t).max() < feed_mm_s + 1e-6
+    a = np.abs(timeline.accelerations(t))
+    assert a.max() < limits.acceleration_mm_s2 * (1 + 1e-6)
+    if math.isfinite(limits.jerk_mm_s3):
+        assert np.abs(timeline.jerk).max() < limits.jerk_mm_s3 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("limits", [JERKY, TRAPEZOID])
+def test_a_program_is_driven_within_its_limits_and_through_its_points(
+    rng: np.random.Generator, limits: Limits
+) -> None:
+    program = random_program(rng)
+    program = replace(program, dwell_s=np.maximum(program.dwell_s, 0.05))
+    timeline = follow(program, np.zeros(3), 2.0, limits)
+    assert_smooth(timeline, limits, program.feed_mm_s.max())
+    for row, (point, dwell) in enumerate(
+        zip(program.position, program.dwell_s, strict=True)
+    ):
+        there = timeline.start_s[timeline.row == row][-1]
+        np.testing.assert_allclose(timeline.positions(np.array([there]))[0], point)
+        assert timeline.speeds(np.array([there]))[0] == 0.0
+        still = timeline.positions(there + np.array([0.0, 0.999 * dwell]))
+        np.testing.assert_allclose(still, [point, point])
+
+
+@settings(max_examples=100, deadline=None)
+@given(lengths, feeds, limits)
+def test_a_line_takes_the_time_of_its_feed_and_its_ramps(
+    length: float, feed: float, limits: Limits
+) -> None:
+    stretches = rest_to_rest(np.array([length]), np.array([feed]), limits)[0]
+    t, a, j = stretches.T
+    speed = np.cumsum(t * (a + t * j / 2.0))
+    before = np.r_[0.0, speed[:-1]]
+    travelled = float(np.sum(t * (before + t * (a / 2.0 + t * j / 6.0))))
+    assert travelled == pytest.approx(length, rel=1e-9)
+    assert speed[-1] == pytest.approx(0.0, abs=1e-9 * feed)
+    assert speed.max() <= feed * (1 + 1e-9)
+    assert t.sum() >= length / feed * (1 - 1e-9)
+
+
+def test_a_long_line_cruises_at_its_feed() -> None:
+    timeline = follow(one_line(500.0, 100.0), np.zeros(3), 0.0, JERKY)
+    t = np.linspace(0.0, timeline.end_s - 0.5, 1000)
+    share = np.mean(np.abs(timeline.speeds(t) - 100.0) < 1e-9)
+    assert share > 0.95
+
+
+def test_the_dwell_is_as_long_as_ordered() -> None:
+    short = follow(one_line(50.0, 100.0, 0.0), np.zeros(3), 0.0, JERKY)
+    long = follow(one_line(50.0, 100.0, 1.7), np.zeros(3), 0.0, JERKY)
+    assert long.end_s - short.end_s == pytest.approx(1.7)
+
+
+def test_equal_waypoints_only_dwell() -> None:
+    program = Program(np.zeros((3, 3)), np.full(3, 10.0), np.full(3, 0.5))
+    timeline = follow(program, np.zeros(3), 1.0, JERKY)
+    assert timeline.end_s == pytest.approx(2.5)
+    assert not timeline.speeds(np.linspace(0, 3, 50)).any()
+
+
+@settings(max_examples=150, deadline=None)
+@given(lengths, feeds, shares, limits)
+def test_a_hold_stops_on_the_line_within_the_limits(
+    length: float, feed: float, when: float, limits: Limits
+) -> None:
+    timeline = follow(one_line(length, feed, 0.0), np.zeros(3), 0.0, limits)
+    at = when * timeline.end_s
+    stopped = interruption.held(timeline, at, limits)
+    assert_smooth(stopped, limits, feed)
+    rest = stopped.positions(np.array([stopped.end_s + 1.0]))[0]
+    assert rest[0] <= length + 1e-6
+    assert not rest[1:].any()
+    speed = float(timeline.speeds(np.array([at]))[0])
+    A = limits.acceleration_mm_s2
+    ramp = 0.0 if math.isinf(limits.jerk_mm_s3) else A / limits.jerk_mm_s3
+    # No later than from this speed with a whole ramp up and a whole ramp down.
+    assert stopped.end_s - at <= speed / A + 3.0 * ramp + 1e-6
+
+
+@settings(max_examples=100, deadline=None)
+@given(shares, st.floats(0.01, 5.0), st.integers(0, 2**32 - 1))
+def test_a_held_program_goes_on_to_its_end(
+    when: float, pause: float, seed: int
+) -> None:
+    program = random_program(np.random.default_rng(seed), 5)
+    timeline = follow(program, np.zeros(3), 0.0, JERKY)
+    at = when * timeline.end_s
+    left = interruption.program_left(timeline, program, at)
+    stopped = interruption.held(timeline, at, JERKY)
+    begin = stopped.end_s + pause
+    whole = interruption.resumed(stopped, left, begin, JERKY)
+    assert_smooth(whole, JERKY, program.feed_mm_s.max())
+    end = whole.positions(np.array([whole.end_s]))[0]
+    np.testing.assert_allclose(end, program.position[-1], atol=1e-9)
+    t = np.linspace(stopped.end_s, begin, 10)
+    assert np.ptp(whole.positions(t), axis=0).max() < 1e-9
+
+
+def test_a_dwell_that_was_held_goes_on_with_its_rest() -> None:
+    program = one_line(50.0, 100.0, 2.0)
+    timeline = follow(program, np.zeros(3), 0.0, JERKY)
+    arrival = timeline.end_s - 2.0
+    at = arrival + 0.5
+    left = interruption.program_left(timeline, program, at)
+    assert left.dwell_s[0] == pytest.approx(1.5)
+    whole = interruption.resumed(
+        interruption.held(timeline, at, JERKY), left, 10.0, JERKY
+    )
+    assert whole.end_s == pytest.approx(11.5)
+
+
+@settings(max_examples=100, deadline=None)
+@given(lengths, feeds, feeds, shares, limits)
+def test_the_feed_changes_under_way_within_the_limits(
+    length: float, feed: float, other: float, when: float, limits: Limits
+) -> None:
+    timeline = follow(one_line(length, feed, 0.3), np.zeros(3), 0.0, limits)
+    at = when * timeline.end_s
+    changed = interruption.with_feed(timeline, one_line(length, other, 0.3), at, limits)
+    assert_smooth(changed, limits, max(feed, other))
+    end = changed.positions(np.array([changed.end_s]))[0]
+    assert end[0] == pytest.approx(length, abs=1e-6)
+
+
+def test_half_the_feed_takes_twice_the_time_from_then_on() -> None:
+    timeline = follow(one_line(400.0, 100.0, 0.0), np.zeros(3), 0.0, JERKY)
+    slower = interruption.with_feed(timeline, one_line(400.0, 50.0, 0.0), 2.0, JERKY)
+    at = np.array([3.0])
+    assert slower.speeds(at)[0] == pytest.approx(50.0)
+    assert slower.end_s == pytest.approx(2.0 + 2.0 * (timeline.end_s - 2.0), rel=0.02)
+
+
+def test_what_has_ended_can_be_forgotten(rng: np.random.Generator) -> None:
+    timeline = follow(random_program(rng), np.zeros(3), 0.0, JERKY)
+    t = np.linspace(20.0, timeline.end_s + 1.0, 500)
+    np.testing.assert_array_equal(
+        timeline.since(20.0).positions(t), timeline.positions(t)
+    )
+    assert len(timeline.since(20.0)) < len(timeline)
+
+
+def test_a_standing_machine_stands(rng: np.random.Generator) -> None:
+    place = rng.uniform(0.0, 100.0, 3)
+    t = np.array([-5.0, 0.0, 1e6])
+    np.testing.assert_array_equal(
+        standing(place, 0.0, 0).positions(t), np.tile(place, (3, 1))
+    )
+
+
+def test_braking_from_standstill_is_nothing() -> None:
+    assert brake(0.0, 0.0, JERKY) == []
+    state = standing([1.0, 2.0, 3.0], 0.0, 4).state(2.0)
+    assert len(along([], state, 2.0, None)) == 1
