@@ -38,7 +38,7 @@ from drivers.tracker.streaming.messages import (
     parse_message,
 )
 
-PAGE = Path(__file__).parents[2] / "docs" / "tracker-protocol.md"
+PAGE = Path(__file__).parents[3] / "docs" / "tracker-protocol.md"
 
 u8 = st.integers(0, 255)
 u16 = st.integers(0, 0xFFFF)

@@ -1,0 +1,569 @@
+"""The Modbus controller's driver against a CNC whose bytes are written by hand."""
+
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from drivers.cnc.modbus.driver import ModbusController
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+    WrongDevice,
+)
+from drivers.interfaces.records import Identity, MotionState, Path
+
+MOVE_TO, PUT_ROWS, COMMIT, START, HOLD, RESUME, ABORT, RESET = range(1, 9)
+
+
+@pytest.fixture
+def controller(peer):
+    with ModbusController(**peer.options) as controller:
+        yield controller
+
+
+@pytest.fixture
+def tcp_controller(tcp_peer):
+    with ModbusController(**tcp_peer.options) as controller:
+        yield controller
+
+
+def path_of(position, feed_mm_min=3000.0, dwell_s=0.0, axes=("X", "Y", "Z")) -> Path:
+    position = np.asarray(position, np.float64)
+    n = len(position)
+    return Path(axes, position, np.full(n, feed_mm_min), np.full(n, dwell_s))
+
+
+def zigzag(rows: int) -> Path:
+    along = np.linspace(0, 100, rows)
+    return path_of(np.stack([along, along % 7, -along], axis=1), dwell_s=0.25)
+
+
+def test_connect_reads_identity_axes_and_travel(controller):
+    assert controller.connect() == Identity("Truepath", "loopback", "CNC-1", "0.2")
+    assert controller.axes == ("X", "Y", "Z")
+    assert controller.travel == ((-10.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
+    status = controller.status()
+    assert status.state is MotionState.IDLE
+    assert status.position == (0.0, 0.0, 0.0)
+
+
+def test_a_move_ends_where_it_was_sent(peer, controller):
+    controller.move_to([12.34565, 0.0, -0.0001], 6000)
+    status = controller.wait(2.0)
+    assert status.state is MotionState.FINISHED
+    assert status.position == pytest.approx((12.3456, 0.0, -0.0001), abs=1e-9)
+    assert peer.model.executed == [MOVE_TO]
+
+
+def test_the_bytes_of_a_move(tcp_peer, tcp_controller):
+    tcp_controller.move_to([1.0, 2.0, -3.0], 1500)
+    row = struct.pack(">6i2I", 10_000, 20_000, -30_000, 0, 0, 0, 1_500_000, 0)
+    request = struct.pack(">BHHB6H", 16, 200, 22, 44, 1, MOVE_TO, 0, 1, 0, 0) + row
+    assert request in tcp_peer.requests
+
+
+@pytest.mark.parametrize("rows", [1, 7, 8, 50])
+def test_a_path_is_loaded_row_by_row_and_runs(peer, controller, rows):
+    path = zigzag(rows)
+    controller.load(path)
+    assert controller.status().state is MotionState.READY
+    assert peer.model.words[104] == rows
+    for i in range(rows):
+        x, y, z = np.rint(path.position[i] * 1e4).astype(int)
+        expected = struct.pack(">6i2I", x, y, z, 0, 0, 0, 3_000_000, 250)
+        assert peer.model.rows[i] == expected
+    controller.start()
+    assert controller.wait(2.0).state is MotionState.FINISHED
+    blocks = -(-rows // 7)
+    assert peer.model.executed == [PUT_ROWS] * blocks + [COMMIT, START]
+
+
+def test_a_path_of_4096_rows_fits(tcp_peer, tcp_controller):
+    tcp_controller.load(zigzag(4096))
+    assert tcp_peer.model.words[104] == 4096
+    with pytest.raises(Refused, match="4097 rows, 1 to 4096 fit"):
+        tcp_controller.load(zigzag(4097))
+
+
+def test_columns_follow_the_names_of_the_axes(peer, controller):
+    path = path_of([[-3.0, 1.0, 2.0]], axes=("Z", "X", "Y"))
+    controller.load(path)
+    stored = struct.unpack(">3i", peer.model.rows[0][:12])
+    assert stored == (10_000, 20_000, -30_000)
+
+
+@pytest.mark.parametrize(
+    ("position", "text"),
+    [
+        ([500.001, 0, 0], r"X = 500\.0010 is outside -10\.0000 to 500\.0000"),
+        ([0, -0.001, 0], r"Y = -0\.0010 is outside"),
+        ([0, 0, float("nan")], "Z = nan is outside"),
+        ([0, float("inf"), 0], "Y = inf is outside"),
+    ],
+)
+def test_out_of_travel_is_refused_before_the_first_byte(
+    peer, controller, position, text
+):
+    sent = len(peer.requests)
+    with pytest.raises(OutOfTravel, match=text):
+        controller.move_to(position, 1000)
+    path = path_of([[0, 0, 0], [1, 1, -1], position])
+    with pytest.raises(OutOfTravel, match="row 2: " + text):
+        controller.load(path)
+    assert len(peer.requests) == sent
+
+
+def test_the_ends_of_the_travel_are_within_it(controller):
+    controller.move_to([500.0, 400.0, -300.0], 1000)
+    controller.wait(2.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        (path_of([[0, 0, 0]], feed_mm_min=0.0), "feed of 0 mm/min"),
+        (path_of([[0, 0, 0]], feed_mm_min=30_001.0), "up to 30000 are"),
+        (path_of([[0, 0, 0]], feed_mm_min=float("nan")), "feed of nan"),
+        (path_of([[0, 0, 0]], dwell_s=-1.0), "dwell of -1 s"),
+        (path_of([[0, 0, 0]], dwell_s=float("inf")), "dwell of inf"),
+        (path_of([[0, 0]], axes=("X", "Y")), "the machine X Y Z"),
+        (path_of(np.empty((0, 3))), "0 rows, 1 to 4096 fit"),
+    ],
+)
+def test_paths_that_no_machine_drives_are_refused_before_the_first_byte(
+    tcp_peer, tcp_controller, path, text
+):
+    sent = len(tcp_peer.requests)
+    with pytest.raises(Refused, match=text):
+        tcp_controller.load(path)
+    assert len(tcp_peer.requests) == sent
+
+
+def test_a_position_of_too_few_axes_is_refused(controller):
+    with pytest.raises(Refused, match="positions have 2 values"):
+        controller.move_to([1.0, 2.0], 1000)
+
+
+def test_hold_and_resume(peer, controller):
+    peer.model.motion_s = 0.3
+    controller.move_to([1, 1, -1], 1000)
+    controller.hold()
+    controller.hold()
+    status = controller.wait(1.0)
+    assert status.state is MotionState.HELD
+    assert status.hold_reason == "command"
+    controller.resume()
+    assert controller.status().state is MotionState.RUNNING
+    controller.resume()
+    assert controller.wait(2.0).state is MotionState.FINISHED
+
+
+def test_abort_forgets_the_path(controller):
+    controller.load(zigzag(3))
+    controller.start()
+    controller.abort()
+    controller.abort()
+    assert controller.wait(1.0).state is MotionState.ABORTED
+    with pytest.raises(Refused, match=r"START in state aborted: no path is loaded"):
+        controller.start()
+
+
+def test_wait_keeps_the_watchdog_fed(peer, controller):
+    peer.model.words[181] = 200
+    peer.model.motion_s = 0.6
+    controller.move_to([1, 1, -1], 1000)
+    assert controller.wait(3.0).state is MotionState.FINISHED
+
+
+def test_without_beats_the_watchdog_holds(peer, controller, until):
+    peer.model.words[181] = 100
+    peer.model.motion_s = 5.0
+    controller.move_to([1, 1, -1], 1000)
+    until(lambda: controller.status().state is MotionState.HELD)
+    assert controller.status().hold_reason == "watchdog"
+
+
+def test_every_beat_is_a_new_number(peer, controller):
+    controller.beat()
+    first = peer.model.words[180]
+    controller.beat()
+    assert peer.model.words[180] != first
+
+
+def test_wait_ends_at_its_deadline(peer, controller):
+    peer.model.motion_s = 30.0
+    controller.move_to([1, 1, -1], 1000)
+    begin = time.monotonic()
+    with pytest.raises(DeviceTimeout, match=r"still in motion after 0\.2 s"):
+        controller.wait(0.2)
+    assert time.monotonic() - begin < 1.0
+
+
+def test_an_alarm_is_a_fault_with_its_text(peer, controller):
+    peer.model.raise_alarm(27, "X servo overload")
+    status = controller.status()
+    assert status.state is MotionState.ALARM
+    assert status.alarm == "X servo overload"
+    with pytest.raises(MotionFault, match="X servo overload"):
+        controller.wait(1.0)
+    with pytest.raises(MotionFault, match="refuses MOVE_TO: X servo overload"):
+        controller.move_to([1, 1, -1], 1000)
+    controller.hold()
+    controller.abort()
+
+
+def test_an_alarm_without_words_is_told_by_its_number(peer, controller):
+    peer.model.raise_alarm(27, "")
+    assert controller.status().alarm == "alarm 27"
+
+
+def test_a_command_in_the_wrong_state_is_refused(peer, controller):
+    peer.model.motion_s = 5.0
+    controller.move_to([1, 1, -1], 1000)
+    with pytest.raises(Refused, match="refuses START in state running: not in this"):
+        controller.start()
+
+
+@pytest.mark.parametrize(
+    ("result", "family", "text"),
+    [
+        (2, OutOfTravel, "beyond the travel"),
+        (4, Refused, "arrived damaged"),
+        (5, Refused, "an argument"),
+        (6, Refused, "does not know this command"),
+        (8, Refused, "drives on, door closed"),
+        (77, Refused, "result 77"),
+    ],
+)
+def test_results_of_the_device_are_told_in_words(
+    tcp_peer, tcp_controller, result, family, text
+):
+    tcp_peer.model.answers_with = result
+    with pytest.raises(family, match=text) as refusal:
+        tcp_controller.start()
+    if family is Refused:
+        assert refusal.value.code == result
+
+
+def test_rows_that_are_damaged_on_the_way_are_not_committed(peer, controller):
+    sent = peer.model.written
+
+    def damaged(first, count):
+        if peer.model.words[201] == PUT_ROWS:
+            peer.model.words[207] ^= 1
+        sent(first, count)
+
+    peer.model.written = damaged
+    with pytest.raises(Refused, match="arrived damaged"):
+        controller.load(zigzag(3))
+
+
+def test_a_device_that_keeps_another_path_is_at_fault(peer, controller):
+    peer.model.loses_rows = True
+    with pytest.raises(MotionFault, match="holds 2 rows with CRC"):
+        controller.load(zigzag(3))
+
+
+def test_a_command_that_is_never_taken_is_a_fault(tcp_peer):
+    with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
+        tcp_peer.model.takes_commands = False
+        with pytest.raises(MotionFault, match=r"START was not taken in 0\.1 s"):
+            controller.start()
+
+
+def test_a_lost_reply_runs_the_command_once(peer, controller):
+    lose = [True, True]  # the library itself repeats once
+
+    def mangle(reply):
+        is_write = reply[-8:-4] == b"\0\xc8\0\2" or b"\x10\0\xc8" in reply
+        return b"" if is_write and lose and lose.pop() else reply
+
+    peer.mangle = mangle
+    peer.model.words[104] = 1
+    controller.start()
+    assert lose == []
+    assert peer.model.executed == [START]
+
+
+def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_controller):
+    model = tcp_peer.model
+    model.words[104] = 1
+    run = model.written
+    to_lose, replies_to_lose = [1, 2], []  # the library itself repeats once
+
+    def forgets(first, count):
+        if first == 200 and to_lose:
+            replies_to_lose.append(to_lose.pop())
+            model.words[200] = model.words[105]
+        else:
+            run(first, count)
+
+    model.written = forgets
+    tcp_peer.mangle = lambda reply: b"" if _popped(replies_to_lose) else reply
+    tcp_controller.start()
+    assert model.executed == [START]
+
+
+def test_numbers_go_on_where_the_device_is_and_skip_zero(peer):
+    peer.model.words[105] = peer.model.words[200] = 0xFFFF
+    with ModbusController(**peer.options) as controller:
+        controller.hold()
+        assert peer.model.words[105] == 1
+        controller.hold()
+        assert peer.model.words[105] == 2
+
+
+@pytest.mark.parametrize("mangled", ["nothing", "half", "noise", "cut"])
+def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangled):
+    noise = np.random.default_rng(2).integers(0, 256, 40, np.uint8).tobytes()
+    peer.mangle = {
+        "nothing": lambda reply: b"",
+        "half": lambda reply: reply[: len(reply) // 2],
+        "noise": lambda reply: noise,
+        "cut": lambda reply: reply[:-1],
+    }[mangled]
+    begin = time.monotonic()
+    with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.4 s"):
+        controller.status()
+    assert time.monotonic() - begin < 0.9
+    peer.mangle = lambda reply: reply
+    assert controller.status().state is MotionState.IDLE
+
+
+def test_a_damaged_rtu_reply_is_never_taken(rtu_peer):
+    with ModbusController(**rtu_peer.options) as controller:
+        rtu_peer.mangle = lambda reply: bytes([*reply[:-3], reply[-3] ^ 4, *reply[-2:]])
+        with pytest.raises(DeviceTimeout):
+            controller.status()
+        rtu_peer.mangle = lambda reply: reply
+        assert controller.status().position == (0.0, 0.0, 0.0)
+
+
+def test_a_reply_to_an_older_transaction_is_not_taken(tcp_peer, tcp_controller):
+    tcp_peer.mangle = lambda reply: b"\x7f\xff" + reply[2:]
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.status()
+    stale = []
+
+    def late(reply):
+        stale.append(reply)
+        return b"".join(stale[-2:])
+
+    tcp_peer.mangle = late
+    for _ in range(3):
+        assert tcp_controller.status().state is MotionState.IDLE
+
+
+def test_a_long_silence_does_not_break_the_link(tcp_peer, tcp_controller):
+    tcp_peer.mangle = lambda reply: b""
+    for _ in range(7):
+        with pytest.raises(DeviceError):
+            tcp_controller.beat()
+    tcp_peer.mangle = lambda reply: reply
+    tcp_controller.connect()
+    assert tcp_controller.status().state is MotionState.IDLE
+
+
+@pytest.mark.parametrize(
+    ("code", "family", "text"),
+    [
+        (1, Refused, "does not know this function"),
+        (2, Refused, "does not have these registers"),
+        (3, Refused, "does not take this value"),
+        (4, MotionFault, "the device has failed"),
+        (8, MotionFault, "the device has failed"),
+        (10, ConnectionLost, "the gateway does not reach"),
+        (11, ConnectionLost, "the gateway does not reach"),
+    ],
+)
+def test_exceptions_of_modbus_have_their_families(peer, controller, code, family, text):
+    for verb in (controller.status, controller.beat):
+        peer.exceptions = [code]
+        with pytest.raises(family, match=text + rf".*\(exception {code}\)"):
+            verb()
+    assert controller.status().state is MotionState.IDLE
+
+
+@pytest.mark.parametrize("code", [5, 6])
+def test_a_busy_device_is_asked_again(peer, controller, code):
+    peer.exceptions = [code, code]
+    assert controller.status().state is MotionState.IDLE
+    peer.exceptions = [code, 0, code]
+    controller.hold()
+    assert peer.model.executed == [HOLD]
+
+
+def test_a_device_that_stays_busy_is_a_timeout(tcp_peer):
+    with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
+        tcp_peer.exceptions = [6] * 1000
+        with pytest.raises(DeviceTimeout, match="busy"):
+            controller.status()
+        tcp_peer.exceptions = []
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ({0: 0, 1: 0}, "this is not the register map"),
+        ({2: 0x0304, 3: 0x0102, 0: 0x4331, 1: 0x5450}, "low word first"),
+        ({2: 0x0201, 3: 0x0403, 0: 0x5054, 1: 0x3143}, "low byte first"),
+        ({2: 0x0403, 3: 0x0201, 0: 0x3143, 1: 0x5054}, "words and bytes swapped"),
+        ({4: 2}, "register map 2, this driver knows 1"),
+        ({5: 0}, "0 axes"),
+        ({5: 7}, "7 axes"),
+    ],
+)
+def test_a_wrong_device_or_a_wrong_order_is_refused(peer, words, text):
+    for address, word in words.items():
+        peer.model.words[address] = word
+    with pytest.raises(WrongDevice, match=text):
+        ModbusController(**peer.options).connect()
+
+
+@pytest.mark.parametrize("code", [1, 2, 3])
+def test_a_device_without_the_map_is_the_wrong_one(peer, code):
+    peer.exceptions = [code]
+    with pytest.raises(WrongDevice, match="check unit number and register map"):
+        ModbusController(**peer.options).connect()
+
+
+def test_another_serial_number_is_the_wrong_device(tcp_peer):
+    with pytest.raises(WrongDevice, match="controller CNC-1 answers, CNC-2"):
+        ModbusController(serial_number="CNC-2", **tcp_peer.options).connect()
+    with ModbusController(serial_number="CNC-1", **tcp_peer.options) as controller:
+        assert controller.axes
+
+
+def test_another_unit_does_not_answer(peer):
+    peer.unit = 2
+    with pytest.raises(DeviceTimeout, match="check power, unit number"):
+        ModbusController(unit=9, **peer.options).connect()
+
+
+@pytest.mark.parametrize("how", ["hangs_up", "resets"])
+def test_a_connection_that_breaks_stays_broken_until_connect(
+    tcp_peer, tcp_controller, how
+):
+    setattr(tcp_peer, how, True)
+    with pytest.raises(ConnectionLost, match="check cable and power"):
+        tcp_controller.status()
+    setattr(tcp_peer, how, False)
+    for verb in (tcp_controller.status, tcp_controller.hold, tcp_controller.beat):
+        with pytest.raises(ConnectionLost):
+            verb()
+    tcp_controller.connect()
+    tcp_controller.hold()
+    assert tcp_controller.status().state is MotionState.IDLE
+
+
+def test_connect_twice_is_one_connection(peer, controller):
+    sent = len(peer.requests)
+    assert controller.connect() == controller.connect()
+    assert len(peer.requests) == sent
+
+
+def test_close_aborts_what_runs(peer):
+    peer.model.motion_s = 10.0
+    controller = ModbusController(**peer.options)
+    controller.connect()
+    controller.move_to([1, 1, -1], 1000)
+    controller.close()
+    controller.close()
+    assert peer.model.executed == [MOVE_TO, ABORT]
+    with pytest.raises(ConnectionLost, match="connect first"):
+        controller.move_to([1, 1, -1], 1000)
+
+
+def test_close_lets_a_held_machine_stand(peer):
+    peer.model.motion_s = 10.0
+    with ModbusController(**peer.options) as controller:
+        controller.move_to([1, 1, -1], 1000)
+        controller.hold()
+    assert peer.model.executed == [MOVE_TO, HOLD]
+
+
+def test_a_silent_device_can_be_closed(peer, caplog):
+    with ModbusController(**peer.options):
+        peer.mangle = lambda reply: b""
+    assert "closed without an answer" in caplog.text
+
+
+def test_verbs_before_connect():
+    controller = ModbusController(host="127.0.0.1", port=9)
+    controller.hold()
+    controller.abort()
+    controller.close()
+    assert controller.axes == ()
+    assert controller.travel == ()
+    for verb in (controller.status, controller.start, controller.beat):
+        with pytest.raises(ConnectionLost, match="connect first"):
+            verb()
+
+
+def test_a_port_that_nobody_serves_says_what_to_do(free_port):
+    with pytest.raises(ConnectionLost, match="check address, cable and power"):
+        ModbusController(host="127.0.0.1", port=free_port).connect()
+    with pytest.raises(ConnectionLost, match="check address, cable and power"):
+        ModbusController(serial_port="/dev/tty-that-is-not-there").connect()
+
+
+@pytest.mark.parametrize("options", [{}, {"host": "a", "serial_port": "/dev/b"}])
+def test_one_way_to_the_device_has_to_be_given(options):
+    with pytest.raises(ValueError, match="either host"):
+        ModbusController(**options)
+
+
+def test_an_abort_overtakes_an_upload(tcp_peer, tcp_controller, until):
+    failures: list[Exception] = []
+
+    def load():
+        try:
+            tcp_controller.load(zigzag(4096))
+        except Refused as error:
+            failures.append(error)
+
+    loader = threading.Thread(target=load)
+    loader.start()
+    until(lambda: len(tcp_peer.model.executed) > 5)
+    tcp_controller.abort()
+    loader.join()
+    assert "aborted while the path was being loaded" in str(failures[0])
+    assert tcp_peer.model.executed.count(PUT_ROWS) < 4096 / 7
+    assert tcp_peer.model.executed[-2] == ABORT or tcp_peer.model.executed[-1] == ABORT
+
+
+def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
+    failures: list[Exception] = []
+
+    def work(verb):
+        try:
+            for _ in range(30):
+                verb()
+        except DeviceError as error:
+            failures.append(error)
+
+    verbs = [
+        tcp_controller.status,
+        tcp_controller.beat,
+        tcp_controller.hold,
+        lambda: tcp_controller.load(zigzag(3)),
+    ]
+    threads = [threading.Thread(target=work, args=(verb,)) for verb in verbs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failures == []
+    assert tcp_peer.model.executed.count(HOLD) == 30
+    assert tcp_peer.model.executed.count(COMMIT) == 30
+
+
+def _popped(items: list) -> bool:
+    return bool(items and items.pop())

@@ -1,0 +1,125 @@
+"""The register map as data: no overlap, known words, a page that agrees with it."""
+
+import importlib.util
+import struct
+import zlib
+from pathlib import Path as File
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.cnc.modbus import registers as r
+from drivers.cnc.modbus.controller_map import parse_status
+from drivers.interfaces.errors import WrongDevice
+from drivers.interfaces.records import MotionState, Path
+
+BLOCKS = [r.IDENTITY, r.STATUS, r.ALARM_TEXT, r.CONTROL, r.COMMAND]
+DOCS = File(__file__).parents[3] / "docs"
+
+
+def test_registers_are_in_order_and_never_overlap():
+    for before, after in zip(r.REGISTERS, r.REGISTERS[1:], strict=False):
+        assert before.end <= after.address
+
+
+def test_every_register_lies_in_one_block():
+    for register in r.REGISTERS:
+        homes = [
+            block
+            for block in BLOCKS
+            if block.address <= register.address
+            and register.end <= block.address + block.count
+        ]
+        assert len(homes) == 1, register.name
+
+
+def test_blocks_fit_into_one_request():
+    assert all(block.count <= 123 for block in BLOCKS)
+
+
+def test_the_host_writes_only_control_and_command():
+    for register in r.REGISTERS:
+        assert (register.access is r.Access.WRITE) == (register.address >= 180)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("magic", r.MAGIC, [0x5450, 0x4331]),
+        ("order_test", 0x01020304, [0x0102, 0x0304]),
+        ("state", 3, [3]),
+        ("travel_min", [-1, 6_100_000], [0xFFFF, 0xFFFF, 0x005D, 0x1420] + [0] * 8),
+        ("maker", "AB c", [0x4142, 0x2063] + [0] * 6),
+        ("axis_names", [ord("X"), ord("Z")], [0x58, 0x5A, 0, 0, 0, 0]),
+    ],
+)
+def test_words_of_known_values(name, value, words):
+    assert r.encode(name, value) == words
+
+
+@given(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=6, max_size=6))
+def test_positions_come_back(counts):
+    words = [0] * 12 + r.encode("position", counts)
+    assert r.decode("position", words, r.STATUS) == tuple(counts)
+
+
+@given(st.text("ABC xyz-09", max_size=16))
+def test_texts_come_back_without_their_padding(text):
+    words = [0] * 20 + r.encode("maker", text)
+    assert r.decode_text("maker", words, r.IDENTITY) == text.strip()
+
+
+def test_what_is_not_ascii_becomes_a_question_mark():
+    words = [0] * 20 + r.encode("maker", "Müller")
+    assert r.decode_text("maker", words, r.IDENTITY) == "M?ller"
+
+
+def test_rows_are_big_endian_counts():
+    path = Path(
+        ("X", "Y", "Z"),
+        np.array([[1.23456, -2.0, 300.0], [0.0, 0.0, -0.00006]]),
+        np.array([2500.0, 15000.5]),
+        np.array([0.0, 1.5]),
+    )
+    words = r.path_words(path)
+    first = struct.pack(">6i2I", 12346, -20000, 3_000_000, 0, 0, 0, 2_500_000, 0)
+    second = struct.pack(">6i2I", 0, 0, -1, 0, 0, 0, 15_000_500, 1500)
+    assert words.astype(">u2").tobytes() == first + second
+    assert r.path_crc(words) == zlib.crc32(first + second)
+    assert r.parse_row([int(w) for w in words[0]]) == (
+        (1.2346, -2.0, 300.0, 0.0, 0.0, 0.0),
+        2500.0,
+        0.0,
+    )
+
+
+def test_a_state_that_the_map_lacks_is_no_state():
+    words = [99] + [0] * 23
+    with pytest.raises(WrongDevice, match="reports state 99"):
+        parse_status(words)
+
+
+def test_hold_reasons_read_as_words_and_unknown_ones_as_numbers():
+    def reason(code):
+        words = [0] * 24
+        words[:2] = [r.STATES.index(MotionState.HELD), code]
+        return parse_status(words).motion.hold_reason
+
+    words = [reason(code) for code in (0, 1, 2, 3, 9)]
+    assert words == ["", "operator", "watchdog", "command", "reason 9"]
+
+
+def test_the_page_shows_the_map():
+    spec = importlib.util.spec_from_file_location(
+        "write_register_map", DOCS / "write_register_map.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    page = (DOCS / "modbus-register-map.md").read_text()
+    assert script.filled(page) == page
+    assert all(f"`{register.name}`" in page for register in r.REGISTERS)
+    assert all(verb.name in page for verb in r.Command)
