@@ -133,6 +133,11 @@ class Recorder:
         return self._queue.qsize() * 2 > self._queue.maxsize
 
     @property
+    def relaxed(self) -> bool:
+        """Whether hardly anything waits."""
+        return self._queue.qsize() * 10 < self._queue.maxsize
+
+    @property
     def samples(self) -> int:
         """Tracker samples handed over so far."""
         return self._samples

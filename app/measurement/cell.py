@@ -1,0 +1,213 @@
+"""The parent's handle of a cell process.
+
+Verbs are fired and acknowledged by events; only `start`, `connect` and `close` wait.
+One thread uses a handle, whichever.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
+
+from app.errors import MeasurementFailed, TruepathError
+from app.measurement.cell_process import Command, main
+from app.measurement.orders import CellConfig, CellEvent, CellState, Order
+from app.planning.paths import check_travel
+from drivers.interfaces import errors as device_errors
+from drivers.interfaces.errors import DeviceError
+from drivers.interfaces.records import Identity
+
+__all__ = ["Cell", "CellConfig", "CellEvent", "CellState", "Order"]
+
+log = logging.getLogger(__name__)
+
+CONNECT_S = 20.0
+CLOSE_S = 30.0
+# A BLAS that fills the cores would stop the reader of the port.
+_ONE_THREAD: dict[str, str] = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+_ENVIRONMENT = threading.Lock()
+
+
+class Cell:
+    """One cell process, from `start` to `close`."""
+
+    def __init__(self, config: CellConfig) -> None:
+        context = get_context("spawn")
+        self._link, self._other_end = context.Pipe()
+        self._process: BaseProcess = context.Process(
+            target=main, args=(self._other_end, config), name="cell", daemon=True
+        )
+        self._events: list[CellEvent] = []
+        self._started = self._told_death = self._closed = False
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process lives."""
+        return self._started and not self._closed and self._process.is_alive()
+
+    @property
+    def process_id(self) -> int | None:
+        """Identifier of the process, None before `start`."""
+        return self._process.pid
+
+    def start(self) -> None:
+        """Start the process."""
+        with _one_blas_thread():
+            self._process.start()
+        self._other_end.close()
+        self._started = True
+
+    def connect(self) -> dict[str, Identity]:
+        """Connect `tracker` and `motion`; return who they are.
+
+        Raises a DeviceError, or MeasurementFailed if the cell does not answer.
+        """
+        self._send(Command("connect"))
+        deadline_s = time.monotonic() + CONNECT_S
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            for event in self._received(left_s):
+                match event.kind:
+                    case "connected":
+                        return dict(event.body)
+                    case "refused":
+                        raise _refusal(event)
+                    case _:
+                        self._events.append(event)
+            if not self.alive:
+                raise MeasurementFailed("the cell process has died while connecting")
+        raise MeasurementFailed(f"the cell process did not answer in {CONNECT_S:g} s")
+
+    def begin(self, order: Order) -> None:
+        """Begin to measure. Raises OutOfTravel before anything is sent."""
+        check_travel(order.machine, order.commanded)
+        self._send(Command("begin", order))
+
+    def pause(self) -> None:
+        """Feed hold; acknowledged by the state `paused`."""
+        self._send(Command("pause"))
+
+    def resume(self) -> None:
+        """Go on; acknowledged by the state `running`."""
+        self._send(Command("resume"))
+
+    def abort(self) -> None:
+        """Stop and forget the path; acknowledged by the state `aborted`."""
+        self._send(Command("abort"))
+
+    def poll(self, timeout_s: float) -> list[CellEvent]:
+        """Return what the cell has said, waiting for a first event at most so long.
+
+        The death of the process is told once, as a fault `cell-died` and the state
+        `faulted`.
+        """
+        events, self._events = self._events, []
+        events += self._received(0.0 if events else timeout_s)
+        if not events and self._started and not self._closed and not self.alive:
+            events += self._death()
+        return [e for e in events if e.kind not in ("connected", "refused")]
+
+    def close(self) -> None:
+        """End the process: what moves stands first. Idempotent; by force if need be."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._started:
+            self._end_process()
+        self._link.close()
+
+    def _end_process(self) -> None:
+        if self._process.is_alive():
+            try:
+                self._link.send(Command("close"))
+            except OSError:
+                log.warning("the cell does not listen any more")
+        deadline_s = time.monotonic() + CLOSE_S
+        while self._process.is_alive() and time.monotonic() < deadline_s:
+            self._events += self._received(0.05)  # it may wait for us to listen
+            self._process.join(0.05)
+        for force in (self._process.terminate, self._process.kill):
+            if self._process.is_alive():
+                log.error("the cell process does not end; it is ended by force")
+                force()
+                self._process.join(5.0)
+        self._process.close()
+
+    def _send(self, command: Command) -> None:
+        if not self.alive:
+            raise MeasurementFailed("the cell process is not alive; start another")
+        try:
+            self._link.send(command)
+        except OSError as error:
+            raise MeasurementFailed("the cell process has died") from error
+
+    def _received(self, timeout_s: float) -> list[CellEvent]:
+        events: list[CellEvent] = []
+        try:
+            while self._link.poll(0.0 if events else timeout_s):
+                events.append(self._link.recv())
+        except (EOFError, OSError):
+            # The process has gone, or is about to: `alive` will say so.
+            self._process.join(timeout_s)
+        return events
+
+    def _death(self) -> list[CellEvent]:
+        if self._told_death:
+            return []
+        self._told_death = True
+        text = f"the cell process has died (exit code {self._process.exitcode})"
+        action = "the machine's watchdog holds the feed; look at it, then start again"
+        fault = {"code": "cell-died", "text": text, "action": action}
+        now_ns = time.monotonic_ns()
+        return [
+            CellEvent("fault", fault, now_ns),
+            CellEvent("state", {"state": "faulted", "text": text}, now_ns),
+        ]
+
+
+@contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Have a process that is spawned meanwhile use one thread for linear algebra.
+
+    The variables are read when NumPy is imported, before any code of ours runs there.
+    """
+    with _ENVIRONMENT:
+        before = {name: os.environ.get(name) for name in _ONE_THREAD}
+        os.environ.update(_ONE_THREAD)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+
+
+def _refusal(event: CellEvent) -> Exception:
+    """Return the error of the cell as one of the same family."""
+    text = str(event.body["text"])
+    families: dict[str, type[DeviceError]] = {
+        family.__name__: family
+        for family in (
+            device_errors.ConnectionLost,
+            device_errors.DeviceTimeout,
+            device_errors.WrongDevice,
+            device_errors.Refused,
+            device_errors.OutOfTravel,
+            device_errors.MotionFault,
+            device_errors.BeamLost,
+            DeviceError,
+        )
+    }
+    family = families.get(str(event.body["family"]))
+    return TruepathError(text) if family is None else family(text)

@@ -1,0 +1,199 @@
+"""The inside of a cell process: it owns the devices and measures, and computes nothing.
+
+Its main thread takes commands from the parent and obeys them at once; a measurement
+has a thread of its own. The process ends with its parent, holding the feed first.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing import connection, parent_process
+from multiprocessing.connection import Connection
+from types import FrameType
+from typing import Any
+
+from app.errors import TruepathError
+from app.measurement.faults import fault_of
+from app.measurement.measurement import Measurement
+from app.measurement.orders import CellConfig, CellState, Order
+from app.measurement.outbox import Outbox
+from app.plugins import load
+from drivers.interfaces.errors import DeviceError
+from drivers.interfaces.motion import MotionController
+from drivers.interfaces.records import Identity
+from drivers.interfaces.tracker import Tracker
+
+log = logging.getLogger(__name__)
+
+TRACKERS, CONTROLLERS = "truepath.trackers", "truepath.motion_controllers"
+LOOK_S = 0.5
+END_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the parent asks of the cell."""
+
+    verb: str
+    order: Order | None = None
+
+
+def main(link: Connection, config: CellConfig) -> None:
+    """Run a cell until it is told to close or its parent is gone."""
+    # Ctrl-C goes to every process of the terminal; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    parent = parent_process()
+    serve(link, config, () if parent is None else (parent.sentinel,))
+
+
+def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> None:
+    """Obey commands from `link` until `close`, its end, or a ready life line."""
+    cell = _Cell(config, Outbox(link))
+    parent_id = os.getppid()
+    try:
+        while True:
+            ready = connection.wait([link, *lifelines], LOOK_S)
+            if any(line in ready for line in lifelines) or os.getppid() != parent_id:
+                log.error("the parent process is gone; the feed is held")
+                return
+            if link in ready and not cell.obey(link.recv()):
+                return
+    except (EOFError, OSError):
+        log.error("the link to the parent is gone; the feed is held")
+    finally:
+        cell.end()
+
+
+def _leave(_signal: int, _frame: FrameType | None) -> None:
+    raise SystemExit(0)
+
+
+class _Cell:
+    """Devices and at most one measurement. Belongs to the thread that commands."""
+
+    def __init__(self, config: CellConfig, outbox: Outbox) -> None:
+        self._config, self._outbox = config, outbox
+        self._tracker: Tracker | None = None
+        self._motion: MotionController | None = None
+        self._identities: dict[str, Identity] = {}
+        self._measurement: Measurement | None = None
+        self._thread: threading.Thread | None = None
+
+    def obey(self, command: Command) -> bool:
+        """Do what is asked; False if it was to end."""
+        match command.verb:
+            case "connect":
+                self._answer_connect()
+            case "begin" if command.order is not None:
+                self._begin(command.order)
+            case "pause" | "resume" | "abort" as verb if self._measurement is not None:
+                self._pass_on(verb, self._measurement)
+            case "close":
+                return False
+        return True
+
+    def end(self) -> None:
+        """Stand still, end the measurement, release the ports, say the rest."""
+        if self._measuring:
+            self._quietly(self._measurement and self._measurement.halt)
+            if self._thread is not None:
+                self._thread.join(END_S)
+        for device in (self._motion, self._tracker):
+            self._quietly(device and device.close)
+        self._outbox.close(1.0)
+
+    @property
+    def _measuring(self) -> bool:
+        return self._thread is not None and self._thread.is_alive()
+
+    def _answer_connect(self) -> None:
+        try:
+            if not self._measuring:
+                self._connect()
+        except (DeviceError, TruepathError, TypeError, ValueError) as error:
+            body = {"family": type(error).__name__, "text": str(error)}
+            self._outbox.report("refused", body)
+            self._state(CellState.FAILED, str(error))
+            return
+        self._outbox.report("connected", dict(self._identities))
+
+    def _connect(self) -> None:
+        self._state(CellState.CONNECTING)
+        self._identities = {}
+        tracker, motion = self._made()
+        self._identities = {"tracker": tracker.connect(), "motion": motion.connect()}
+        self._state(CellState.READY)
+
+    def _made(self) -> tuple[Tracker, MotionController]:
+        """Return the devices, made by their drivers when first asked for."""
+        if self._tracker is None or self._motion is None:
+            config = self._config
+            make_tracker = load(TRACKERS, config.tracker_driver)
+            make_motion = load(CONTROLLERS, config.motion_driver)
+            self._tracker = make_tracker(**config.tracker_options)
+            self._motion = make_motion(**config.motion_options)
+        return self._tracker, self._motion
+
+    def _begin(self, order: Order) -> None:
+        if self._measuring:
+            text = "a measurement is under way"
+            self._fault("busy", text, "wait for its end, or abort it")
+        elif self._tracker is None or self._motion is None or not self._identities:
+            text = "tracker and controller are not connected"
+            self._fault("not-connected", text, "connect first")
+            self._state(CellState.FAILED, text)
+            self._outbox.report(
+                "closed",
+                {
+                    "run_file": "",
+                    "samples": 0,
+                    "lost_samples": 0,
+                    "sha256": "",
+                    "outcome": str(CellState.FAILED),
+                },
+            )
+        else:
+            self._measurement = Measurement(
+                order,
+                self._tracker,
+                self._motion,
+                self._identities,
+                self._outbox.report,
+            )
+            self._thread = threading.Thread(target=self._measurement.run, name="engine")
+            self._thread.start()
+
+    def _pass_on(self, verb: str, measurement: Measurement) -> None:
+        verbs = {
+            "pause": measurement.pause,
+            "resume": measurement.resume,
+            "abort": measurement.abort,
+        }
+        try:
+            if self._measuring:
+                verbs[verb]()
+        except DeviceError as error:
+            # The engine insists on the wish, and notices the lost link.
+            fault = fault_of(error)
+            log.warning("%s did not reach the controller: %s", verb, error)
+            self._fault(fault.code, fault.text, fault.action)
+
+    def _state(self, state: CellState, text: str = "") -> None:
+        self._outbox.report("state", {"state": str(state), "text": text})
+
+    def _fault(self, code: str, text: str, action: str) -> None:
+        self._outbox.report("fault", {"code": code, "text": text, "action": action})
+
+    def _quietly(self, step: Callable[[], Any] | None) -> None:
+        if step is None:
+            return
+        try:
+            step()
+        except DeviceError as error:
+            log.warning("on the way out: %s", error)

@@ -1,0 +1,115 @@
+"""What is wished of a measurement, and its one state. Every method: any thread.
+
+Verbs are absolute and idempotent. A wish to stand is a set of reasons; the machine may
+move only while the set is empty.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from enum import StrEnum
+
+from app.measurement.orders import CellState
+from drivers.interfaces.records import MotionState
+
+_S = CellState
+ENDS = frozenset({_S.FINISHED, _S.ABORTED, _S.FAILED, _S.FAULTED})
+TRANSITIONS: dict[CellState, frozenset[CellState]] = {
+    _S.RUNNING: frozenset({_S.PAUSING, _S.PAUSED}) | ENDS,
+    _S.PAUSING: frozenset({_S.PAUSED, _S.RESUMING}) | ENDS,
+    _S.PAUSED: frozenset({_S.RESUMING, _S.RUNNING}) | ENDS,
+    _S.RESUMING: frozenset({_S.RUNNING, _S.PAUSING, _S.PAUSED}) | ENDS,
+}
+
+
+class HoldReason(StrEnum):
+    """Why the service wants the machine to stand."""
+
+    OPERATOR = "operator"
+    SILENCE = "silence"
+    BEAM = "beam"
+    DISK = "disk"
+
+
+class Control:
+    """State of one measurement.
+
+    changed : told every new state with a text, by the thread that caused it
+    """
+
+    def __init__(self, changed: Callable[[CellState, str], None]) -> None:
+        self._changed = changed
+        self._lock = threading.RLock()
+        self._state = CellState.RUNNING
+        self._holds: set[HoldReason] = set()
+        self.aborted = threading.Event()
+
+    @property
+    def state(self) -> CellState:
+        """The state now."""
+        return self._state
+
+    @property
+    def standing(self) -> bool:
+        """Whether the machine must not be moved now."""
+        return self._state is not CellState.RUNNING
+
+    @property
+    def wants_hold(self) -> bool:
+        """Whether there is a reason to stand."""
+        return bool(self._holds)
+
+    def holds(self, reason: HoldReason) -> bool:
+        """Tell whether this is a reason to stand."""
+        return reason in self._holds
+
+    def hold(self, reason: HoldReason, text: str) -> bool:
+        """Wish to stand; tell whether this is news."""
+        with self._lock:
+            if reason in self._holds or self._state in ENDS:
+                return False
+            self._holds.add(reason)
+            if self._state in (CellState.RUNNING, CellState.RESUMING):
+                self._enter(CellState.PAUSING, text)
+            return True
+
+    def release(self, *reasons: HoldReason, text: str) -> bool:
+        """Wish to go on as far as these reasons go; tell whether the machine may."""
+        with self._lock:
+            self._holds -= set(reasons)
+            if self._holds or self._state not in (CellState.PAUSED, CellState.PAUSING):
+                return False
+            self._enter(CellState.RESUMING, text)
+            return True
+
+    def observe(self, motion: MotionState, hold_reason: str) -> None:
+        """Compare the wishes with what the controller does, and move on."""
+        with self._lock:
+            held = motion is MotionState.HELD
+            running = motion is MotionState.RUNNING
+            if self._state is CellState.PAUSING and not running:
+                self._enter(CellState.PAUSED, "")
+            elif self._state is CellState.RESUMING and not held:
+                self._enter(CellState.RUNNING, "")
+            elif self._state is CellState.RUNNING and held:
+                self._enter(CellState.PAUSED, f"held at the machine: {hold_reason}")
+            elif self._state is CellState.PAUSED and running and not self._holds:
+                self._enter(CellState.RUNNING, "released at the machine")
+
+    def fall_back(self, text: str) -> None:
+        """Give up resuming: the controller keeps holding."""
+        with self._lock:
+            if self._state is CellState.RESUMING:
+                self._enter(CellState.PAUSED, text)
+
+    def end(self, state: CellState, text: str) -> None:
+        """Enter a final state."""
+        with self._lock:
+            self._enter(state, text)
+
+    def _enter(self, state: CellState, text: str) -> None:
+        if state not in TRANSITIONS.get(self._state, frozenset()):
+            raise ValueError(f"no way from {self._state} to {state}")
+        self._state = state
+        self._changed(state, text)

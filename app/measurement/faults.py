@@ -1,0 +1,62 @@
+"""Why a measurement ends before its path does."""
+
+from __future__ import annotations
+
+from app.errors import MeasurementFailed, TruepathError
+from drivers.interfaces.errors import (
+    BeamLost,
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+    WrongDevice,
+)
+
+
+class Aborted(MeasurementFailed):
+    """Somebody asked for the end."""
+
+
+class Fault(MeasurementFailed):
+    """Something went wrong.
+
+    code : for programs; text : what happened; action : what to do now
+    latched : somebody has to look at the machine before anything goes on
+    """
+
+    def __init__(self, code: str, text: str, action: str, *, latched: bool) -> None:
+        self.code, self.text, self.action, self.latched = code, text, action, latched
+        super().__init__(f"{text}; {action}")
+
+
+_FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
+    (OutOfTravel, "out-of-travel", "shorten the plan or check the work offset", False),
+    (Refused, "refused", "check rate, feed and mode of the device", False),
+    (WrongDevice, "wrong-device", "check the port in the settings", False),
+    (BeamLost, "beam-lost", "lock the beam on the reflector, then go on", True),
+    (MotionFault, "motion-alarm", "clear the alarm at the machine", True),
+    (ConnectionLost, "link-lost", "check cable and power, then connect again", True),
+    (DeviceTimeout, "no-answer", "check cable and power, then connect again", True),
+    (DeviceError, "device", "look at the device, then connect again", True),
+)
+
+
+def fault_of(error: Exception) -> Fault:
+    """Return the fault that an error of a device or of the service amounts to."""
+    if isinstance(error, Fault):
+        return error
+    for family, code, action, latched in _FAMILIES:
+        if isinstance(error, family):
+            return Fault(code, str(error), action, latched=latched)
+    if isinstance(error, TruepathError):
+        return Fault(
+            "failed", str(error), "correct this, then begin again", latched=False
+        )
+    return Fault(
+        "internal",
+        f"{type(error).__name__}: {error}",
+        "this is a defect of the service; the log has the details",
+        latched=True,
+    )

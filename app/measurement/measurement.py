@@ -1,0 +1,215 @@
+"""One order from beginning to end: what is checked, done, recorded, told."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.errors import MeasurementFailed
+from app.measurement.control import Control
+from app.measurement.faults import Aborted, Fault, fault_of
+from app.measurement.live_view import LiveView
+from app.measurement.on_the_fly import stream_path
+from app.measurement.orders import CellState, Order, Report
+from app.measurement.progress import schedule_of
+from app.measurement.recorder import ClosedRun, Recorder
+from app.measurement.run_file import RunHeader
+from app.measurement.session import Limits, Session
+from app.measurement.step_through import step_through
+from app.planning.configurations import Configurations
+from app.planning.paths import check_travel
+from drivers.interfaces.errors import DeviceError
+from drivers.interfaces.motion import MotionController
+from drivers.interfaces.records import Identity, MotionState, Path
+from drivers.interfaces.tracker import Tracker
+
+log = logging.getLogger(__name__)
+
+STOP_S = 3.0
+
+
+class Measurement:
+    """One order on connected devices. `run` belongs to one thread, verbs to any."""
+
+    def __init__(
+        self,
+        order: Order,
+        tracker: Tracker,
+        motion: MotionController,
+        devices: Mapping[str, Identity],
+        report: Report,
+        *,
+        limits: Limits | None = None,
+    ) -> None:
+        self._order, self._tracker, self._motion = order, tracker, motion
+        self._devices, self._report, self._limits = dict(devices), report, limits
+        self._control = Control(self._state_changed)
+        self._session: Session | None = None
+        self._recorder: Recorder | None = None
+        self._halted = False
+
+    def pause(self) -> None:
+        """Feed hold, now."""
+        if self._session is not None:
+            self._session.pause()
+
+    def resume(self) -> None:
+        """Go on."""
+        if self._session is not None:
+            self._session.resume()
+
+    def abort(self) -> None:
+        """Stop and forget the path, whatever is going on.
+
+        Raises DeviceError if the controller is out of reach; its watchdog holds then.
+        """
+        self._control.aborted.set()
+        self._motion.abort()
+
+    def halt(self) -> None:
+        """Hold the feed and end the measurement: the service goes away."""
+        self._halted = True
+        self._control.aborted.set()
+        self._motion.hold()
+
+    def run(self) -> None:
+        """Measure. Never raises: how it ended is told by the last two events."""
+        self._state_changed(CellState.RUNNING, self._order.run_name)
+        state, text = CellState.FINISHED, "all rows have been driven"
+        try:
+            self._measure()
+        except Aborted as error:
+            state, text = CellState.ABORTED, str(error)
+            self._stop(self._motion.hold if self._halted else self._motion.abort)
+        except Exception as error:
+            fault = fault_of(error)
+            if fault.code == "internal":
+                log.exception("run %s: defect while measuring", self._order.run_name)
+            state = CellState.FAULTED if fault.latched else CellState.FAILED
+            text = str(fault)
+            self._stop(self._motion.hold)
+            self._tell(fault)
+        closed = self._close(state, text)
+        self._control.end(state, text)
+        self._report(
+            "closed",
+            {
+                "run_file": str(closed.file) if closed.file.exists() else "",
+                "samples": closed.samples,
+                "lost_samples": closed.lost_samples,
+                "sha256": closed.sha256,
+                "outcome": str(state),
+            },
+        )
+
+    def _measure(self) -> None:
+        order = self._order
+        check_travel(order.machine, order.commanded)
+        status = self._motion.status()
+        if status.state is MotionState.RUNNING:
+            raise Fault(
+                "motion-busy",
+                "the controller already runs something else",
+                "let it end or stop it at the machine",
+                latched=False,
+            )
+        self._motion.abort()  # what it still holds of an earlier order must not go on
+        commanded = arranged(order.commanded, self._motion.axes, status.position)
+        view = LiveView(self._report)
+        header = RunHeader(
+            order.run_name,
+            order.machine,
+            order.commanded,
+            order.rate_hz,
+            self._devices,
+            self._motion.axes,
+        )
+        self._recorder = Recorder(
+            FilePath(order.run_file),
+            header,
+            committed=view.show,
+            reserve_bytes=order.reserve_bytes,
+        )
+        self._session = Session(
+            self._tracker,
+            self._motion,
+            self._recorder,
+            self._control,
+            view,
+            self._report,
+            schedule_of(order.commanded, order.feed_mm_min),
+            limits=self._limits,
+        )
+        rate_hz, feed = order.rate_hz, order.feed_mm_min
+        if isinstance(commanded, Path):
+            stream_path(self._session, commanded, rate_hz=rate_hz, feed=feed)
+        else:
+            step_through(self._session, commanded, rate_hz=rate_hz, feed=feed)
+
+    def _stop(self, verb: Callable[[], None]) -> None:
+        """Bring the machine to a stand if it moves by our order; wait a little for it."""
+        if self._session is None:
+            return
+        deadline_s = time.monotonic() + STOP_S
+        while time.monotonic() < deadline_s:
+            with contextlib.suppress(DeviceError):
+                verb()
+                if self._motion.status().state is not MotionState.RUNNING:
+                    return
+            time.sleep(0.05)
+
+    def _close(self, state: CellState, text: str) -> ClosedRun:
+        if self._session is not None:
+            self._session.close_stream()
+        if self._recorder is None:
+            return ClosedRun(FilePath(self._order.run_file), "", 0, 0)
+        self._note("outcome", f"{state}: {text}")
+        closed = self._recorder.close(str(state))
+        self._recorder = None
+        if closed.failure:
+            action = "keep the file; what was committed can be read"
+            self._tell(Fault("storage", closed.failure, action, latched=False))
+        return closed
+
+    def _tell(self, fault: Fault) -> None:
+        body = {"code": fault.code, "text": fault.text, "action": fault.action}
+        self._report("fault", body)
+        self._note(fault.code, fault.text)
+
+    def _state_changed(self, state: CellState, text: str) -> None:
+        self._note("state", f"{state}: {text}" if text else str(state))
+        self._report("state", {"state": str(state), "text": text})
+
+    def _note(self, kind: str, text: str) -> None:
+        if self._recorder is not None:
+            with contextlib.suppress(MeasurementFailed):
+                self._recorder.event(kind, text)
+
+
+def arranged(
+    commanded: Path | Configurations, axes: tuple[str, ...], stand: tuple[float, ...]
+) -> Path | Configurations:
+    """Return the rows in the axis order of a controller.
+
+    Axes that the plan does not name stay where they stand. Raises Fault if the plan
+    names an axis that the controller has not got.
+    """
+    missing = [name for name in commanded.axes if name not in axes]
+    if missing:
+        raise Fault(
+            "wrong-device",
+            f"the controller has axes {', '.join(axes)}, none is {missing[0]}",
+            "check the machine file and the controller",
+            latched=False,
+        )
+    position: NDArray[np.float64] = np.tile(np.array(stand, float), (len(commanded), 1))
+    for column, name in enumerate(commanded.axes):
+        position[:, axes.index(name)] = commanded.position[:, column]
+    return replace(commanded, axes=axes, position=position)
