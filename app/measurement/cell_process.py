@@ -132,13 +132,14 @@ class _Cell:
 
     def _made(self) -> tuple[Tracker, MotionController]:
         """Return the devices, made by their drivers when first asked for."""
-        if self._tracker is None or self._motion is None:
-            config = self._config
+        config, tracker, motion = self._config, self._tracker, self._motion
+        if tracker is None or motion is None:
             make_tracker = load(TRACKERS, config.tracker_driver)
             make_motion = load(CONTROLLERS, config.motion_driver)
-            self._tracker = make_tracker(**config.tracker_options)
-            self._motion = make_motion(**config.motion_options)
-        return self._tracker, self._motion
+            tracker = make_tracker(**config.tracker_options)
+            motion = make_motion(**config.motion_options)
+        self._tracker, self._motion = tracker, motion
+        return tracker, motion
 
     def _begin(self, order: Order) -> None:
         if self._measuring:

@@ -154,7 +154,7 @@ class Measurement:
             step_through(self._session, commanded, rate_hz=rate_hz, feed=feed)
 
     def _stop(self, verb: Callable[[], None]) -> None:
-        """Bring the machine to a stand if it moves by our order; wait a little for it."""
+        """Bring the machine to a stand if it moves by our order; wait a little."""
         if self._session is None:
             return
         deadline_s = time.monotonic() + STOP_S
