@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from drivers.cnc.modbus.driver import ModbusController
+from drivers.interfaces.records import MotionState
+from drivers.tracker.streaming.driver import StreamingTracker
+from simulators.command import main
+
+Command = tuple["subprocess.Popen[str]", dict[str, Any]]
+
+
+@pytest.fixture
+def simulate() -> Iterator[Callable[..., Command]]:
+    started: list[subprocess.Popen[str]] = []
+
+    def run(*options: str) -> Command:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "simulators.command", "--json", *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout is not None
+        return process, json.loads(process.stdout.readline())
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_serves_until_a_signal_and_leaves_nothing(
+    simulate: Callable[..., Command], number: signal.Signals
+) -> None:
+    process, where = simulate("--tracker", "tcp")
+    with ModbusController(**where["modbus_tcp"]) as motion:
+        assert motion.status().state is MotionState.IDLE
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        assert len(tracker.read(2.0)) > 0
+    process.send_signal(number)
+    assert process.wait(10) == 0
+    assert not any(psutil.pid_exists(pid) for pid in where["pids"].values())
+
+
+def test_a_rig_finds_the_serial_lines_by_name(
+    simulate: Callable[..., Command], tmp_path: Path
+) -> None:
+    _, where = simulate("--rtu", "--links", str(tmp_path))
+    assert where["tracker"]["port"] == str(tmp_path / "tracker")
+    with ModbusController(**where["modbus_rtu"]) as motion:
+        assert motion.axes == ("X", "Y", "Z")
+
+
+def test_a_line_on_standard_input_is_a_fault(
+    simulate: Callable[..., Command],
+) -> None:
+    process, where = simulate("--tracker", "tcp")
+    assert process.stdin is not None
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        process.stdin.write("tracker:beam-break\n")
+        process.stdin.flush()
+        deadline_s = time.monotonic() + 5.0
+        while not tracker.read(0.1).status.any():
+            assert time.monotonic() < deadline_s
+
+
+def test_killed_it_takes_its_simulators_along(
+    simulate: Callable[..., Command],
+) -> None:
+    process, where = simulate()
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(10)
+    deadline_s = time.monotonic() + 5.0
+    while any(runs(pid) for pid in where["pids"].values()):
+        assert time.monotonic() < deadline_s
+
+
+def runs(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--machine", "nowhere.json"], "nowhere.json"),
+        (["--fault", "tracker:explode"], "explode"),
+        (["--speed", "0"], "speed"),
+    ],
+)
+def test_bad_input_is_exit_status_2_and_a_clear_line(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status: object = main(options)
+    except SystemExit as end:
+        status = end.code
+    assert status == 2
+    assert said in capsys.readouterr().err
+
+
+def test_it_is_found_by_its_entry_point() -> None:
+    (point,) = entry_points(group="truepath.simulators", name="command")
+    assert point.load() is main
