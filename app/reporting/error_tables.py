@@ -72,7 +72,10 @@ def error_tables(
     for effect in model.effects:
         part = model.slices[effect.name]
         if isinstance(effect, ErrorMotion):
-            tables.append(_table(effect, theta[part], covariance[part, part]))
+            at_mm = table_positions_mm(effect.axis)
+            tables.append(
+                error_table(effect, theta[part], covariance[part, part], at_mm)
+            )
         elif isinstance(effect, Squareness):
             value, variance = float(theta[part][0]), float(covariance[part, part][0, 0])
             sigma = float(np.sqrt(variance))
@@ -91,14 +94,15 @@ def table_positions_mm(axis: LinearAxis) -> Float64[np.ndarray, " n"]:
     return np.linspace(axis.min_mm, axis.max_mm, max(intervals + 1, _FEWEST))
 
 
-def _table(
+def error_table(
     motion: ErrorMotion,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
+    position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
+    """Return one error motion at given positions, from its own parameters."""
     turn = is_turn(motion.symbol)
     scale = MICRO if turn else MILLI
-    position_mm = table_positions_mm(motion.axis)
     rows = motion.rows(position_mm)
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     sigma = np.sqrt(np.maximum(variance, 0.0))

@@ -15,15 +15,17 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 
 from app.estimation.volumetric_map import volumetric_map
 from app.kinematics.effects.base import standstill
+from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import error_motions, meaning
-from app.reporting.error_tables import MILLI, ErrorTable
+from app.reporting.error_tables import MILLI, ErrorTable, error_table
 from app.reporting.findings import Findings
 from app.reporting.svg import Colour, axes_of, figure, inline_svg
 
 SIGN = {"um": "µm", "urad": "µrad"}
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22
+_DRAWN = 121  # positions of a curve
 # Readable on light and on dark paper.
 _SIZES = LinearSegmentedColormap.from_list("sizes", ["#3d6fd6", "#b04fae", "#f0803c"])
 
@@ -34,7 +36,7 @@ def axis_figure(found: Findings, axis: LinearAxis) -> str:
         panels = axes_of(drawn, 2, 3)
         for panel, symbol in zip(panels, error_motions(axis.name), strict=True):
             panel.set_title(f"{symbol}  {meaning(symbol)}")
-            table = found.tables.table(symbol)
+            table = _fine_table(found, symbol)
             if table is None:
                 _blank(panel, "not observable\nwith the measured target")
             else:
@@ -42,6 +44,18 @@ def axis_figure(found: Findings, axis: LinearAxis) -> str:
         for panel in panels[3:]:
             panel.set_xlabel(f"{axis.name}, mm")
         return inline_svg(drawn, f"Error motions of axis {axis.name} over its travel")
+
+
+def _fine_table(found: Findings, symbol: str) -> ErrorTable | None:
+    """Return an error motion as densely as it is drawn."""
+    estimate = found.estimate
+    part = estimate.model.slices.get(symbol)
+    motion = next((e for e in estimate.model.effects if e.name == symbol), None)
+    if part is None or not isinstance(motion, ErrorMotion):
+        return None
+    at_mm = np.linspace(motion.axis.min_mm, motion.axis.max_mm, _DRAWN)
+    theta, covariance = estimate.theta[part], estimate.covariance[part, part]
+    return error_table(motion, theta, covariance, at_mm)
 
 
 def _motion(panel: Axes, table: ErrorTable) -> None:
@@ -117,7 +131,7 @@ def _volume(panel: Axes, found: Findings) -> None:
     coloured.set_array(shade.ravel())
     panel.add_collection(coloured)
     _name_axes(panel, model.machine.linear_axes, reach)
-    panel.set_title(f"Errors of the volume, drawn {factor:,.0f} times")
+    panel.set_title(f"Volume with its errors, exaggerated {factor:,.0f} times")
     panel.set_aspect("equal")
     panel.autoscale_view()
     panel.set_axis_off()
@@ -182,12 +196,14 @@ def _distribution(panel: Axes, found: Findings) -> None:
     ):
         share = np.linspace(0.0, 100.0, len(lengths))
         panel.plot(np.maximum(lengths, 1e-3), share, color=colour, label=label)
+    lowest = max(float(np.quantile(after, 0.02)), 1e-3)
     panel.set_xscale("log")
+    panel.set_xlim(_round_down(lowest), None)
     panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     panel.set_xlabel("length of the volumetric error, µm")
     panel.set_ylabel("share of the volume, %")
     panel.set_title("Volumetric error before and after compensation")
-    panel.legend(loc="lower right")
+    panel.legend(loc="upper left")
 
 
 def residual_figure(found: Findings) -> str:
@@ -205,18 +221,9 @@ def _by_line(panel: Axes, found: Findings) -> None:
     lines, floor = found.by_line, MILLI * found.estimate.residuals.floor_mm
     panel.vlines(lines.row, 0.0, lines.rms_um, color=Colour.ACCENT, linewidth=2.0)
     panel.axhline(floor, color=Colour.SECOND, linewidth=1.0, linestyle=(0, (4, 2)))
-    panel.text(
-        1.0,
-        floor,
-        "noise alone",
-        transform=panel.get_yaxis_transform(),
-        ha="right",
-        va="bottom",
-        color=Colour.SECOND,
-        fontsize=7,
-    )
     otf = found.provenance.run.mode == "otf"
-    panel.set_title("Residual by line" if otf else "Residual by point")
+    name = "line" if otf else "point"
+    panel.set_title(f"Residual by {name} (dashed: what noise alone leaves)")
     panel.set_xlabel("row of the path" if otf else "row of the points")
     panel.set_ylabel("rms, µm")
     panel.set_ylim(0.0, None)

@@ -73,8 +73,8 @@ def _tiles(found: Findings) -> str:
         tile(
             plain(after.mean.value_um, 2),
             "µm",
-            "Expected after compensation",
-            f"{left:.1f} % of it stays; for a separate measurement to confirm",
+            "After compensation",
+            f"expected: {left:.1f} % of it stays; a separate measurement confirms",
             "good",
         ),
         tile(

@@ -181,9 +181,9 @@ def unobservable(number: int, found: Findings) -> str:
     else:
         items = "".join(f"<li>{escape(s)}</li>" for s in seen.unobservable)
         text = (
-            "<p>These were left out of the solve rather than set to zero. Where one "
-            "merges with others, the tables of those hold for the measured target "
-            f"only.</p><ul>{items}</ul>"
+            "<p>Motions that merge with others were left out of the solve rather than "
+            "set to zero; the tables of the others hold for the measured target only."
+            f"</p><ul>{items}</ul>"
         )
     note = (
         f"<p class=note>The measurement determines {seen.rank} of {seen.parameters} "
@@ -283,17 +283,23 @@ def _validity(found: Findings) -> str:
 
 def _overview(found: Findings) -> str:
     rows = [
-        (
-            f"<code>{t.symbol}</code>",
-            meaning(t.symbol),
-            f"{plain(float(np.ptp(t.value)))} {SIGN[t.unit]}",
-            f"{plain(float(np.abs(t.value).max()))} {SIGN[t.unit]}",
-            f"{plain(_K * float(t.uncertainty.max()), 2)} {SIGN[t.unit]}",
-        )
-        for t in found.tables.tables
+        (f"<code>{symbol}</code>", meaning(symbol), *_sizes(found.tables.table(symbol)))
+        for axis in found.estimate.model.machine.linear_axes
+        for symbol in symbols_of(axis.name)
     ]
     head = ("Symbol", "Error motion", "range", "largest", "largest U (k = 2)")
     return table(head, rows, numbers=2)
+
+
+def _sizes(known: ErrorTable | None) -> tuple[str, str, str]:
+    if known is None:
+        return "", "", "<span class=note>not observable</span>"
+    unit = SIGN[known.unit]
+    return (
+        f"{plain(float(np.ptp(known.value)))} {unit}",
+        f"{plain(float(np.abs(known.value).max()))} {unit}",
+        f"{plain(_K * float(known.uncertainty.max()), 2)} {unit}",
+    )
 
 
 def _values(found: Findings, axis: LinearAxis) -> str:

@@ -22,7 +22,8 @@ section{background:var(--card);border:1px solid var(--rule);border-radius:10px;
 h2{font-size:19px;margin:0 0 10px;line-height:1.3}
 h2 span{color:var(--muted);font-weight:400;margin-right:.45em}
 h3{font-size:15px;margin:24px 0 6px}
-p{margin:8px 0;max-width:78ch}
+p{margin:8px 0;max-width:92ch}
+.n:last-child{padding-right:2px}
 .note{color:var(--muted);font-size:13.5px}
 .tiles{display:grid;grid-template-columns:repeat(4,1fr);gap:14px;margin-top:22px}
 .tile{background:var(--card);border:1px solid var(--rule);border-radius:10px;
@@ -37,11 +38,11 @@ p{margin:8px 0;max-width:78ch}
 .callout{border-left:4px solid var(--accent);background:var(--tint);padding:10px 16px;
  border-radius:0 8px 8px 0;margin:12px 0}
 .callout.warn{border-color:var(--second);background:var(--warn-tint)}
-.callout p{margin:4px 0}
+.callout p{margin:4px 0;max-width:none}
 figure{margin:14px 0 4px}
 figure svg{display:block;width:100%;height:auto}
 figure svg *{stroke-linejoin:round;stroke-linecap:butt}
-figcaption{color:var(--muted);font-size:13px;margin-top:4px;max-width:88ch}
+figcaption{color:var(--muted);font-size:13px;margin-top:4px;max-width:112ch}
 .scroll{overflow-x:auto}
 table{border-collapse:collapse;width:100%;font-size:13.5px;
  font-variant-numeric:tabular-nums}
@@ -59,7 +60,7 @@ ul{padding-left:20px;margin:8px 0}li{margin:4px 0}
 details{margin-top:10px}
 summary{cursor:pointer;color:var(--accent);font-size:13.5px}
 footer{color:var(--muted);font-size:12.5px;margin-top:22px}
-@media (max-width:760px){.tiles{grid-template-columns:repeat(2,1fr)}
+@media screen and (max-width:760px){.tiles{grid-template-columns:repeat(2,1fr)}
  main{padding:20px 12px}section{padding:16px}figure{overflow-x:auto}
  figure svg{min-width:640px}dl{grid-template-columns:1fr;gap:0}dd{margin-bottom:8px}}
 @media print{
@@ -68,7 +69,8 @@ footer{color:var(--muted);font-size:12.5px;margin-top:22px}
  main{max-width:none;padding:0}
  section,.tile{border-color:#cfd6dd}
  section{padding:12px 14px;break-inside:auto}
- .tiles{gap:8px}.tile{padding:9px 11px}.tile b{font-size:19px}
+ .tiles{gap:8px}.tile{padding:9px 11px}.tile b{font-size:17px}
+ th,td{padding-top:3px;padding-bottom:3px}
  h2,h3{break-after:avoid}
  figure,.tile,tr,dl,.callout{break-inside:avoid}
  details:not([open]){display:none}
