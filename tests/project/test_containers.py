@@ -15,6 +15,7 @@ import jsonschema
 import pytest
 import yaml
 
+from app.measurement.machine_file import read_machine
 from app.settings import Settings, load_settings
 
 VENDORED = Path(__file__).parent / "vendor" / "compose-spec.json"
@@ -95,9 +96,9 @@ def test_the_ports_are_those_of_the_service(dockerfile, compose):
 def test_the_data_volume_is_the_data_folder(dockerfile, compose):
     (volume,) = instructions(dockerfile, "VOLUME")
     assert environment_of(dockerfile)["TRUEPATH_DATA_DIR"] == volume
-    ours = [s for s in compose["services"].values() if "build" in s]
-    assert ours
-    assert all(f"data:{volume}" in service["volumes"] for service in ours)
+    serving = [s for s in compose["services"].values() if s.get("ports")]
+    assert serving
+    assert all(f"data:{volume}" in service["volumes"] for service in serving)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +140,7 @@ def test_the_environment_of_each_service_makes_good_settings(
     secret = tmp_path / "database_password"
     secret.write_text("pass/word\n")
     for service in compose["services"].values():
-        if "build" not in service:
+        if not service.get("ports"):
             continue
         given = environment_of(dockerfile) | service.get("environment", {})
         if "TRUEPATH_DATABASE_PASSWORD_FILE" in given:
@@ -154,6 +155,23 @@ def test_the_environment_of_each_service_makes_good_settings(
             assert settings.database == (
                 "postgresql+psycopg://truepath:pass%2Fword@postgres/truepath"
             )
+
+
+def test_the_bench_listens_where_the_service_looks_for_it(compose, root):
+    simulators = compose["services"]["simulators"]["command"]
+    service = compose["services"]["truepath-bench"]["environment"]
+    tracker = json.loads(service["TRUEPATH_TRACKER_OPTIONS"])
+    motion = json.loads(service["TRUEPATH_MOTION_OPTIONS"])
+    assert tracker == {"host": "simulators", "port": option(simulators, "tracker-port")}
+    assert motion["host"] == "simulators"
+    assert motion["port"] == option(simulators, "modbus-port")
+    machine = root / "docker" / compose["configs"]["machine"]["file"]
+    assert read_machine(machine).name == "demo"
+
+
+def option(command, name):
+    (word,) = [word for word in command if word.startswith(f"--{name}=")]
+    return int(word.partition("=")[2])
 
 
 def test_secrets_come_from_files_that_git_does_not_keep(compose, root):

@@ -1,0 +1,136 @@
+"""The main job without a service: simulated devices, real links, a Run, error tables.
+
+The simulated machine knows its true errors, so at the end the result is held against
+them: what a machine of iron never tells.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from app.cli.following import follow
+from app.cli.summary import print_result, summarised
+from app.cli.terminal import print_json, progress, say
+from app.cli.truth import Proof, proof
+from app.errors import BadInput, PlanningError
+from app.jobs.analysis import Analysis, analyse, write_analysis
+from app.kinematics.machine import Machine
+from app.measurement.bundle import write_bundle
+from app.measurement.cell import Cell, CellConfig, Order
+from app.measurement.machine_file import decode_machine
+from app.measurement.recording import open_run
+from app.measurement.run import Run
+from app.planning.paths import (
+    DEFAULT_LINES,
+    check_travel,
+    default_path,
+    travel_time_s,
+)
+from app.plugins import load
+from drivers.interfaces.records import Path as ToolPath
+
+FEWEST_LINES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """What to show.
+
+    output : folder of the result, of the Run and of its measurement bundle
+    minutes : how long the path may take on the machine's clock; None for the usual path
+    speed : the simulated devices' clock, times the real one
+    faults : what goes wrong, in the words of the simulators
+    """
+
+    output: Path
+    feed_mm_min: float
+    minutes: float | None
+    speed: float
+    seed: int
+    faults: tuple[str, ...] = ()
+
+    def run(self, *, as_json: bool) -> None:
+        """Measure, analyse, compare with the truth, and print what came of it."""
+        self.output.mkdir(parents=True, exist_ok=True)
+        bench = self._bench()
+        with bench:
+            run, lost = self._measure(bench)
+        analysis = _analysed(run)
+        write_analysis(analysis, self.output)
+        write_bundle(run, self.output / "bundle")
+        found = proof(analysis.result, bench.truth_at)
+        if as_json:
+            print_json(self._summary(analysis, run, lost, found))
+        else:
+            print_result(analysis.result, self.output)
+            _print_proof(found, len(run.tracker), lost)
+
+    def _bench(self) -> Any:
+        make = load("truepath.simulators", "bench")
+        try:
+            return make(seed=self.seed, speed=self.speed, faults=self.faults)
+        except ValueError as error:
+            raise BadInput(str(error)) from error
+
+    def _measure(self, bench: Any) -> tuple[Run, int]:
+        machine = decode_machine(json.dumps(bench.machine).encode())
+        path = planned(machine, self.feed_mm_min, self.minutes)
+        say(f"tracker on {_shown(bench.tracker_options)}")
+        say(f"CNC on Modbus TCP {_shown(bench.motion_options)}")
+        run_file = self.output / "run.sqlite"
+        run_file.unlink(missing_ok=True)
+        config = CellConfig(
+            "streaming", bench.tracker_options, "modbus", bench.motion_options
+        )
+        order = Order("demo", str(run_file), machine, path)
+        with progress("measure") as report:
+            closed = follow(Cell(config), order, report)
+        return open_run(run_file), int(closed["lost_samples"])
+
+    def _summary(
+        self, analysis: Analysis, run: Run, lost: int, found: Proof
+    ) -> dict[str, Any]:
+        return {
+            **summarised(analysis.result, self.output),
+            "samples": len(run.tracker),
+            "lost_samples": lost,
+            "against_truth": {**asdict(found), "left": found.left},
+        }
+
+
+def planned(machine: Machine, feed_mm_min: float, minutes: float | None) -> ToolPath:
+    """Return the usual path, or one of as many lines as take `minutes`."""
+    path = default_path(machine, feed_mm_min)
+    if minutes is not None:
+        line_s = travel_time_s(path) / DEFAULT_LINES
+        lines = round(60.0 * minutes / line_s)
+        if lines < FEWEST_LINES:
+            least = FEWEST_LINES * line_s / 60.0
+            raise PlanningError(
+                f"{minutes:g} min is too short at {feed_mm_min:g} mm/min; "
+                f"give --minutes {least:.1f} or more, or a higher --feed"
+            )
+        path = default_path(machine, feed_mm_min, lines=lines)
+    check_travel(machine, path)
+    return path
+
+
+def _analysed(run: Run) -> Analysis:
+    with progress("analyse") as report:
+        return analyse(run, progress=report)
+
+
+def _shown(options: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in options.items())
+
+
+def _print_proof(found: Proof, samples: int, lost: int) -> None:
+    print(f"{samples} samples, {lost} lost")
+    print(
+        f"against the truth: mean volumetric error {found.before_um:.1f} µm, "
+        f"{found.after_um:.2f} µm left ({100 * found.left:.1f} %); "
+        f"{100 * found.covered:.0f} % of the components within 2 u"
+    )

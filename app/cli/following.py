@@ -1,0 +1,63 @@
+"""One measurement by a cell of our own, followed to its closed Run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from app.cli.terminal import Report
+from app.errors import MeasurementFailed
+from app.measurement.cell import Cell, CellEvent, Order
+
+SILENCE_S = 30.0  # without a word from the cell process: something is broken
+_ENDED_BADLY = frozenset({"aborted", "failed", "faulted"})
+
+
+def follow(cell: Cell, order: Order, report: Report) -> Mapping[str, Any]:
+    """Measure and return what the cell said of the closed Run.
+
+    Raises DeviceError if the devices do not answer, MeasurementFailed if the
+    measurement ended before its path did. Stops the machine on the way out in any case.
+    """
+    cell.start()
+    try:
+        cell.connect()
+        cell.begin(order)
+        return _until_closed(cell, report)
+    finally:
+        cell.close()
+
+
+def _until_closed(cell: Cell, report: Report) -> Mapping[str, Any]:
+    said = MeasurementFailed("the measurement ended early")
+    outcome = ""
+    heard_s = time.monotonic()
+    while time.monotonic() - heard_s < SILENCE_S:
+        for event in cell.poll(0.2):
+            heard_s = time.monotonic()
+            if event.kind == "progress":
+                report(*_progress(event))
+            elif event.kind == "fault":
+                said = MeasurementFailed(_fault(event))
+            elif event.kind == "state" and event.body["state"] in _ENDED_BADLY:
+                outcome = event.body["state"]
+            elif event.kind == "closed":
+                if outcome:
+                    raise said
+                return event.body
+        if not cell.alive:
+            raise MeasurementFailed("the cell process has died; its Run can be opened")
+    raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
+
+
+def _progress(event: CellEvent) -> tuple[float, str, str]:
+    body = event.body
+    share = body["done"] / body["total"] if body["total"] else 0.0
+    lost = f"{body['samples']} samples, {body['lost_samples']} lost"
+    return min(share, 1.0), body["stage"], lost
+
+
+def _fault(event: CellEvent) -> str:
+    text, action = event.body.get("text", ""), event.body.get("action", "")
+    return "; ".join(filter(None, [text, action]))

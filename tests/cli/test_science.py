@@ -1,0 +1,100 @@
+"""`analyse` and `predict`: files in, files out, one object on standard output."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from app.cli.command import run
+from app.measurement.bundle import zip_bundle
+
+
+def test_analyse_writes_result_tables_and_report(analysed):
+    assert {path.name for path in analysed.iterdir()} == {
+        "result.json",
+        "error_tables.csv",
+        "report.html",
+    }
+    result = json.loads((analysed / "result.json").read_text())
+    assert result["schema"] == "result/1"
+    assert result["mode"] == "otf"
+
+
+def test_a_zip_says_the_same_as_its_folder_in_one_object(
+    record, analysed, tmp_path, summary
+):
+    archive, out = tmp_path / "run.zip", tmp_path / "out"
+    archive.write_bytes(zip_bundle(record(1, rows=24)[0]))
+    assert run(["analyse", str(archive), "-o", str(out), "--json"]) == 0
+    said = summary()
+    assert said["schema"] == "summary/1"
+    assert said["mode"] == "otf"
+    assert said["residual_rms_um"] > 0
+    assert said["observability"]["rank"] < said["observability"]["parameters"]
+    assert {str(path) for path in out.iterdir()} == set(said["files"])
+    folder = json.loads((analysed / "result.json").read_text())
+    highest = max(folder["error_tables"]["EXX"]["value_um"])
+    assert said["error_tables"]["EXX"]["highest_um"] == pytest.approx(highest)
+
+
+def test_perpendicular_only_knows_less_and_a_person_gets_tables(
+    analysed, recorded, tmp_path, capsys
+):
+    out = str(tmp_path / "out")
+    assert run(["analyse", str(recorded), "-o", out, "--perpendicular-only"]) == 0
+    said = capsys.readouterr()
+    assert "EXX" in said.out
+    assert "C0Y" in said.out
+    assert "not seen by this measurement" in said.out
+    stages = [line.removeprefix("analyse: ") for line in said.err.splitlines()]
+    assert stages == ["reading", "aligning", "estimating", "reporting", "writing"]
+    tables = [
+        json.loads((folder / "result.json").read_text())["error_tables"]["EXX"]
+        for folder in (analysed, tmp_path / "out")
+    ]
+    both, across = (np.mean(table["uncertainty_um"]) for table in tables)
+    assert across > both
+
+
+def test_predict_adds_error_and_uncertainty_to_the_points(
+    analysed, points, tmp_path, summary
+):
+    out = tmp_path / "new" / "predicted.csv"
+    out.parent.mkdir()
+    arguments = ["--points", str(points), "-o", str(out), "--json"]
+    assert run(["predict", str(analysed / "result.json"), *arguments]) == 0
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [row["x_mm"] for row in rows] == ["0", "250", "500"]
+    for row in rows:
+        assert all(float(row[name]) > 0 for name in ("ux_um", "uy_um", "uz_um"))
+    said = summary()
+    assert said["points"] == 3
+    assert said["files"] == [str(out)]
+
+
+def test_predict_agrees_with_the_truth_within_its_uncertainty(
+    analysed, record, volume, rigid_free, tmp_path, capsys
+):
+    truth = record(1, rows=24)[1]
+    q = volume(record(1, rows=24)[0].machine)
+    file, out = tmp_path / "points.csv", tmp_path / "predicted.csv"
+    np.savetxt(file, q, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    result = str(analysed / "result.json")
+    assert run(["predict", result, "--points", str(file), "-o", str(out)]) == 0
+    assert "300 points" in capsys.readouterr().out
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    predicted = np.stack([table[f"d{axis}_um"] for axis in "xyz"], axis=1)
+    sigma = np.stack([table[f"u{axis}_um"] for axis in "xyz"], axis=1)
+    true_um = 1e3 * truth.deviation_mm(q)
+    left = rigid_free(q, true_um - predicted)
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(rigid_free(q, true_um))
+    assert (np.abs(left) < 2 * sigma).mean() > 0.85
+
+
+def test_points_beyond_the_travel_are_noted_and_predicted(analysed, tmp_path, capsys):
+    file = tmp_path / "points.csv"
+    file.write_text("x_mm,y_mm,z_mm\n600,0,0\n")
+    result, out = str(analysed / "result.json"), str(tmp_path / "out.csv")
+    assert run(["predict", result, "--points", str(file), "-o", out]) == 0
+    assert "note: 1 of 1 points lie beyond the travel" in capsys.readouterr().err
