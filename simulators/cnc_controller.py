@@ -25,7 +25,8 @@ from simulators.profile import Limits
 from simulators.timeline import Program, Timeline, follow, standing
 
 MAX_FEED_MM_MIN = 40_000.0
-_KEPT_S = 60.0
+# In lead times: a minute on the wall, longer than a tracker process is ever late.
+_KEPT = 3000.0
 # Planning and publishing thousands of rows takes some 30 ms; a brake takes one.
 _LONG_LEAD = 5.0
 
@@ -197,7 +198,7 @@ class Controller:
         self._running = program
         begin_s = now_s + _LONG_LEAD * self._lead_s
         origin = self.position(begin_s)
-        past = self._timeline.since(now_s - _KEPT_S).cut(begin_s)
+        past = self._recent(now_s).cut(begin_s)
         self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
         self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
 
@@ -207,9 +208,11 @@ class Controller:
             self._running = interruption.program_left(
                 self._timeline, self._running, at_s
             )
-        recent = self._timeline.since(now_s - _KEPT_S)
-        self._change(interruption.held(recent, at_s, self._limits))
+        self._change(interruption.held(self._recent(now_s), at_s, self._limits))
         self._stopping_for = state
+
+    def _recent(self, now_s: float) -> Timeline:
+        return self._timeline.since(now_s - _KEPT * self._lead_s)
 
     def _fed(self) -> Program:
         """Return the running program at the present override."""
