@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from simulators.errors import SimulatorError
-from simulators.faults import Fault, Schedule, parse_fault
+from simulators.faults import KINDS, Fault, Schedule, parse_fault
 
 
 @pytest.mark.parametrize(
@@ -87,3 +89,10 @@ def test_an_added_fault_counts_from_now() -> None:
     assert not schedule.strikes("silence", 51.0)
     assert not schedule.strikes("delay", 54.0)
     assert schedule.strikes("delay", 55.0)
+
+
+def test_every_kind_of_fault_is_documented() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulators.md").read_text()
+    for kinds in KINDS.values():
+        for kind in kinds:
+            assert f"`{kind}`" in page
