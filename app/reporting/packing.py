@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import zlib
 
 import numpy as np
@@ -25,9 +24,9 @@ def unpack_symmetric(text: str, size: int) -> Float64[np.ndarray, "p p"]:
     try:
         # Bounded, so that a short text cannot unpack to fill the memory.
         data = unpacker.decompress(base64.b64decode(text, validate=True), wanted + 1)
-    except (binascii.Error, zlib.error, UnicodeEncodeError) as error:
+    except (ValueError, zlib.error) as error:
         raise ValueError(f"cannot be unpacked ({error})") from error
-    if len(data) != wanted:
+    if len(data) != wanted or not unpacker.eof:
         raise ValueError(f"does not hold a matrix of size {size}")
     triangle = np.frombuffer(data, "<f8").astype(np.float64)
     if not np.isfinite(triangle).all():

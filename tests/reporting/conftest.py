@@ -1,0 +1,145 @@
+"""Estimates constructed from known numbers, and a Run that they could have come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from app.estimation.estimate import Estimate, Observability, Residuals
+from app.estimation.identifiable import identifiable_model
+from app.estimation.noise import NoiseModel
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from app.numerics.rigid import RigidTransform
+from app.reporting.findings import Findings, Provenance, find
+from app.reporting.result_json import LoadedResult
+from app.reporting.run_account import RunAccount
+
+AXES = (
+    LinearAxis("X", -200.0, 300.0),  # zero inside the travel
+    LinearAxis("Y", 10.0, 400.0),  # zero outside: the lowest position stands in
+    LinearAxis("Z", 0.0, 310.0),
+)
+ONE_TARGET = (Target("", "tool", (20.0, 30.0, -150.0)),)
+THREE_TARGETS = (
+    Target("short", "tool", (20.0, 30.0, -150.0)),
+    Target("long", "tool", (20.0, 30.0, -250.0)),
+    Target("aside", "tool", (120.0, -40.0, -150.0)),
+)
+LINES, CELLS = 12, 240
+
+
+def machine_with(targets: tuple[Target, ...]) -> Machine:
+    return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
+
+
+@pytest.fixture(scope="session")
+def construct() -> Callable[..., Estimate]:
+    """Make an estimate with random parameters and a random covariance."""
+
+    def made(targets: tuple[Target, ...] = ONE_TARGET, seed: int = 5) -> Estimate:
+        rng = np.random.default_rng(seed)
+        machine = machine_with(targets)
+        offsets = np.array([t.offset_mm for t in targets])
+        model, merged = identifiable_model(machine, offsets, knot_spacing_mm=90.0)
+        # Millimetres and radians differ in size as they do in a machine.
+        size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
+        spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]
+        low = [axis.min_mm for axis in AXES]
+        high = [axis.max_mm for axis in AXES]
+        residual = 1e-3 * rng.standard_normal((CELLS, 3))
+        residuals = Residuals(
+            residual,
+            np.linalg.norm(residual[:, 1:], axis=1),
+            np.repeat(np.arange(1, LINES + 1), CELLS // LINES),
+            rng.uniform(low, high, (CELLS, 3)),
+            float(np.sqrt(np.mean(residual**2))),
+            1e-3,
+        )
+        return Estimate(
+            model,
+            size * rng.standard_normal(model.size),
+            1e-4 * spread @ spread.T,
+            {"EXX": 2.5},
+            NoiseModel((1.1, 0.9), (0.2, 0.3), 1.5, 2e-4),
+            RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
+            1e-6 * np.eye(6),
+            np.array([50.0, 200.0, 0.0]),
+            Observability(model.size + 20, model.size, tuple(str(m) for m in merged)),
+            residuals,
+            False,
+            CELLS,
+            9_000,
+            10_000,
+            LINES,
+        )
+
+    return made
+
+
+@pytest.fixture
+def estimate(construct) -> Estimate:
+    return construct()
+
+
+@pytest.fixture
+def provenance() -> Provenance:
+    run = RunAccount(
+        "monday",
+        "otf",
+        "0" * 64,
+        LINES,
+        (2500.0, 10_000.0),
+        300.0,
+        10_000,
+        {"X": (19.9, 20.1)},
+        {"source": "monday.zip"},
+    )
+    return Provenance(run, "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
+
+
+@pytest.fixture
+def found(estimate, provenance) -> Findings:
+    return find(estimate, provenance)
+
+
+@pytest.fixture
+def loaded(estimate) -> LoadedResult:
+    """The estimate as prediction reads it, without a file between."""
+    return as_loaded(estimate)
+
+
+@pytest.fixture(scope="session")
+def load() -> Callable[[Estimate], LoadedResult]:
+    return as_loaded
+
+
+def as_loaded(estimate: Estimate) -> LoadedResult:
+    model = estimate.model
+    return LoadedResult(
+        model.machine, "otf", model, estimate.theta, estimate.covariance, (), {}
+    )
+
+
+@pytest.fixture(scope="session")
+def three_targets() -> tuple[Target, ...]:
+    return THREE_TARGETS
+
+
+@pytest.fixture
+def travel_points(rng) -> np.ndarray:
+    """Positions all over the travel."""
+    low = [axis.min_mm for axis in AXES]
+    high = [axis.max_mm for axis in AXES]
+    return rng.uniform(low, high, (60, 3))
+
+
+@pytest.fixture
+def across_only(construct) -> Estimate:
+    """An estimate of what lies across the travel alone."""
+    plain = construct()
+    noise = replace(plain.noise, along_sigma_mm=np.inf)
+    return replace(plain, noise=noise, perpendicular_only=True)

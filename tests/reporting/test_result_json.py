@@ -1,0 +1,217 @@
+"""`result.json`: complete, exact, and refused where it is not."""
+
+import json
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.errors import BundleError
+from app.measurement.machine_file import machine_from_json
+from app.reporting.findings import find
+from app.reporting.prediction import predict
+from app.reporting.result_json import read_result, result_json
+
+
+@pytest.fixture
+def content(found):
+    """The result as it comes back from a file."""
+    return json.loads(json.dumps(result_json(found), allow_nan=False))
+
+
+def test_every_key_of_the_contract_is_there(content):
+    assert content["schema"] == "result/1"
+    assert set(content) >= {
+        "machine",
+        "mode",
+        "error_tables",
+        "squareness_urad",
+        "alignment",
+        "residuals",
+        "observability",
+        "provenance",
+    }
+    assert content["mode"] == "otf"
+    assert content["residuals"]["rms_um"] > 0.0
+    assert set(content["observability"]) >= {"rank", "parameters", "unobservable"}
+    assert content["provenance"]["input_sha256"] == "0" * 64
+    assert content["provenance"]["software_version"] == "9.9"
+    assert content["provenance"]["created"] == "2026-03-07T08:30:00+00:00"
+
+
+def test_keys_name_the_unit_of_their_numbers(content):
+    for symbol, table in content["error_tables"].items():
+        unit = "um" if symbol[1] in "XYZ" else "urad"
+        keys = {"position_mm", f"value_{unit}", f"uncertainty_{unit}"}
+        assert set(table) == keys
+        assert len({len(column) for column in table.values()}) == 1
+    for square in content["squareness_urad"].values():
+        assert set(square) == {"value", "uncertainty"}
+
+
+def test_the_machine_is_that_of_the_machine_file(estimate, content):
+    assert machine_from_json(content["machine"]) == estimate.model.machine
+
+
+def test_what_is_not_known_is_named_and_has_no_table(content):
+    named = {text.split()[0] for text in content["observability"]["unobservable"]}
+    assert named
+    assert named.isdisjoint(content["error_tables"])
+
+
+def test_tables_say_for_which_targets_they_hold(content, construct, three_targets):
+    assert content["holds_for"]["any_tool"] is False
+    assert content["holds_for"]["targets"] == [
+        {"name": "", "on": "tool", "offset_mm": [20.0, 30.0, -150.0]}
+    ]
+
+
+def test_rows_that_left_no_data_are_named(estimate, provenance):
+    residuals = estimate.residuals
+    kept = np.where(residuals.row == 4, 5, residuals.row)
+    thinned = replace(estimate, residuals=replace(residuals, row=kept), lines=11)
+    alignment = result_json(find(thinned, provenance))["alignment"]
+    assert alignment["rows_without_data"] == [4]
+    assert (alignment["matched_lines"], alignment["lines"]) == (11, 12)
+
+
+def test_residuals_of_the_rows_add_up_to_the_whole(content):
+    rows = content["residuals"]["by_line"]
+    square = sum(r["cells"] * r["rms_um"] ** 2 for r in rows)
+    whole = np.sqrt(square / sum(r["cells"] for r in rows))
+    assert whole == pytest.approx(content["residuals"]["rms_um"])
+
+
+def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance):
+    content = result_json(find(across_only, provenance))
+    assert content["noise"]["along_travel_um"] is None
+    assert content["provenance"]["options"] == {"perpendicular_only": True}
+    json.dumps(content, allow_nan=False)
+
+
+def test_standstill_rows_count_from_the_first_point(estimate, provenance):
+    run = replace(provenance.run, mode="standstill", feed_mm_min=None)
+    found = find(estimate, replace(provenance, run=run))
+    content = result_json(found)
+    assert content["mode"] == "standstill"
+    assert content["alignment"]["rows_without_data"] == [0]
+    assert content["provenance"]["feed_mm_min"] is None
+
+
+@pytest.mark.parametrize("targets", ["one", "three"])
+def test_the_file_predicts_what_the_estimate_predicts(
+    construct, load, provenance, travel_points, three_targets, targets
+):
+    estimate = construct(three_targets) if targets == "three" else construct()
+    text = json.dumps(result_json(find(estimate, provenance)))
+    read = read_result(json.loads(text))
+    expected = predict(load(estimate), travel_points)
+    got = predict(read, travel_points)
+    assert got.error_um == pytest.approx(expected.error_um, abs=1e-9)
+    assert got.uncertainty_um == pytest.approx(expected.uncertainty_um, rel=1e-9)
+
+
+def test_parameters_come_back_whatever_basis_the_gauge_had(estimate, content):
+    """The file holds values at knots, so θ may differ only by the basis of its gauge."""
+    read = read_result(content)
+    assert read.mode == "otf"
+    assert read.unobservable == estimate.observability.unobservable
+    assert read.provenance["run"] == "monday"
+    assert read.theta == pytest.approx(estimate.theta, abs=1e-15)
+    scale = np.sqrt(np.outer(*2 * [np.diag(estimate.covariance)]))
+    assert read.covariance / scale == pytest.approx(
+        estimate.covariance / scale, abs=1e-9
+    )
+
+
+def test_tables_of_a_read_result_are_those_that_were_written(found, content):
+    read = read_result(content).tables()
+    for before, after in zip(found.tables.tables, read.tables, strict=True):
+        assert after.symbol == before.symbol
+        assert after.value == pytest.approx(before.value, abs=1e-9)
+        assert after.uncertainty == pytest.approx(before.uncertainty, abs=1e-9)
+
+
+def without(*path):
+    def spoil(content):
+        for key in path[:-1]:
+            content = content[key]
+        del content[path[-1]]
+
+    return spoil
+
+
+def with_value(value, *path):
+    def spoil(content):
+        for key in path[:-1]:
+            content = content[key]
+        content[path[-1]] = value
+
+    return spoil
+
+
+def repeated(content):
+    effects = content["model"]["effects"]
+    effects.append(deepcopy(effects[0]))
+
+
+FIRST = ("model", "effects", 0)
+BAD = [
+    (with_value("result/9", "schema"), "schema is not that of a result"),
+    (without("schema"), "schema is missing"),
+    *(
+        (without(key), f"{key} is missing")
+        for key in (
+            "machine",
+            "mode",
+            "error_tables",
+            "squareness_urad",
+            "alignment",
+            "residuals",
+            "observability",
+            "provenance",
+        )
+    ),
+    (without("model"), "model is missing, without which nothing can be predicted"),
+    (with_value("flying", "mode"), 'mode is "flying"'),
+    (with_value(3, "provenance"), "provenance is 3"),
+    (with_value("x", "observability", "unobservable"), 'unobservable is "x"'),
+    (without("machine", "axes", "X", "max_mm"), "machine.axes.X.max_mm is missing"),
+    (with_value("model/7", "model", "schema"), 'model.schema is "model/7"'),
+    (with_value("magic", *FIRST, "effect"), 'effects[0].effect is "magic"'),
+    (with_value("EXQ", *FIRST, "symbol"), 'effects[0].symbol is "EXQ"'),
+    (with_value([0.0, 1.0], *FIRST, "knots_mm"), "knots_mm are 2"),
+    (with_value([3.0, 2.0, 1.0], *FIRST, "knots_mm"), "not increasing"),
+    (with_value([0.0, 1.0, 2.0], *FIRST, "knots_mm"), "for 3 knots"),
+    (with_value([0.0, None], *FIRST, "values_um"), "values_um[1] is null"),
+    (with_value(float("nan"), "model", "effects", -1, "value_urad"), "value_urad is"),
+    (with_value("C9Q", "model", "effects", -1, "symbol"), 'symbol is "C9Q"'),
+    (repeated, "repeats EXX"),
+    (with_value(7, "model", "covariance", "size"), "covariance.size is 7"),
+    (with_value("hex", "model", "covariance", "encoding"), 'encoding is "hex"'),
+    (with_value("AAAA", "model", "covariance", "data"), "cannot be unpacked"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "said"), BAD)
+def test_a_bad_result_is_one_clear_error(content, spoil, said):
+    spoil(content)
+    with pytest.raises(BundleError) as caught:
+        read_result(content, file="r.json")
+    assert str(caught.value).startswith("r.json: ")
+    assert said in str(caught.value)
+
+
+def test_a_negative_variance_is_refused(content):
+    from app.reporting.packing import pack_symmetric
+
+    size = content["model"]["covariance"]["size"]
+    content["model"]["covariance"]["data"] = pack_symmetric(-np.eye(size))
+    with pytest.raises(BundleError, match="negative variance"):
+        read_result(content)
+
+
+def test_what_is_no_object_is_no_result():
+    with pytest.raises(BundleError, match="write an object"):
+        read_result([1, 2])
