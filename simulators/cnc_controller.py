@@ -61,6 +61,7 @@ class Controller:
         self._stopping_reason = HoldReason.NONE
         self._runs_path = False
         self._line = 0
+        self._begin_s = 0.0
         home = np.array([axis.zero_mm for axis in machine.axes])
         self._timeline = standing(home, 0.0, 0)
         publish(self._timeline)
@@ -148,6 +149,7 @@ class Controller:
         if (self.state is not MotionState.HELD and not braking) or not self._running:
             return
         begin_s = max(now_s + _LONG_LEAD * self._lead_s, self._timeline.end_s)
+        self._begin_s = begin_s
         self._change(
             interruption.resumed(self._timeline, self._fed(), begin_s, self._limits)
         )
@@ -196,14 +198,15 @@ class Controller:
 
     def _run(self, program: Program, now_s: float) -> None:
         self._running = program
-        begin_s = now_s + _LONG_LEAD * self._lead_s
+        begin_s = self._begin_s = now_s + _LONG_LEAD * self._lead_s
         origin = self.position(begin_s)
         past = self._recent(now_s).cut(begin_s)
         self._change(past.then(follow(self._fed(), origin, begin_s, self._limits)))
         self.state, self.hold_reason = MotionState.RUNNING, HoldReason.NONE
 
     def _brake(self, state: MotionState, now_s: float) -> None:
-        at_s = now_s + self._lead_s
+        # What stands before the begin of a motion is no dwell of its program.
+        at_s = max(now_s + self._lead_s, self._begin_s)
         if self._running is not None:
             self._running = interruption.program_left(
                 self._timeline, self._running, at_s
