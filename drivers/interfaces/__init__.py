@@ -1,5 +1,5 @@
-"""What the service knows of a device: abstract verbs, frozen records, families of errors.
+"""What the service knows of a device: abstract verbs, frozen records, errors by family.
 
-Verbs are few, synchronous and bounded in time. `stop`, `hold` and `abort` are idempotent
-and may be called from any thread in any state; `close` stops first.
+Verbs are few, synchronous and bounded in time. `stop`, `hold` and `abort` are
+idempotent and may be called from any thread in any state; `close` stops first.
 """

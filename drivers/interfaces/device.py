@@ -10,7 +10,7 @@ from drivers.interfaces.records import Identity
 
 
 class Device(ABC):
-    """A device on a port. Construction opens nothing; `connect` does, `close` undoes it."""
+    """A device on a port. Construction opens nothing; `connect` does, `close` ends."""
 
     @abstractmethod
     def connect(self) -> Identity:

@@ -1,4 +1,4 @@
-"""Families of device errors. The text says what happened, the likely cause, what to do."""
+"""Families of device errors. A text says what happened, why, and what to do."""
 
 from __future__ import annotations
 

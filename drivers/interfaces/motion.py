@@ -1,4 +1,4 @@
-"""A machine controller that moves the axes along loaded paths or to single positions."""
+"""A machine controller that moves axes along loaded paths or to single positions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.interfaces.records import MotionStatus, Path
 
 
 class MotionController(Device):
-    """Moves axes. The controller keeps time: Python never feeds setpoints against a clock."""
+    """Moves axes. The controller keeps time: nobody feeds setpoints against a clock."""
 
     @property
     @abstractmethod
@@ -32,7 +32,7 @@ class MotionController(Device):
 
     @abstractmethod
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
-        """Start a straight move. Returns when the controller has taken it; `wait` waits.
+        """Start a straight move. Returns when it is taken; `wait` waits for its end.
 
         Raises OutOfTravel before the first byte, Refused, MotionFault in alarm.
         """
@@ -47,7 +47,7 @@ class MotionController(Device):
 
     @abstractmethod
     def wait(self, timeout_s: float) -> MotionStatus:
-        """Wait until the motion ends (finished, held, aborted, alarm); return the last status.
+        """Wait until the axes stand (finished, held, aborted); return the last status.
 
         Raises DeviceTimeout if it still runs after `timeout_s`, MotionFault in alarm.
         """

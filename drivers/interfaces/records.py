@@ -1,4 +1,4 @@
-"""Blocks of data that cross the border of a device: one object a block, never a sample."""
+"""Blocks of data that cross the border of a device: an object a block, not a sample."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TrackerSamples:
 
 @dataclass(frozen=True, slots=True)
 class AxisSamples:
-    """Controller positions by host arrival time: slow, for health, never paired with samples.
+    """Controller positions by host arrival time: for health, never paired with samples.
 
     host_time_s : (n,) monotonic clock of the host
     position_mm : (n, axes), degrees for rotary axes
@@ -72,9 +72,11 @@ class AxisSamples:
 
 @dataclass(frozen=True, slots=True)
 class TemperatureSamples:
-    """Temperatures on the tracker's clock; a name is a column of `environment.csv` without `_degC`.
+    """Temperatures on the tracker's clock.
 
-    time_s : (n,); celsius : (n, sensors)
+    names : columns of `environment.csv` without their `_degC`
+    time_s : (n,)
+    celsius : (n, sensors)
     """
 
     names: tuple[str, ...]
@@ -84,12 +86,12 @@ class TemperatureSamples:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Commanded straight lines between waypoints, with an exact stop and a dwell at each.
+    """Commanded straight lines between waypoints, an exact stop and a dwell at each.
 
     position : (n, axes) axis positions, mm for linear and deg for rotary axes
-    feed_mm_min : (n,) feed towards that row (the first row is approached at its feed too)
+    feed_mm_min : (n,) feed towards that row; the first row is approached at its feed
     dwell_s : (n,) dwell at that row
-    target : name of the target measured on the way to each row; empty for a single target
+    target : name of the target measured on the way to each row; none for a single one
     """
 
     axes: tuple[str, ...]
@@ -129,7 +131,8 @@ class MotionState(StrEnum):
 class MotionStatus:
     """One reading of a controller.
 
-    line : row of the loaded path that the machine moves towards, 0 before the first
+    line : row of the loaded path, from 0, that the machine moves towards or dwells at;
+        0 before the path was started, its last value after the motion
     hold_reason : why it is held ("operator", "watchdog", "command"), empty if it is not
     """
 

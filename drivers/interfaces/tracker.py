@@ -20,7 +20,7 @@ class Tracker(Device):
 
     @abstractmethod
     def read(self, timeout_s: float) -> TrackerSamples:
-        """Return everything since the last call, waiting at most `timeout_s` for a first sample.
+        """Return all since the last call, waiting at most `timeout_s` for a first one.
 
         An empty block means silence. Never holds a sample whose check did not match.
         Raises ConnectionLost if the link has gone.

@@ -1,0 +1,360 @@
+"""Every registered driver keeps what the interfaces promise; broken ones are caught."""
+
+import itertools
+import threading
+from dataclasses import replace
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from drivers import conformance
+from drivers.conformance import MOTION_CHECKS, TRACKER_CHECKS, NotConforming
+from drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
+from drivers.interfaces.motion import MotionController
+from drivers.interfaces.records import (
+    Identity,
+    LinkHealth,
+    MotionState,
+    MotionStatus,
+    TrackerSamples,
+)
+from drivers.interfaces.tracker import Tracker
+from simulators.bench import Bench
+
+TRACKERS = {point.name: point for point in entry_points(group="truepath.trackers")}
+CONTROLLERS = {
+    point.name: point for point in entry_points(group="truepath.motion_controllers")
+}
+# Where a driver of that name finds a device, on a running bench. A new driver of ours
+# needs a line here.
+TRACKER_PEERS = {"streaming": ["tracker_options"]}
+CONTROLLER_PEERS = {"modbus": ["motion_options", "motion_options_rtu"]}
+ABSENT = {
+    "streaming": {"port": "/dev/truepath-no-such-port"},
+    "modbus": {"serial_port": "/dev/truepath-no-such-port"},
+}
+
+
+@pytest.fixture(scope="module", params=["pty", "tcp"])
+def tracker_bench(request):
+    with Bench(tracker=request.param, rtu=False) as bench:
+        yield bench
+
+
+@pytest.fixture(scope="module")
+def motion_bench():
+    # Ten times faster, so that motions are over soon; watchdogs stay in wall seconds.
+    with Bench(speed=5.0) as bench:
+        yield bench
+
+
+def test_every_registered_driver_of_ours_has_a_peer():
+    ours = {
+        point.name
+        for point in (*TRACKERS.values(), *CONTROLLERS.values())
+        if point.module.startswith("drivers.")
+    }
+    assert ours == set(TRACKER_PEERS) | set(CONTROLLER_PEERS) == set(ABSENT)
+
+
+@pytest.mark.parametrize("name", TRACKER_PEERS)
+@pytest.mark.parametrize("check", TRACKER_CHECKS, ids=lambda check: check.__name__)
+def test_trackers_conform(tracker_bench, name, check):
+    factory = TRACKERS[name].load()
+    for peer in TRACKER_PEERS[name]:
+        options = getattr(tracker_bench, peer)
+        check(lambda options=options: factory(**options))
+
+
+@pytest.mark.parametrize(
+    ("name", "peer"),
+    [(name, peer) for name, peers in CONTROLLER_PEERS.items() for peer in peers],
+)
+@pytest.mark.parametrize("check", MOTION_CHECKS, ids=lambda check: check.__name__)
+def test_motion_controllers_conform(motion_bench, name, peer, check):
+    factory = CONTROLLERS[name].load()
+    options = getattr(motion_bench, peer)
+    check(lambda: factory(**options))
+
+
+@pytest.mark.parametrize("name", ABSENT)
+def test_absent_devices_are_device_errors(name):
+    factory = {**TRACKERS, **CONTROLLERS}[name].load()
+    conformance.a_device_that_is_not_there_is_a_device_error(
+        lambda: factory(**ABSENT[name])
+    )
+
+
+class GoodTracker(Tracker):
+    """Keeps everything, in memory."""
+
+    def __init__(self) -> None:
+        self.connected = self.streams = False
+        self.number = 0
+
+    def connect(self) -> Identity:
+        self.connected = True
+        return Identity("maker", "model", "1", "0")
+
+    def close(self) -> None:
+        self.connected = self.streams = False
+
+    def start(self, rate_hz: float) -> None:
+        self.need_connection()
+        if not 0 < rate_hz < 1e6:
+            raise Refused("no")
+        self.streams = True
+
+    def stop(self) -> None:
+        self.streams = False
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        self.need_connection()
+        if not self.streams:
+            return TrackerSamples.empty()
+        number = self.number + np.arange(10)
+        self.number += 10
+        return TrackerSamples(
+            number, number * 2e-3, np.zeros((10, 3)), np.zeros(10, np.int64)
+        )
+
+    @property
+    def health(self) -> LinkHealth:
+        return LinkHealth()
+
+    def need_connection(self) -> None:
+        if not self.connected:
+            raise ConnectionLost("connect first")
+
+
+class GoodController(MotionController):
+    """Keeps everything, in memory; motions end when somebody waits for them."""
+
+    limits = ((0.0, 100.0),)
+    names = ("X",)
+
+    def __init__(self) -> None:
+        self.connected = False
+        self.at = MotionStatus(MotionState.IDLE, (50.0,), 0)
+        self.target = self.path = self.feed = None
+
+    axes = property(lambda self: self.names)
+    travel = property(lambda self: self.limits)
+
+    def connect(self) -> Identity:
+        self.connected = True
+        return Identity("maker", "model", "1", "0")
+
+    def close(self) -> None:
+        if self.at.state is MotionState.RUNNING:
+            self.abort()
+        self.connected = False
+
+    def status(self) -> MotionStatus:
+        if not self.connected:
+            raise ConnectionLost("connect first")
+        return self.at
+
+    def move_to(self, position, feed_mm_min) -> None:
+        self.status()
+        self.check(np.atleast_2d(position))
+        self.target, self.feed = tuple(position), feed_mm_min
+        self.at = replace(self.at, state=MotionState.RUNNING)
+
+    def load(self, path) -> None:
+        self.status()
+        if path.axes != self.axes:
+            raise Refused("other axes")
+        self.check(path.position)
+        self.path = path
+        self.at = replace(self.at, state=MotionState.READY)
+
+    def check(self, rows) -> None:
+        (low, high), *_ = self.limits
+        if not ((rows >= low) & (rows <= high)).all():
+            raise conformance.OutOfTravel("beyond")
+
+    def start(self) -> None:
+        self.status()
+        if self.path is None:
+            raise Refused("no path")
+        self.move_to(self.path.position[-1], self.path.feed_mm_min[-1])
+
+    def wait(self, timeout_s) -> MotionStatus:
+        if self.at.state is MotionState.RUNNING:
+            if timeout_s < 1:
+                raise DeviceTimeout("still runs")
+            if self.path is not None and self.path.feed_mm_min[-1] < 100:
+                threading.Event().wait(0.05)
+            if self.at.state is MotionState.RUNNING:
+                self.at = replace(
+                    self.at, state=MotionState.FINISHED, position=self.target
+                )
+        return self.at
+
+    def hold(self) -> None:
+        if self.at.state is MotionState.RUNNING:
+            self.at = replace(self.at, state=MotionState.HELD, hold_reason="command")
+
+    def resume(self) -> None:
+        if self.at.state is MotionState.HELD:
+            self.at = replace(self.at, state=MotionState.RUNNING, hold_reason="")
+
+    def abort(self) -> None:
+        self.path = None
+        self.at = replace(self.at, state=MotionState.ABORTED)
+
+    def beat(self) -> None:
+        return
+
+
+@pytest.fixture
+def shared_machine():
+    """A factory whose drivers move one and the same machine."""
+    machine = GoodController()
+
+    def make() -> GoodController:
+        controller = GoodController()
+        controller.__dict__ = machine.__dict__
+        return controller
+
+    return make
+
+
+@pytest.mark.parametrize("check", TRACKER_CHECKS, ids=lambda check: check.__name__)
+def test_a_good_tracker_passes(check):
+    check(GoodTracker)
+
+
+@pytest.mark.parametrize("check", MOTION_CHECKS, ids=lambda check: check.__name__)
+def test_a_good_controller_passes(shared_machine, check):
+    check(shared_machine)
+
+
+COUNTER = itertools.count()
+
+
+def with_faults(base, **faults):
+    return type("Faulty", (base,), faults)
+
+
+@pytest.mark.parametrize(
+    ("check", "faults"),
+    [
+        (
+            conformance.connect_tells_who_answers,
+            {"connect": lambda self: Identity("", "", "", "")},
+        ),
+        (
+            conformance.connect_twice_is_one_connection,
+            {"connect": lambda self: Identity("a", "b", str(next(COUNTER)), "d")},
+        ),
+        (
+            conformance.silence_is_an_empty_block_in_time,
+            {"streams": property(lambda self: True, lambda self, value: None)},
+        ),
+        (
+            conformance.samples_have_rising_numbers_and_times,
+            {"number": property(lambda self: 0, lambda self, value: None)},
+        ),
+        (
+            conformance.numbers_go_on_after_a_pause,
+            {"health": property(lambda self: LinkHealth(lost_samples=7))},
+        ),
+        (conformance.impossible_rates_are_refused, {"start": lambda self, rate: None}),
+        (
+            conformance.a_closed_tracker_has_no_samples,
+            {"need_connection": lambda self: None},
+        ),
+        (
+            conformance.stop_from_another_thread_ends_the_stream,
+            {"stop": lambda self: None},
+        ),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_a_faulty_tracker_is_caught(check, faults):
+    faulty = with_faults(GoodTracker, **faults)
+    with pytest.raises(NotConforming):
+        check(faulty)
+
+
+@pytest.mark.parametrize(
+    ("check", "faults"),
+    [
+        (conformance.axes_and_travel_are_known, {"limits": ((5.0, 5.0),)}),
+        (conformance.axes_and_travel_are_known, {"names": ()}),
+        (conformance.out_of_travel_is_refused, {"check": lambda self, rows: None}),
+        (conformance.a_path_of_other_axes_is_refused, {"load": lambda self, p: None}),
+        (conformance.hold_and_resume_are_absolute, {"hold": lambda self: None}),
+        (
+            conformance.resume_of_nothing_does_nothing,
+            {
+                "resume": lambda self: setattr(
+                    self, "at", MotionStatus(MotionState.IDLE, (51.0,), 0)
+                )
+            },
+        ),
+        (
+            conformance.abort_from_another_thread_ends_the_motion,
+            {"abort": lambda self: None},
+        ),
+        (conformance.wait_ends_in_time, {"wait": lambda self, timeout_s: self.at}),
+        (conformance.close_stops_the_motion, {"close": lambda self: None}),
+        (
+            conformance.a_closed_controller_moves_nothing,
+            {"status": lambda self: self.at},
+        ),
+        (
+            conformance.a_move_ends_where_it_was_sent,
+            {"move_to": lambda self, position, feed: None},
+        ),
+        (conformance.a_path_runs_to_its_last_row, {"load": lambda self, path: None}),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_a_faulty_controller_is_caught(check, faults):
+    faulty = with_faults(GoodController, **faults)
+    machine = faulty()
+
+    def make():
+        controller = faulty()
+        controller.__dict__ = machine.__dict__
+        return controller
+
+    with pytest.raises(NotConforming):
+        check(make)
+
+
+def test_a_file_left_open_is_caught(tmp_path):
+    left = []
+
+    def connect(self):
+        left.append((tmp_path / "port").open("w"))
+        return Identity("maker", "model", "1", "0")
+
+    with pytest.raises(NotConforming, match="left a file or a thread behind"):
+        conformance.close_is_idempotent_and_leaves_nothing(
+            with_faults(GoodTracker, connect=connect)
+        )
+    for file in left:
+        file.close()
+
+
+def test_a_constructor_that_opens_is_caught(tmp_path):
+    left = []
+
+    def construct(self):
+        left.append((tmp_path / "port").open("w"))
+
+    with pytest.raises(NotConforming, match="constructor opened something"):
+        conformance.construction_opens_nothing(
+            with_faults(GoodTracker, __init__=construct)
+        )
+    left[0].close()
+
+
+def test_a_device_that_answers_where_none_is_is_caught():
+    with pytest.raises(NotConforming, match="not there"):
+        conformance.a_device_that_is_not_there_is_a_device_error(GoodTracker)
