@@ -40,7 +40,7 @@ class Defects:
     gaps : (begin_s, duration_s) of silence, since the begin of the stream
     beam_breaks : (begin_s, duration_s) in which samples are there but not valid
     spikes, spike_mm : number of valid samples that are off by so much
-    duplicated_share : share of the frames that come twice
+    duplicated_share : share of the frames that come twice, as no good driver lets them
     late_start_s : the stream begins so long after the motion
     holds : (begin_s, duration_s) of feed holds, wherever the machine is then
     knock : (time_s, x, y, z mm), the tracker shifts once
@@ -62,7 +62,6 @@ ROUGH = Defects(
     gaps=((20.0, 3.0),),
     beam_breaks=((35.0, 1.5),),
     spikes=20,
-    duplicated_share=0.001,
     holds=((12.0, 2.0),),
 )
 
