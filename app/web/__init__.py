@@ -4,8 +4,8 @@ A Jinja2 shell and plain ES modules that talk to nothing but the REST interface 
 same service. The task runs Connect, Plan, Check, Run, Result, with one button that
 leads on and says why it cannot. Rules of the page:
 
-- Abort needs no other script, no event stream and no job id: `static/js/abort.js` stands
-  alone, and without any script the button is a form that posts to the same address.
+- Abort needs no other script, no event stream and no job id: `static/js/abort.js`
+  stands alone, and without any script the button is a form that posts the same.
 - Starting and resuming motion is held for 1.5 s; stopping is one touch.
 - What is older than 2.5 s is stamped stale and greyed.
 - Grey where all is well; yellow is held, red needs a person; a word and a shape with

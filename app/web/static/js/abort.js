@@ -26,8 +26,11 @@
     title.textContent = sheet.dataset["abort" + capital(stage)];
     text.textContent = sheet.dataset["abort" + capital(stage) + "Text"];
     tries.textContent = note || "";
-    close.hidden = !(stage === "confirmed" || stage === "idle");
-    if (!close.hidden) close.focus();
+    const word = stage === "unconfirmed" ? "Acknowledge" : "Close";
+    const shut = stage === "sending" || stage === "waiting";
+    close.textContent = sheet.dataset["abort" + word];
+    if (!shut && close.hidden) setTimeout(() => close.focus());
+    close.hidden = shut;
   }
 
   function capital(word) {
@@ -49,6 +52,8 @@
     }
   }
 
+  const jobsOf = (page) => page.items || page.jobs || (Array.isArray(page) ? page : []);
+
   /** Ids of measuring jobs that may still move the machine; null if nobody answers.
    *
    * A job that faulted during the abort counts: the machine has not said that it stands.
@@ -56,8 +61,8 @@
   async function underWay(watched) {
     const page = await ask("/api/v1/jobs?limit=20", { cache: "no-store" });
     if (page === null) return null;
-    const jobs = (page.items || page.jobs || page).filter((job) => job.kind !== "analyse");
-    return jobs
+    return jobsOf(page)
+      .filter((job) => job.kind !== "analyse")
       .filter((job) => !ENDED.has(job.state))
       .filter((job) => job.state !== "faulted" || watched.has(job.id))
       .map((job) => job.id);
@@ -69,8 +74,9 @@
       const begun = performance.now();
       count += 1;
       current.count = count;
-      current.taken = (await ask("/api/v1/stop", { method: "POST", keepalive: true })) !== null
-        || current.taken;
+      const answer = await ask("/api/v1/stop", { method: "POST", keepalive: true });
+      for (const job of jobsOf(answer || {})) current.watched.add(job.id);
+      current.taken = current.taken || answer !== null;
       await pause(Math.max(0, RETRY_MS - (performance.now() - begun)));
     }
   }
@@ -83,13 +89,14 @@
         current.confirmed = ids !== null && ids.length === 0;
       }
       if (!current.confirmed) await pause(POLL_MS);
-      report(current);
+      if (attempt === current) report(current);
     }
   }
 
   function report(current) {
     const waited_ms = performance.now() - current.begun;
-    const note = `${current.count} × · ${(waited_ms / 1000).toFixed(0)} s`;
+    const note = sheet.dataset.abortTries.replace("{n}", current.count)
+      .replace("{s}", (waited_ms / 1000).toFixed(0));
     if (current.confirmed) show(current.watched.size ? "confirmed" : "idle");
     else if (waited_ms > UNCONFIRMED_MS) show("unconfirmed", note);
     else show(current.taken ? "waiting" : "sending", note);
@@ -114,6 +121,8 @@
     abort();
   });
   close.addEventListener("click", () => {
+    // Not confirmed, but a person has seen that the machine stands.
+    attempt = null;
     sheet.hidden = true;
     button.focus();
   });

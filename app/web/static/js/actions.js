@@ -48,7 +48,7 @@ export function createActions(store, go) {
   function follow(job) {
     const { job: before } = store.get();
     const other = before?.id !== job.id;
-    const forgotten = { progress: null, health: null, live: null, plan: null, result: null };
+    const forgotten = { live: null, plan: null, result: null };
     store.set({ job, ...(other ? forgotten : {}) });
     fetchPlan();
     fetchResult();

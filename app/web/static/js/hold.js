@@ -8,7 +8,7 @@ export function holdToConfirm(button, done) {
 
   function step(now) {
     const share = Math.min(1, (now - begun) / HOLD_MS);
-    button.style.setProperty("--held", share);
+    button.style.setProperty("--hold-share", share);
     if (share < 1) {
       frame = requestAnimationFrame(step);
       return;
@@ -26,7 +26,7 @@ export function holdToConfirm(button, done) {
   function release() {
     cancelAnimationFrame(frame);
     begun = null;
-    button.style.setProperty("--held", 0);
+    button.style.setProperty("--hold-share", 0);
   }
 
   const isKey = (event) => event.key === "Enter" || event.key === " ";

@@ -18,7 +18,7 @@ const RETRY_MS = 2000;
 
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null,
-  progress: null, health: null, live: null, problem: null, busy: null, asked: null,
+  live: null, problem: null, busy: null, asked: null,
   link: { stale: false, last: null },
 });
 const go = (address) => {
@@ -83,9 +83,10 @@ function follow({ job }) {
 function hear(type, data) {
   const { job } = store.get();
   if (type === "job") actions.hear(data);
-  const own = job && (data.job_id ?? job.id) === job.id && !hasEnded(job);
+  const own = job && !hasEnded(job) && (data.job_id ?? job.id) === job.id;
   if (type === "progress" && own) {
-    store.set({ progress: data, health: data.samples === undefined ? store.get().health : data });
+    const { stage, progress, health } = data;
+    store.set({ job: { ...job, stage, progress, health } });
   }
   if (type === "live" && own) store.set({ live: data });
 }

@@ -36,7 +36,8 @@ function updateStamp({ stale, last }) {
   stamp.classList.toggle("is-stale", stale);
   document.body.classList.toggle("is-stale", stale);
   const since = last ? clock(last) : "–";
-  write(stamp, stale ? t("stamp.stale", { since }) : t("stamp.live"));
+  const fresh = last ? t("stamp.live") : t("stamp.waiting");
+  write(stamp, stale ? t("stamp.stale", { since }) : fresh);
 }
 
 /** Write the steps; those that can be reached are links. */

@@ -42,7 +42,7 @@ function translateShell() {
   }
   const sheet = document.getElementById("abort-sheet");
   for (const name of Object.keys(sheet.dataset).filter((n) => n.startsWith("abort"))) {
-    const key = name.replace(/^abort/, "").replace(/Text$/, "_text").toLowerCase();
+    const key = name.slice("abort".length).replace(/Text$/, "_text").toLowerCase();
     sheet.dataset[name] = t(`abort.${key}`);
   }
 }

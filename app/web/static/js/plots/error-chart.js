@@ -49,7 +49,7 @@ function options(element, table, data, reach, read) {
   return {
     ...sizeOf(element),
     legend: { show: false },
-    padding: [6, 10, 0, 0],
+    padding: [6, 18, 0, 0],
     cursor: { drag: { x: false, y: false }, y: false, points: { size: 8 } },
     scales: { x: { time: false }, y: { range } },
     axes: axes(table),
@@ -74,7 +74,7 @@ function axes(table) {
   };
   const x = { ...common, size: 26, space: 56, grid: { show: false },
     values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))) };
-  const y = { ...common, size: 44, space: 32,
+  const y = { ...common, size: 44, space: 26,
     values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))) };
   return [x, y];
 }

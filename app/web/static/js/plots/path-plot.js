@@ -4,7 +4,8 @@ import { colour } from "./colours.js";
 
 const SCRIPT = "/assets/plotly.min.js";
 const REDRAW_MS = 250;
-const TRACE = { travel: 0, plan: 1, done: 2, now: 3 };
+const ZOOM = 1.3;
+const TRACE = { plan: 1, done: 2, now: 3 };
 const VIEWS = {
   iso: { eye: { x: 1.35, y: -1.55, z: 0.95 }, up: { x: 0, y: 0, z: 1 } },
   top: { eye: { x: 0, y: 0, z: 2.2 }, up: { x: 0, y: 1, z: 0 } },
@@ -62,11 +63,11 @@ function traces(rows, travel, standing) {
       line: line("plan", standing ? 1.5 : 2.5), ...coordinates(rows) },
     { ...base, mode: "lines", line: line("accent", 6), x: [], y: [], z: [] },
     { ...base, mode: "markers", x: [], y: [], z: [],
-      marker: { size: 9, color: colour("text"), line: { color: colour("panel"), width: 2 } } },
+      marker: { size: 6, color: colour("text"), line: { color: colour("panel"), width: 2 } } },
   ];
 }
 
-function layout(travel) {
+function layout(travel, frame) {
   const axis = (name, i) => ({
     title: { text: `${name} (${unitOf("travel")})`, font: { size: 13 } },
     range: padded(travel[i].map((v) => shown(v, "length"))),
@@ -78,11 +79,19 @@ function layout(travel) {
     paper_bgcolor: "rgba(0,0,0,0)",
     font: { family: "Inter, sans-serif", color: colour("quiet") },
     scene: {
-      xaxis: axis("X", 0), yaxis: axis("Y", 1), zaxis: axis("Z", 2), aspectmode: "data",
+      xaxis: axis("X", 0), yaxis: axis("Y", 1), zaxis: axis("Z", 2), aspectmode: "manual", aspectratio: proportions(travel, frame),
       camera: { ...VIEWS.iso, projection: { type: "orthographic" } },
     },
     uirevision: "kept",
   };
+}
+
+/** True proportions, as large as the frame allows in any view. */
+function proportions(travel, frame) {
+  const size = travel.map(([low, high]) => high - low || 1);
+  const narrow = Math.min(1, frame.clientWidth / frame.clientHeight / 1.25);
+  const scale = (ZOOM * narrow) / Math.cbrt(size[0] * size[1] * size[2]);
+  return { x: size[0] * scale, y: size[1] * scale, z: size[2] * scale };
 }
 
 function padded([low, high]) {
@@ -110,8 +119,8 @@ export async function drawPath(element, plan, machine) {
   const rows = plan.position.map((row) => pick(row, columns));
   const travel = travelOf(machine, rows);
   const options = { displayModeBar: false, responsive: true, scrollZoom: true };
-  const standing = !plan.feed_mm_min;
-  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel), options);
+  const standing = !plan.feed_mm_min?.length;
+  await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), options);
 
   let wanted = null;
   let drawn = "";
@@ -124,10 +133,10 @@ export async function drawPath(element, plan, machine) {
     const key = `${done} ${at}`;
     if (key === drawn) return;
     drawn = key;
-    const trail = coordinates([...rows.slice(0, done), ...at]);
-    const now = coordinates(at);
-    Plotly.restyle(element, { x: [trail.x, now.x], y: [trail.y, now.y], z: [trail.z, now.z] },
-      [TRACE.done, TRACE.now]);
+    const parts = [[...at, ...rows.slice(done)], [...rows.slice(0, done), ...at], at].map(coordinates);
+    const along = (name) => parts.map((part) => part[name]);
+    Plotly.restyle(element, { x: along("x"), y: along("y"), z: along("z") },
+      [TRACE.plan, TRACE.done, TRACE.now]);
     element.setAttribute("aria-label", at.length ? spoken(at[0]) : "");
   }
 

@@ -62,7 +62,7 @@ export function mount(root) {
 function describe(job, plan, machine) {
   const facts = [[t("check.machine"), machine?.name ?? "–"], [t("check.kind"), kindOf(job.kind)]];
   if (!plan) return facts;
-  const standing = !plan.feed_mm_min;
+  const standing = !plan.feed_mm_min?.length;
   const length = lengthOf(plan);
   facts.push([t(standing ? "check.points" : "check.lines"),
     number(plan.position.length - (standing ? 0 : 1))]);

@@ -50,7 +50,7 @@ export function mount(root, { store, actions }) {
 
 function device(shape, name) {
   const link = h("span", { class: "link" });
-  const rows = h("div", { style: "grid-column: 1 / -1" });
+  const rows = h("dl", { class: "device-facts" });
   const model = h("p", { class: "quiet" });
   const element = h("section", { class: "card device" },
     h("div", { class: "device-icon" }, icon(shape)), h("h2", {}, name), link, model, rows);
@@ -65,13 +65,15 @@ function device(shape, name) {
       link.replaceChildren(...(identity && connected
         ? [icon("check"), t("connect.connected")] : [t("connect.not_connected")]));
       model.textContent = identity ? `${identity.maker} ${identity.model}`.trim() : t("connect.unknown");
-      rows.replaceChildren(...(identity ? [pairs([
-        [t("connect.serial"), identity.serial_number || "–"],
-        [t("connect.firmware"), identity.firmware || "–"],
-      ])] : []));
+      rows.replaceChildren(...(identity ? [
+        fact(t("connect.serial"), identity.serial_number),
+        fact(t("connect.firmware"), identity.firmware),
+      ] : []));
     },
   };
 }
+
+const fact = (name, value) => h("div", {}, h("dt", {}, name), h("dd", {}, value || "–"));
 
 function describe(machine) {
   const title = h("h2", {}, t("connect.machine"));
@@ -112,8 +114,9 @@ function volume(machine) {
   const points = CORNERS.map(project);
   const [xs, ys] = [points.map((p) => p[0]), points.map((p) => p[1])];
   const box = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
-  const factor = Math.min(320 / (box[2] - box[0] || 1), 170 / (box[3] - box[1] || 1));
-  const at = (i) => [(points[i][0] - box[0]) * factor + 70, (points[i][1] - box[1]) * factor + 20];
+  const factor = Math.min(320 / (box[2] - box[0] || 1), 160 / (box[3] - box[1] || 1));
+  const margin = (500 - (box[2] - box[0]) * factor) / 2;
+  const at = (i) => [(points[i][0] - box[0]) * factor + margin, (points[i][1] - box[1]) * factor + 20];
   const path = (ids) => `M${ids.map((i) => at(i).map((v) => v.toFixed(1)).join(" ")).join("L")}`;
   const label = (i, j, dx, dy, name, k, anchor) => {
     const [a, b] = [at(i), at(j)];
@@ -121,7 +124,7 @@ function volume(machine) {
       `${name} ${quantity(size[k], "travel")}`);
   };
   const height = (box[3] - box[1]) * factor + 52;
-  return s("svg", { class: "volume", viewBox: `0 0 460 ${height.toFixed(0)}`, role: "img",
+  return s("svg", { class: "volume", viewBox: `0 0 500 ${height.toFixed(0)}`, role: "img",
     "aria-label": t("connect.volume") },
   s("path", { class: "face", d: `${path([0, 1, 5, 4])}Z` }),
   BEHIND.map((edge) => s("path", { class: "hidden-edge", d: path(edge) })),

@@ -11,7 +11,7 @@ export function pathCard(live) {
   const view = h("div", { class: "path-view", role: "img" });
   const missing = h("div", { class: "path-view path-missing" }, t("path.waiting"));
   const tools = h("div", { class: "path-tools", hidden: true });
-  const element = h("section", { class: "card path-card", "aria-label": t("path.title") },
+  const element = h("section", { class: `card path-card${live ? " is-live" : ""}`, "aria-label": t("path.title") },
     legend(live), missing, view, tools);
   mark(view, "hidden", "");
   let plan = null;

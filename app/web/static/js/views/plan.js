@@ -5,7 +5,7 @@ import { head } from "../parts.js";
 import { number, plain, t } from "../texts.js";
 import { decimalsOf, shown, stored, unitOf } from "../units.js";
 
-const FEED_MM_MIN = { usual: 3000, least: 100, most: 20000, step: 500 };
+const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
 const choices = { kind: "measure-otf", feed_mm_min: FEED_MM_MIN.usual, perpendicular_only: false };
 
 const withinLimits = (feed) => feed >= FEED_MM_MIN.least && feed <= FEED_MM_MIN.most;

@@ -16,7 +16,7 @@ export function mount(root, { store, actions, go }) {
   const jobs = h("div", { class: "table-scroll" });
   const runs = h("div", { class: "table-scroll" });
   root.append(head(t("records.title"), t("records.text")),
-    h("div", { class: "stack" }, card(t("records.jobs"), jobs), card(t("records.runs"), runs),
+    h("div", { class: "stack records" }, card(t("records.jobs"), jobs), card(t("records.runs"), runs),
       card(t("connect.recorded"), dropZone(store, actions))));
   actions.loadRecords().catch(actions.refuse);
   const before = {};

@@ -87,7 +87,7 @@ function verdict(job, result) {
 function warnings(result) {
   const unseen = result.observability?.unobservable ?? [];
   if (!unseen.length) return [];
-  return [notice("held", t("result.unobservable"), unseen.join(" · "), t("result.unobservable_note"))];
+  return [notice(null, t("result.unobservable"), unseen.join(" · "), t("result.unobservable_note"))];
 }
 
 function drawTables(body, result) {

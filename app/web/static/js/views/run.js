@@ -38,17 +38,15 @@ function mountMeasuring(root, { actions }) {
   const path = pathCard(true);
   const progress = progressCard(STAGES.measure);
   const position = positionCard();
-  const health = healthCard();
   const strip = h("div", { class: "strip" });
+  const health = healthCard(strip);
   const buttons = motionButtons(actions);
   const ending = h("div");
   root.append(
-    head(t("run.title")), ending,
-    h("div", { class: "columns is-main-left" },
-      h("div", { class: "stack" }, path.element,
-        card(t("run.signal", { unit: unitOf("length") }), key(), strip)),
-      h("div", { class: "stack" }, progress.element, buttons.element, position.element,
-        health.element)),
+    h("h1", { class: "unseen" }, t("run.title")), ending,
+    h("div", { class: "columns is-main-left is-run" },
+      h("div", { class: "stack" }, path.element, health.element),
+      h("div", { class: "stack" }, progress.element, buttons.element, position.element)),
   );
   const chart = drawStrip(strip);
   let live = null;
@@ -64,7 +62,7 @@ function mountMeasuring(root, { actions }) {
       buttons.update(state);
       path.progress(reached(state), state.live?.axes ?? null);
       const stale = isActive(job) && link.stale;
-      for (const element of [position.element, health.element, strip, path.element]) {
+      for (const element of [position.element, health.element, path.element]) {
         element.classList.toggle("is-stale-data", stale);
       }
       if (state.live && state.live !== live) {
@@ -101,10 +99,10 @@ function mountAnalysis(root) {
 }
 
 /** Rows of the plan that the machine has reached. */
-function reached({ job, plan, progress }) {
+function reached({ job, plan }) {
   if (!plan) return 0;
   if (isComputing(job) || job.state === "succeeded") return plan.position.length;
-  const { done, total } = progress ?? job.progress ?? {};
+  const { done, total } = job.progress ?? {};
   return total ? Math.floor((done / total) * (plan.position.length - 1)) + 1 : 0;
 }
 
@@ -133,9 +131,9 @@ function progressCard(stages) {
   element.style.display = "grid";
   return { element, update };
 
-  function update({ job, progress }) {
-    const now = { ...job.progress, ...(progress ?? {}) };
-    const stage = hasEnded(job) ? null : job.stage ?? now.stage;
+  function update({ job }) {
+    const now = job.progress ?? {};
+    const stage = hasEnded(job) ? null : job.stage;
     markStages(job, stage);
     const share = job.state === "succeeded" ? 1 : now.total ? Math.min(1, now.done / now.total) : null;
     percent.replaceChildren(number(share === null ? null : Math.floor(100 * share)),
@@ -144,8 +142,7 @@ function progressCard(stages) {
     meter.classList.toggle("is-waiting", share === null && isActive(job));
     meter.classList.toggle("is-held", ["pausing", "paused", "aborting"].includes(job.state));
     mark(meter, "aria-valuenow", share === null ? null : Math.floor(100 * share));
-    const left = now.eta_s ?? now.remaining_s;
-    write(remaining, isActive(job) ? duration(left) : "–");
+    write(remaining, isActive(job) ? duration(now.eta_s) : "–");
     write(count, now.total && isActive(job)
       ? t("run.count", { done: number(now.done), total: number(now.total),
         unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");
@@ -184,16 +181,17 @@ function positionCard() {
   }
 }
 
-function healthCard() {
+function healthCard(strip) {
   const samples = tile(t("run.samples"));
   const lost = tile(t("run.lost"));
   const crc = tile(t("run.crc"));
-  const element = card(t("run.health"),
-    h("dl", { class: "tiles" }, samples.element, lost.element, crc.element));
+  const element = h("section", { class: "card stream" }, h("h2", {}, t("run.health")),
+    h("p", { class: "stream-name quiet" }, t("run.signal", { unit: unitOf("length") }), key()),
+    h("dl", { class: "tiles" }, samples.element, lost.element, crc.element), strip);
   return {
     element,
-    update({ job, health }) {
-      const now = { ...job.health, ...(health ?? {}) };
+    update({ job }) {
+      const now = job.health ?? {};
       write(samples.number, number(now.samples));
       write(lost.number, number(now.lost_samples));
       write(crc.number, number(now.crc_errors));
@@ -222,8 +220,8 @@ function motionButtons(actions) {
 }
 
 function key() {
-  const entry = (name) => h("li", {}, h("i", { style: `border-color: var(--trace-${name.toLowerCase()})` }), name);
-  return h("ul", { class: "key" }, ["X", "Y", "Z"].map(entry));
+  const entry = (name) => h("span", {}, h("i", { style: `border-color: var(--trace-${name.toLowerCase()})` }), name);
+  return h("span", { class: "key" }, ["X", "Y", "Z"].map(entry));
 }
 
 function endingOf(job) {

@@ -1,0 +1,144 @@
+"""A page in a real browser over a service that a test steps through."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+import uvicorn
+from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
+
+sys.path.append(str(Path(__file__).parent))
+from scripted_service import ScriptedService, scripted_app
+
+LOOPBACK = "127.0.0.1"
+PATIENCE_MS = 10_000.0
+expect.set_options(timeout=PATIENCE_MS)
+
+
+@pytest.fixture
+def service() -> ScriptedService:
+    """The service's part of the play; nobody listens yet."""
+    return ScriptedService()
+
+
+@pytest.fixture
+def address(service: ScriptedService) -> Iterator[str]:
+    """Where the scripted service listens."""
+    listening = socket.create_server((LOOPBACK, 0))
+    config = uvicorn.Config(
+        scripted_app(service), log_level="warning", timeout_graceful_shutdown=1
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
+    thread.start()
+    yield f"http://{LOOPBACK}:{listening.getsockname()[1]}"
+    service.closing.set()
+    server.should_exit = True
+    thread.join(timeout=10)
+    listening.close()
+    assert not thread.is_alive(), "the scripted service did not end"
+
+
+@pytest.fixture(scope="module")
+def playwright() -> Iterator[Playwright]:
+    # No longer than a module: its event loop runs in this thread.
+    with sync_playwright() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def browser(playwright: Playwright) -> Iterator[Browser]:
+    """Debian's Chromium. A missing browser fails: the page is not proven without it."""
+    found = os.environ.get("CHROMIUM") or shutil.which("chromium")
+    if found is None:
+        pytest.fail(
+            "Chromium is missing, the page cannot be tested: "
+            "apt-get install --no-install-recommends chromium, or set CHROMIUM"
+        )
+    running = playwright.chromium.launch(executable_path=found)
+    yield running
+    running.close()
+
+
+@dataclass
+class Witness:
+    """What went wrong in a page without being seen on it."""
+
+    errors: list[str] = field(default_factory=list)
+    strangers: list[str] = field(default_factory=list)
+    expected: tuple[str, ...] = ()
+
+    def expect(self, *fragments: str) -> None:
+        """Accept console errors with these words: the test provokes them."""
+        self.expected += fragments
+
+    def watch(self, page: Page) -> None:
+        page.on("console", lambda m: m.type == "error" and self._note(m.text))
+        page.on("pageerror", lambda error: self._note(str(error)))
+        page.on("request", lambda request: self._meet(request.url))
+
+    def judge(self) -> None:
+        assert self.errors == []
+        assert self.strangers == []
+
+    def _note(self, text: str) -> None:
+        if not any(fragment in text for fragment in self.expected):
+            self.errors.append(text)
+
+    def _meet(self, url: str) -> None:
+        parts = urlsplit(url)
+        if parts.scheme not in ("data", "blob") and parts.hostname != LOOPBACK:
+            self.strangers.append(url)
+
+
+@pytest.fixture
+def witness() -> Witness:
+    return Witness()
+
+
+@dataclass
+class Panel:
+    """Opens pages as an operator's panel would: size, language, light or dark."""
+
+    browser: Browser
+    address: str
+    witness: Witness
+
+    def open(
+        self,
+        where: str = "",
+        *,
+        size: tuple[int, int] = (1280, 800),
+        language: str = "en",
+        dark: bool = False,
+        touch: bool = False,
+    ) -> Page:
+        context = self.browser.new_context(
+            viewport={"width": size[0], "height": size[1]},
+            locale=language,
+            color_scheme="dark" if dark else "light",
+            has_touch=touch,
+        )
+        context.set_default_timeout(PATIENCE_MS)
+        page = context.new_page()
+        self.witness.watch(page)
+        page.goto(f"{self.address}/{where}", wait_until="domcontentloaded")
+        return page
+
+
+@pytest.fixture
+def panel(browser: Browser, address: str, witness: Witness) -> Iterator[Panel]:
+    """Opens pages; afterwards no console error and no request to elsewhere."""
+    yield Panel(browser, address, witness)
+    for context in browser.contexts:
+        context.close()
+    witness.judge()

@@ -1,0 +1,140 @@
+"""ABORT: always there, one touch, whatever else of the page has failed."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import Page, expect
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+SIZES = [(1280, 800), (1920, 1080), (390, 844), (800, 1280)]
+EVENTS = "**/api/v1/events*"
+NO_STREAM = ("net::ERR_FAILED", "Failed to load resource")
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_abort_is_72_px_and_in_sight(panel, size, language):
+    page = panel.open(size=size, language=language)
+    expect(page.locator("h1")).to_be_visible()
+    page.mouse.wheel(0, 5000)
+    box = page.locator("#abort").bounding_box()
+    assert box is not None
+    assert min(box["width"], box["height"]) >= 72
+    assert box["x"] >= 0
+    assert box["y"] >= 0
+    assert box["x"] + box["width"] <= size[0]
+    assert box["x"] + box["width"] >= size[0] - 16
+    assert box["y"] <= 16
+
+
+def test_one_touch_stops_a_running_job(panel, service):
+    job = running(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    assert service.jobs[job]["state"] == "aborted"
+    page.locator("#abort-close").click()
+    expect(page.locator("#abort-sheet")).to_be_hidden()
+    expect(page.locator("#state")).to_have_text("Aborted")
+
+
+def test_abort_acts_on_touch_down(panel, service):
+    running(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    press(page, "#abort")
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    page.mouse.up()
+
+
+def test_abort_works_without_the_event_stream(panel, service, witness):
+    witness.expect(*NO_STREAM)
+    job = running(service)
+    page = panel.open("#/connect")
+    page.route(EVENTS, lambda route: route.abort())
+    page.reload()
+    expect(page.locator("#stamp")).to_contain_text("DATA STALE")
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    assert service.jobs[job]["state"] == "aborted"
+
+
+def test_abort_works_when_the_pages_modules_fail(panel, service, witness):
+    witness.expect(*NO_STREAM)
+    job = running(service)
+    page = panel.open("#/connect")
+    page.route("**/js/main.js", lambda route: route.abort())
+    page.reload()
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    assert service.jobs[job]["state"] == "aborted"
+
+
+def test_abort_works_over_an_open_sheet(panel, service):
+    job = running(service)
+    page = panel.open()
+    page.locator("#open-settings").click()
+    expect(page.locator("#settings")).to_be_visible()
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    assert service.jobs[job]["state"] == "aborted"
+
+
+def test_abort_works_from_the_keyboard(panel, service):
+    job = running(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    page.locator("#abort").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+    assert service.jobs[job]["state"] == "aborted"
+
+
+def test_abort_without_motion_says_so(panel, service):
+    page = panel.open()
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_have_text("Nothing was moving")
+    assert service.stops == 1
+
+
+def test_an_unconfirmed_stop_sends_the_operator_to_the_hardware(panel, service):
+    service.deaf_to_stop = True
+    running(service)
+    page = panel.open()
+    page.locator("#abort").click()
+    sheet = page.locator("#abort-sheet")
+    expect(sheet).to_have_attribute("data-stage", "waiting")
+    expect(page.locator("#abort-title")).to_have_text(
+        "NOT CONFIRMED – USE THE HARDWARE E-STOP"
+    )
+    box = sheet.bounding_box()
+    assert box == {"x": 0, "y": 0, "width": 1280, "height": 800}
+    assert service.stops >= 3
+    service.deaf_to_stop = False
+    expect(page.locator("#abort-title")).to_have_text("Motion stopped")
+
+
+def test_a_dead_service_does_not_look_like_a_stop(panel, service, witness):
+    witness.expect(*NO_STREAM)
+    running(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    page.route("**/api/v1/**", lambda route: route.abort())
+    page.locator("#abort").click()
+    expect(page.locator("#abort-title")).to_contain_text("HARDWARE E-STOP")
+    page.locator("#abort-close", has_text="The machine stands").click()
+    expect(page.locator("#abort-sheet")).to_be_hidden()
+
+
+def running(service) -> str:
+    job = service.new_job("measure-otf", state="running", stage="measuring")
+    return job["id"]
+
+
+def press(page: Page, selector: str) -> None:
+    box = page.locator(selector).bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()

@@ -1,0 +1,265 @@
+"""The task from Connect to Result, as an operator does it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+NEXT = "#next button"
+HOLD_S = 1.4
+REFUSED = ("the server responded with a status of",)
+
+
+def test_the_task_runs_from_connect_to_result(panel, service):
+    page = panel.open()
+    follow(page, "Connect devices")
+    expect(page.locator("[data-connected]")).to_have_count(2)
+    follow(page, "Plan the run")
+    follow(page, "Prepare the run")
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_contain_text("preparing the path")
+    (job,) = service.jobs
+    service.change(job, state="ready")
+    expect(page.locator(".path-view[data-drawn]")).to_be_visible()
+    with held(page, page.locator(NEXT, has_text="Hold to start motion")):
+        page.wait_for_url(f"**/#/run/{job}")
+    service.advance(job, 11.0)
+    expect(page.locator(".big-progress strong")).to_have_text("50%")
+    expect(page.locator(".stages [aria-current]")).to_have_text("Measuring")
+    expect(page.locator(".tile", has_text="Lost samples")).to_contain_text("0")
+    expect(page.locator(NEXT)).to_be_disabled()
+    service.change(job, stage="estimating")
+    expect(page.locator("#state")).to_have_text("Analysing")
+    service.finish(job)
+    page.wait_for_url(f"**/#/result/{job}")
+    expect(page.locator(".chart canvas")).to_have_count(17)
+    expect(page.locator(".chart-missing")).to_have_count(1)
+    expect(page.locator("td.symbol")).to_have_text(["C0Y", "B0Z", "A0Z"])
+    expect(page.locator(".key", has_text="k = 2")).to_be_visible()
+
+
+def test_the_order_carries_what_was_chosen(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    page.get_by_role("radio", name="At standstill").click()
+    page.get_by_role("checkbox").click()
+    page.get_by_label("Slower").click()
+    follow(page, "Prepare the run")
+    page.wait_for_url("**/#/check/*")
+    assert service.requests == [
+        (
+            "POST",
+            "/jobs",
+            {
+                "kind": "measure-standstill",
+                "feed_mm_min": 5500,
+                "perpendicular_only": True,
+            },
+        )
+    ]
+
+
+def test_a_feed_out_of_limits_cannot_be_planned(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    page.locator("#feed").fill("5")
+    expect(page.locator("#feed-error")).to_contain_text("From 100 to 20,000 mm/min")
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_have_text("The feed is out of limits.")
+
+
+def test_motion_starts_only_after_the_button_was_held(panel, service):
+    job = ready(service)
+    page = panel.open()
+    button = page.locator(NEXT, has_text="Hold to start motion")
+    expect(button).to_be_enabled()
+    button.click()
+    assert service.jobs[job]["state"] == "ready"
+    with held(page, button):
+        page.wait_for_url(f"**/#/run/{job}")
+    assert ("POST", f"/jobs/{job}/arm", '"1"') in service.requests
+
+
+def test_the_hold_works_from_the_keyboard(panel, service):
+    job = ready(service)
+    page = panel.open()
+    button = page.locator(NEXT, has_text="Hold to start motion")
+    expect(button).to_be_enabled()
+    button.focus()
+    page.keyboard.down("Enter")
+    page.wait_for_url(f"**/#/run/{job}")
+    page.keyboard.up("Enter")
+
+
+def test_motion_does_not_start_on_stale_data(panel, service):
+    ready(service)
+    page = panel.open()
+    expect(page.locator(NEXT)).to_be_enabled()
+    service.silent = True
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_contain_text("No live data")
+
+
+def test_pause_is_a_touch_and_resume_is_held(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    expect(page.locator("#resume")).to_be_disabled()
+    page.locator("#pause").click()
+    expect(page.locator("#state")).to_have_text("Paused")
+    expect(page.locator("#pause")).to_be_disabled()
+    version = service.jobs[job]["version"]
+    page.locator("#resume").click()
+    assert service.jobs[job]["state"] == "paused"
+    with held(page, page.locator("#resume")):
+        expect(page.locator("#state")).to_have_text("Running")
+    assert ("POST", f"/jobs/{job}/resume", f'"{version}"') in service.requests
+
+
+def test_a_page_opened_in_mid_run_shows_the_run(panel, service):
+    job = measuring(service)
+    service.advance(job, 4.5)
+    page = panel.open()
+    page.wait_for_url(f"**/#/run/{job}")
+    expect(page.locator(".path-view[data-drawn]")).to_be_visible()
+    expect(page.locator(".big-progress strong")).to_have_text("18%")
+    page.reload()
+    expect(page.locator("#state")).to_have_text("Running")
+    assert page.url.endswith(f"#/run/{job}")
+
+
+def test_a_job_begun_elsewhere_comes_onto_the_page(panel, service):
+    page = panel.open()
+    expect(page.locator("#stamp")).to_have_text("Live data")
+    job = measuring(service)
+    page.wait_for_url(f"**/#/run/{job}")
+
+
+def test_the_position_follows_the_machine(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    expect(page.locator("output")).to_have_count(3)
+    service.advance(job, 3.0)
+    expected = [f"{v:.3f}".replace("-", "−") for v in service.plan["position"][3]]
+    expect(page.locator("output")).to_have_text(expected)
+
+
+def test_a_refused_connect_says_what_to_do(panel, service, witness):
+    witness.expect(*REFUSED)
+    service.refuse_connect = True
+    page = panel.open()
+    follow(page, "Connect devices")
+    problem = page.locator("#problems")
+    expect(problem).to_contain_text("Another device answers")
+    expect(problem).to_contain_text("Check the cable, then connect again.")
+    problem.get_by_role("button").click()
+    expect(problem).to_be_empty()
+    expect(page.locator(NEXT)).to_be_enabled()
+
+
+def test_a_failed_job_says_why_and_leads_back_to_the_plan(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    expect(page.locator("#state")).to_have_text("Running")
+    error = {"title": "Beam lost", "detail": "Line 7", "action": "Clear the sight."}
+    service.change(job, state="faulted", error=error)
+    expect(page.locator("#state")).to_have_text("Fault")
+    expect(page.locator("main .notice")).to_contain_text("Clear the sight.")
+    expect(page.locator(NEXT)).to_have_text("Plan a new run")
+
+
+def test_a_discarded_check_leads_back_to_the_plan(panel, service):
+    service.connected = True
+    job = ready(service)
+    page = panel.open()
+    page.locator("#back button", has_text="Discard").click()
+    page.wait_for_url("**/#/plan")
+    assert service.jobs[job]["state"] == "aborted"
+    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
+
+
+def test_an_uploaded_bundle_is_analysed(panel, service, tmp_path: Path):
+    bundle = tmp_path / "recorded.zip"
+    bundle.write_bytes(b"PK")
+    page = panel.open()
+    page.locator("#bundle").set_input_files(bundle)
+    page.wait_for_url("**/#/run/*")
+    expect(page.locator("h1")).to_have_text("Analysis")
+    (job,) = service.jobs
+    assert ("POST", "/runs", "recorded.zip") in service.requests
+    assert service.jobs[job]["run_id"] == "run-uploaded"
+    service.finish(job)
+    expect(page.locator(".chart canvas")).to_have_count(17)
+
+
+def test_records_lead_to_results_and_bundles(panel, service):
+    job = measuring(service)
+    service.finish(job)
+    page = panel.open("#/records")
+    bundle = page.get_by_role("link", name="Bundle")
+    expect(bundle).to_have_attribute("href", "/api/v1/runs/run-1/bundle")
+    page.get_by_role("button", name="Result").click()
+    page.wait_for_url(f"**/#/result/{job}")
+    expect(page.locator(".chart canvas")).to_have_count(17)
+
+
+def test_the_result_can_be_taken_away(panel, service, tmp_path: Path):
+    job = measuring(service)
+    service.finish(job)
+    page = panel.open(f"#/result/{job}")
+    with page.expect_download() as download:
+        page.get_by_role("link", name="JSON").click()
+    download.value.save_as(tmp_path / "result.json")
+    content = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert content["schema"] == "result/1"
+    report = page.get_by_role("link", name="Report")
+    expect(report).to_have_attribute("href", f"/api/v1/jobs/{job}/result/report.html")
+
+
+def test_an_error_table_opens_large_with_its_numbers(panel, service):
+    job = measuring(service)
+    service.finish(job)
+    page = panel.open(f"#/result/{job}")
+    page.locator("[data-symbol=EXX]").get_by_role("button").click()
+    sheet = page.locator("#detail")
+    expect(sheet.locator("canvas")).to_be_visible()
+    expect(sheet.locator("tbody tr")).to_have_count(21)
+    expect(sheet.locator("th", has_text="U (k = 2), µm")).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(sheet).to_be_hidden()
+
+
+def ready(service) -> str:
+    return service.new_job("measure-otf", state="ready")["id"]
+
+
+def measuring(service) -> str:
+    service.connected = True
+    job = service.new_job("measure-otf", state="running", stage="measuring")
+    return job["id"]
+
+
+def follow(page: Page, label: str) -> None:
+    """Press the one button that leads on, by its name."""
+    page.locator(NEXT, has_text=label).click()
+
+
+@contextmanager
+def held(page: Page, button: Locator) -> Iterator[None]:
+    """Keep the button pressed meanwhile; it takes no effect before 1.5 s are over."""
+    expect(button).to_be_enabled()
+    box = button.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 40, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    begun = time.monotonic()
+    yield
+    assert time.monotonic() - begun > HOLD_S
+    page.mouse.up()

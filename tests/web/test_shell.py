@@ -1,0 +1,151 @@
+"""The page as the service sends it, before any script runs."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+from fastapi import FastAPI
+from fastapi.testclient import TestClient
+
+from app.web.catalogues import LANGUAGES, catalogue, choose_language
+from app.web.pages import LANGUAGE_COOKIE, STATIC_PATH, router, static_files
+
+ROOT = Path(__file__).parents[2]
+STATIC = ROOT / "app" / "web" / "static"
+TEMPLATE = ROOT / "app" / "web" / "templates" / "index.html"
+OURS = [
+    path
+    for path in sorted(STATIC.rglob("*"))
+    if path.suffix in {".js", ".css", ".svg"} and "vendor" not in path.parts
+]
+# Families of keys that scripts put together from a word of the service.
+BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
+BUILT_KEYS += ("abort.", "settings.")
+
+
+@pytest.fixture
+def client() -> TestClient:
+    app = FastAPI()
+    app.include_router(router)
+    app.mount(STATIC_PATH, static_files())
+    return TestClient(app)
+
+
+@pytest.mark.parametrize(
+    ("remembered", "accepted", "language"),
+    [
+        (None, None, "en"),
+        (None, "de-CH, en;q=0.8", "de"),
+        (None, "fr, en;q=0.3, de;q=0.6", "de"),
+        (None, "fr", "en"),
+        ("en", "de", "en"),
+        ("xx", "de", "de"),
+        (None, "de;q=nonsense, en;q=0.1", "en"),
+    ],
+)
+def test_the_operators_choice_comes_before_the_browsers(remembered, accepted, language):
+    assert choose_language(remembered, accepted) == language
+
+
+def test_the_shell_comes_in_german_to_a_german_browser(client):
+    page = client.get("/", headers={"Accept-Language": "de"}).text
+    assert '<html lang="de"' in page
+    assert "ABBRUCH" in page
+
+
+def test_the_shell_remembers_the_language_of_the_panel(client):
+    client.cookies.set(LANGUAGE_COOKIE, "de")
+    assert '<html lang="de"' in client.get("/").text
+
+
+def test_an_unknown_language_has_no_catalogue():
+    with pytest.raises(KeyError):
+        catalogue("xx")
+
+
+def test_the_page_forbids_scripts_from_elsewhere_and_eval(client):
+    policy = client.get("/").headers["content-security-policy"]
+    assert "script-src 'self';" in policy
+    assert "unsafe-eval" not in policy
+    assert "http" not in policy
+
+
+def test_abort_is_a_form_where_no_script_runs(client):
+    page = client.get("/").text
+    form = page[page.index('<form id="abort-form"') :]
+    assert 'method="post" action="/api/v1/stop"' in form[:200]
+
+
+def test_plotly_comes_out_of_the_wheel(client):
+    script = client.get("/assets/plotly.min.js")
+    assert script.headers["content-type"].startswith("text/javascript")
+    assert "plotly.js" in script.text[:200]
+
+
+def test_a_browser_asks_before_it_reuses_a_file(client):
+    first = client.get(f"{STATIC_PATH}/js/main.js")
+    assert first.headers["cache-control"] == "no-cache"
+    again = client.get(
+        f"{STATIC_PATH}/js/main.js", headers={"If-None-Match": first.headers["etag"]}
+    )
+    assert again.status_code == 304
+
+
+def test_catalogues_have_the_same_keys_and_the_same_blanks():
+    first, *others = (catalogue(language) for language in LANGUAGES)
+    for other in others:
+        assert other.keys() == first.keys()
+        for key, text in first.items():
+            assert blanks(other[key]) == blanks(text), key
+
+
+def blanks(text: str) -> set[str]:
+    return set(re.findall(r"\{\w+\}", text))
+
+
+def test_no_catalogue_says_a_key_twice():
+    for language in LANGUAGES:
+        text = (STATIC / "locales" / f"{language}.json").read_text(encoding="utf-8")
+        keys = [key for key, _ in json.loads(text, object_pairs_hook=list)]
+        assert len(keys) == len(set(keys))
+
+
+def test_every_text_is_used_and_every_used_text_exists():
+    sources = [TEMPLATE, *(path for path in OURS if path.suffix == ".js")]
+    written = "\n".join(path.read_text(encoding="utf-8") for path in sources)
+    known = set(catalogue("en"))
+    used = set(re.findall(r"\bt\(\s*\"([a-z]+\.[\w-]+)\"", written))
+    used |= set(re.findall(r"text\[[\"']([a-z]+\.[\w-]+)[\"']\]", written))
+    assert used <= known
+    idle = {
+        key
+        for key in known - used
+        if f'"{key}"' not in written and not key.startswith(BUILT_KEYS)
+    }
+    assert idle == set()
+
+
+def test_nothing_of_ours_names_a_host():
+    for path in [*OURS, TEMPLATE]:
+        text = path.read_text(encoding="utf-8").replace(
+            "http://www.w3.org/2000/svg", ""
+        )
+        assert not re.search(r"https?://", text), path
+
+
+def test_the_wheel_takes_every_file_of_the_page_along():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    patterns = project["tool"]["setuptools"]["package-data"]["*"]
+    for path in [TEMPLATE, *STATIC.rglob("*")]:
+        if path.is_file():
+            assert any(fnmatch(path.name, p) for p in patterns), path
+
+
+def test_what_is_vendored_brings_its_licence():
+    for folder in (STATIC / "vendor").iterdir():
+        assert any(path.name.startswith("LICENSE") for path in folder.iterdir()), folder
