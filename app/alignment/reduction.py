@@ -56,7 +56,7 @@ def reduce_to_cells(
     means = _means(time_s[good], tracker_mm[good], cell[good])
     scatter = _scatter(time_s, tracker_mm, cell, means, velocity_mm_s, noise)[good]
     filled = means.count > 0
-    free = len(scatter) - float(filled.sum())
+    free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
     square = (scatter**2).sum(axis=0)
     return Cells(
         means.time_s[filled],
@@ -111,9 +111,24 @@ def _scatter(
     known = np.minimum(cell, len(means.count) - 1)
     lag = time_s - means.time_s[known]
     off = tracker_mm - means.tracker_mm[known] - lag[:, None] * velocity_mm_s
+    off -= lag[:, None] * _slope(lag, off, known)[known]
     frame = beam_frame(means.tracker_mm)[known]
     sigma = noise.sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[known]
     return np.einsum("nij,nj->ni", frame, off) / sigma[:, [0, 1, 1]]
+
+
+def _slope(
+    lag_s: Float64[np.ndarray, " n"],
+    off_mm: Float64[np.ndarray, "n 3"],
+    cell: Int64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "c 3"]:
+    """Return the slope that the machine error has in each cell, in mm/s.
+
+    Along a line the error changes within a cell; that is not noise.
+    """
+    square = np.bincount(cell, lag_s**2)
+    across = np.column_stack([np.bincount(cell, lag_s * o) for o in off_mm.T])
+    return across / np.maximum(square, 1e-12)[:, None]
 
 
 def beam_frame(tracker_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3 3"]:

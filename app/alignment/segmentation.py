@@ -133,7 +133,11 @@ def _steady_part(
     inside = np.flatnonzero((time >= t0) & (time <= t1) & on)
     if len(inside) < 20 or t1 - t0 < _SHORTEST_S:
         return None
-    return first + int(inside[0]), first + int(inside[-1]) + 1, plateau
+    length = ends_mm[1] - ends_mm[0]
+    along = points[inside] @ (length / np.linalg.norm(length))
+    lag = time[inside] - time[inside].mean()
+    speed = float(lag @ along / (lag @ lag))
+    return first + int(inside[0]), first + int(inside[-1]) + 1, speed
 
 
 def _part(time_s: Float64[np.ndarray, " n"], fraction: float) -> float:

@@ -17,6 +17,7 @@ from jaxtyping import Float64
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.effects.tool_orientation import tool_orientation
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, meaning
@@ -79,7 +80,8 @@ def identifiable_model(
         for s in ordered
     )
     squareness = squareness_between(tuple(travels))
-    return MachineModel(machine, motions + squareness), tuple(merged)
+    tool = tool_orientation(np.unique(offsets_mm, axis=0))
+    return MachineModel(machine, (*motions, *squareness, *tool)), tuple(merged)
 
 
 def _intervals(axis: LinearAxis, spacing_mm: float) -> int:

@@ -25,9 +25,8 @@ from app.estimation.problem import Problem, coarser, pose_problem
 from app.numerics.rigid import RigidTransform
 
 _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
-_COARSE_MM = (
-    60.0  # knots for judging noise; fine shapes of the errors do not matter to it
-)
+# Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
+_COARSE_MM = 35.0
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [1e-6, 0.1]])
 

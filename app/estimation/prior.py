@@ -21,6 +21,7 @@ from app.kinematics.symbols import is_turn
 _ROUNDS = 40
 _SETTLED = 0.02
 _TYPICAL_MM, _TYPICAL_RAD = 0.01, 2e-5
+_STRAIGHT = 1e-5  # of the usual bending energy: below it a motion counts as straight
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,16 @@ class BendingPrior:
 
 def first_guess(model: MachineModel) -> BendingPrior:
     """Return a prior for errors of usual size that wave once over the travel."""
-    strength: dict[str, float] = {}
-    for motion in _motions(model):
-        length = motion.axis.max_mm - motion.axis.min_mm
-        size = _TYPICAL_RAD if is_turn(motion.symbol) else _TYPICAL_MM
-        energy = size**2 * (2.0 * np.pi / length) ** 4 * length / 2.0
-        strength[motion.name] = 8.0 / energy
-    return BendingPrior(model, strength)
+    return BendingPrior(
+        model, {m.name: 8.0 / _typical_energy(m) for m in _motions(model)}
+    )
+
+
+def _typical_energy(motion: ErrorMotion) -> float:
+    """Return the bending energy of an error of usual size, one wave over the travel."""
+    length = motion.axis.max_mm - motion.axis.min_mm
+    size = _TYPICAL_RAD if is_turn(motion.symbol) else _TYPICAL_MM
+    return size**2 * (2.0 * np.pi / length) ** 4 * length / 2.0
 
 
 def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
@@ -89,7 +93,7 @@ def _next_strength(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         theta, old = result.theta[part], prior.strength[motion.name]
         free = _charged(motion) - old * float(np.sum(result.covariance[part, part] * K))
         # A motion that is straight within the noise keeps a finite strength.
-        energy = float(theta @ K @ theta) + 1e-3 * _charged(motion) / old
+        energy = float(theta @ K @ theta) + _STRAIGHT * _typical_energy(motion)
         strength[motion.name] = max(free, 0.05) / energy
     return strength
 

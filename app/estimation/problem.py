@@ -90,9 +90,10 @@ def coarser(problem: Problem, merge: int) -> Problem:
         direction=seen.direction[starts],
         row=seen.row[starts],
     )
-    return replace(
-        problem, seen=merged, frame=problem.frame[starts], rows=mean(problem.rows)
-    )
+    # Averaged in the workpiece frame, where a line keeps its direction.
+    local = mean(np.matmul(np.swapaxes(problem.frame, 1, 2), problem.rows))
+    frame = beam_frame(merged.tracker_mm) @ problem.pose.rotation
+    return replace(problem, seen=merged, frame=frame, rows=np.matmul(frame, local))
 
 
 def _centre(seen: Observations) -> tuple[float, float, float]:

@@ -107,7 +107,9 @@ class CubicSpline:
         self, at: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n k"]:
         h, _, right = self._spans()
-        turned = self.knots[0] + np.mod(at - self.knots[0], self.period)
+        turned: Float64[np.ndarray, " n"] = self.knots[0] + np.mod(
+            at - self.knots[0], self.period
+        )
         left = np.asarray(np.searchsorted(self.knots, turned, side="right")) - 1
         return self._values(left, right[left], turned, h[left])
 

@@ -1,0 +1,56 @@
+"""How the measured targets sit in the spindle: a turn of their offsets as a whole.
+
+With one target this is a shift, which the tracker's pose takes; with several, the turn
+of the last axis at its zero shows, and the gauge of the tables has no place for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.numerics.rigid import cross_matrix
+
+
+@dataclass(frozen=True)
+class ToolOrientation(Effect):
+    """A small turn of all offsets about the first target.
+
+    first_mm : offset of the first target
+    turns : (3, p) turns that the offsets can show; p = 2 where they lie on one line
+    """
+
+    first_mm: tuple[float, float, float]
+    turns: Float64[np.ndarray, "3 p"]
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return "tool-orientation"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Two or three angles."""
+        count = self.turns.shape[1]
+        return tuple(Parameter(f"tool-turn-{i}", "rad", True) for i in range(count))
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return turn × (offset − first offset)."""
+        return cross_matrix(at.offset_mm - np.array(self.first_mm)) @ self.turns
+
+
+def tool_orientation(
+    offsets_mm: Float64[np.ndarray, "t 3"],
+) -> tuple[ToolOrientation, ...]:
+    """Return the effect for the measured offsets; none where there is but one."""
+    arms = offsets_mm - offsets_mm[0]
+    _, size, direction = np.linalg.svd(arms)
+    if size[0] < 1e-6:
+        return ()
+    on_a_line = len(size) < 2 or size[1] < 1e-6 * size[0]
+    turns = direction[1:].T if on_a_line else direction.T
+    x, y, z = (float(v) for v in offsets_mm[0])
+    return (ToolOrientation((x, y, z), turns),)

@@ -1,0 +1,204 @@
+"""A stream is recognised without a clock, a pose or luck."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.alignment.cleaning import valid_samples
+from app.errors import AlignmentError
+from drivers.interfaces.records import TrackerSamples
+from simulators.synthetic import ROUGH, Defects, Setting
+
+
+def nominal_error_mm(seen):
+    """How far cells lie from their nominal place, in the workpiece frame."""
+    return seen.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+
+
+def with_stream(run, keep=slice(None), **changes):
+    tracker = run.tracker
+    samples = {
+        "sequence": tracker.sequence[keep],
+        "device_time_s": tracker.device_time_s[keep],
+        "position_mm": tracker.position_mm[keep],
+        "status": tracker.status[keep],
+    }
+    return replace(run, tracker=TrackerSamples(**{**samples, **changes}))
+
+
+def stops_of(recording):
+    """Sample ranges in which the truth stands still at each row."""
+    still = np.all(np.diff(recording.commanded_mm, axis=0, prepend=0.0) == 0.0, axis=1)
+    return still
+
+
+def test_every_line_of_the_path_is_found_once(record):
+    run, _ = record(3)
+    seen = align(run)
+    assert [p.row for p in seen.passes] == list(range(1, len(run.commanded)))
+    assert np.abs(nominal_error_mm(seen)).max() < 0.2
+
+
+def test_passes_hold_nothing_of_ramps_or_dwells(record):
+    run, truth = record(3)
+    recording = truth.recording
+    speed = np.linalg.norm(np.gradient(recording.commanded_mm, axis=0), axis=1) * 500.0
+    for each in align(run).passes:
+        feed = run.commanded.feed_mm_min[each.row] / 60.0
+        assert np.abs(speed[each.first : each.last] - feed).max() < 0.002 * feed
+        assert (recording.row[each.first : each.last] == each.row).all()
+
+
+def test_cells_know_their_place_on_their_own_line(record):
+    run, truth = record(3)
+    seen = align(run)
+    true = truth.recording
+    for axis in range(3):
+        place = np.interp(seen.at.time_s, true.time_s, true.commanded_mm[:, axis])
+        # Phase and speed are free: what is left is the machine's error and the pose.
+        assert np.abs(place - seen.at.position_mm[:, axis]).max() < 0.25
+
+
+def test_samples_scatter_as_the_tracker_states(record):
+    run, _ = record(3)
+    scatter = align(run).scatter
+    # Four parts in a hundred of the simulator's variance are slow, unseen within cells.
+    assert scatter == pytest.approx(np.sqrt(0.96) * np.ones(2), abs=0.01)
+
+
+def test_standstill_points_are_recognised_in_the_raw_stream(record):
+    run, _ = record(4, "standstill", rows=30)
+    seen = align(run)
+    assert sorted(set(seen.row.tolist())) == list(range(len(run.commanded)))
+    assert (seen.at.line == -1).all()
+    assert not seen.at.velocity_mm_s.any()
+    assert np.abs(nominal_error_mm(seen)).max() < 0.2
+
+
+def test_lost_frames_breaks_spikes_holds_and_repeats_cost_only_themselves(record):
+    clean, _ = record(5, rows=40)
+    rough, _ = record(5, rows=40, setting=Setting(defects=ROUGH))
+    _, first = np.unique(rough.tracker.device_time_s, return_index=True)
+    rough = with_stream(rough, first)
+    a, b = align(clean), align(rough)
+    # The silence swallows line 7, the broken beam most of line 13.
+    assert {p.row for p in b.passes} == {p.row for p in a.passes} - {7, 13}
+    assert b.used > 0.9 * a.used
+    assert np.abs(nominal_error_mm(b)).max() < 0.2
+
+
+def test_a_missing_standstill_does_not_shift_the_lines_after_it(record):
+    run, truth = record(6)
+    row = truth.recording.row
+    moving = np.linalg.norm(np.gradient(truth.recording.commanded_mm, axis=0), axis=1)
+    lost = (row == 9) & (moving == 0.0)
+    seen = align(with_stream(run, ~lost))
+    rows = [p.row for p in seen.passes]
+    assert rows == sorted(rows)
+    assert set(range(11, len(run.commanded))) <= set(rows)
+    assert np.abs(nominal_error_mm(seen)).max() < 0.2
+
+
+@pytest.mark.parametrize("late_s", [0.0, 3.0, 11.0])
+def test_a_recording_that_starts_late_keeps_what_it_has(record, late_s):
+    run, truth = record(6)
+    late = truth.recording.time_s - truth.recording.time_s[0] > late_s
+    seen = align(with_stream(run, late))
+    assert np.abs(nominal_error_mm(seen)).max() < 0.2
+    assert len(seen.passes) > 12
+
+
+def test_the_frame_of_the_tracker_does_not_matter(record, rng):
+    from scipy.spatial.transform import Rotation
+
+    run, _ = record(3)
+    turn = Rotation.random(rng=rng).as_matrix()
+    moved = with_stream(
+        run, position_mm=run.tracker.position_mm @ turn.T + [1.0, 2.0, -3.0]
+    )
+    a, b = align(run), align(moved)
+    assert np.allclose(a.at.time_s, b.at.time_s)
+    assert np.allclose(a.at.position_mm, b.at.position_mm, atol=1e-3)
+
+
+def test_a_left_handed_stream_is_refused_as_such(record):
+    run, _ = record(3)
+    mirrored = with_stream(run, position_mm=run.tracker.position_mm * [1, 1, -1])
+    with pytest.raises(AlignmentError, match="mirror image"):
+        align(mirrored)
+
+
+def test_another_machines_path_is_refused(record):
+    run, _ = record(3)
+    other, _ = record(11)
+    with pytest.raises(AlignmentError, match=r"path\.csv"):
+        align(replace(run, commanded=other.commanded))
+
+
+def test_the_order_of_lines_decides(record):
+    run, _ = record(3)
+    back = replace(
+        run.commanded,
+        position=run.commanded.position[::-1].copy(),
+    )
+    with pytest.raises(AlignmentError, match="order"):
+        align(replace(run, commanded=back))
+
+
+def test_a_path_on_one_line_is_refused_with_the_remedy(record):
+    run, _ = record(3)
+    n = len(run.commanded)
+    flat = np.zeros((n, 3))
+    flat[:, 0] = 50.0 + 100.0 * (np.arange(n) % 4)
+    with pytest.raises(AlignmentError, match="off the line"):
+        align(replace(run, commanded=replace(run.commanded, position=flat)))
+
+
+def test_a_stream_without_valid_samples_says_so(record):
+    run, _ = record(3)
+    dead = with_stream(run, status=np.ones(len(run.tracker), np.int64))
+    with pytest.raises(AlignmentError, match="0 valid samples"):
+        align(dead)
+
+
+def test_a_path_driven_twice_is_still_aligned(record):
+    run, _ = record(6)
+    n, tracker = len(run.tracker), run.tracker
+    step = tracker.device_time_s[-1] - tracker.device_time_s[0] + 0.002
+    twice = TrackerSamples(
+        np.arange(2 * n),
+        np.concatenate([tracker.device_time_s, tracker.device_time_s + step]),
+        np.concatenate([tracker.position_mm, tracker.position_mm]),
+        np.concatenate([tracker.status, tracker.status]),
+    )
+    seen = align(replace(run, tracker=twice))
+    assert np.abs(nominal_error_mm(seen)).max() < 0.2
+    assert len(seen.passes) >= len(run.commanded) - 1
+
+
+def test_spikes_and_bad_status_are_not_samples(rng):
+    n = 400
+    position = np.cumsum(np.full((n, 3), 0.2), axis=0) + 0.004 * rng.normal(size=(n, 3))
+    status = np.zeros(n, np.int64)
+    status[10] = 3
+    position[50] += 0.5
+    position[60] = np.nan
+    samples = TrackerSamples(np.arange(n), np.arange(n) / 500.0, position, status)
+    assert np.flatnonzero(~valid_samples(samples)).tolist() == [10, 50, 60]
+
+
+def test_direction_of_approach_is_that_of_the_last_motion(record):
+    run, _ = record(3)
+    seen = align(run)
+    step = np.diff(run.commanded.position, axis=0)[seen.row - 1]
+    moved = step != 0.0
+    assert (seen.at.approach[moved] == np.sign(step[moved])).all()
+
+
+def test_a_hold_in_mid_line_makes_two_passes_of_it(record):
+    held = Setting(defects=Defects(holds=((12.0, 1.0),)))
+    run, _ = record(8, setting=held)
+    rows = [p.row for p in align(run).passes]
+    assert len(rows) == len(set(rows)) + 1

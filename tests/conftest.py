@@ -1,0 +1,127 @@
+"""Recordings with known truth, for every room that judges an estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.kinematics.effects.base import standstill
+from app.kinematics.machine import Machine
+from app.measurement.machine_file import machine_from_json
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+from simulators import paths, synthetic
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the recording was made from."""
+
+    recording: synthetic.Recording
+
+    def deviation_mm(self, position_mm: np.ndarray) -> np.ndarray:
+        """Volumetric error of the truth machine, exact transforms."""
+        return self.recording.truth.deviation_mm(position_mm)
+
+
+Recorded = tuple[Run, Truth]
+Record = Callable[..., Recorded]
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Seeded randomness."""
+    return np.random.default_rng(20230307)
+
+
+@pytest.fixture(scope="session")
+def record() -> Record:
+    """Make a recording: record(seed, mode, rows=…, feed=…, chain=…, setting=…)."""
+    made: dict[Any, Recorded] = {}
+
+    def make(
+        seed: int = 1,
+        mode: str = "otf",
+        *,
+        rows: int = 24,
+        feed: float = 10_000.0,
+        chain: str = "w-b-X-Y-Z-t",
+        corners: bool = False,
+        setting: synthetic.Setting | None = None,
+    ) -> Recorded:
+        key = (seed, mode, rows, feed, chain, corners, repr(setting))
+        if key not in made:
+            content = {**load_machine("demo"), "kinematic_chain": chain}
+            machine = parse_machine(content)
+            if mode == "standstill":
+                program = paths.standstill_points(machine, seed, rows, dwell_s=0.8)
+            elif corners:
+                program = paths.corner_path(machine, feed)
+            else:
+                program = paths.chord_path(machine, seed, rows, feed)
+            recording = synthetic.record(content, program, seed, mode, setting)
+            made[key] = (_run(recording), Truth(recording))
+        return made[key]
+
+    return make
+
+
+def _run(recording: synthetic.Recording) -> Run:
+    machine = machine_from_json(dict(recording.content), file="machine.json")
+    program, n = recording.program, len(recording)
+    axes = machine.axis_names
+    if recording.mode == "standstill":
+        commanded: Path | Configurations = Configurations(
+            axes, program.position, program.dwell_s
+        )
+    else:
+        commanded = Path(
+            axes, program.position, program.feed_mm_s * 60.0, program.dwell_s
+        )
+    samples = TrackerSamples(
+        np.arange(n), recording.time_s, recording.position_mm, recording.status
+    )
+    return Run("synthetic", machine, commanded, samples)
+
+
+def without_rigid_motion(position_mm: np.ndarray, error_mm: np.ndarray) -> np.ndarray:
+    """Remove the rigid motion of the whole volume from errors at positions."""
+    columns = np.zeros((len(position_mm), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        columns[:, :, 3 + k] = np.cross(axis, position_mm)
+    flat = columns.reshape(-1, 6)
+    fit = np.linalg.lstsq(flat, error_mm.reshape(-1), rcond=None)[0]
+    return error_mm - (flat @ fit).reshape(-1, 3)
+
+
+@pytest.fixture(scope="session")
+def rigid_free() -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Give tests the map without its gauge."""
+    return without_rigid_motion
+
+
+@pytest.fixture(scope="session")
+def volume() -> Callable[[Machine], np.ndarray]:
+    """Give random positions inside the travel of a machine."""
+
+    def points(machine: Machine, n: int = 300) -> np.ndarray:
+        axes = machine.linear_axes
+        low = np.array([a.min_mm + 15.0 for a in axes])
+        high = np.array([a.max_mm - 15.0 for a in axes])
+        return np.random.default_rng(7).uniform(low, high, (n, len(axes)))
+
+    return points
+
+
+@pytest.fixture(scope="session")
+def at_rest() -> Callable[[Machine, np.ndarray], Any]:
+    """Give the conditions of a machine at rest."""
+    return standstill

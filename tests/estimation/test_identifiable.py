@@ -1,0 +1,58 @@
+"""What one, two and three tool offsets can tell apart."""
+
+import numpy as np
+import pytest
+
+from app.estimation.identifiable import identifiable_model
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+
+ONE = [(0.0, 0.0, -100.0)]
+TWO = [*ONE, (0.0, 0.0, -250.0)]
+THREE = [*ONE, (80.0, 0.0, -200.0), (0.0, 80.0, -300.0)]
+CHAINS = [("", "XYZ"), ("X", "YZ"), ("Y", "XZ"), ("XY", "Z"), ("Z", "XY"), ("XYZ", "")]
+
+
+def machine(workpiece_side, tool_side):
+    return Machine(
+        "m",
+        tuple(workpiece_side),
+        tuple(tool_side),
+        tuple(LinearAxis(a, 0.0, 600.0) for a in "XYZ"),
+        (Target("T", "tool", ONE[0]),),
+        TrackerNoise(),
+    )
+
+
+def motions(model):
+    return [e.symbol for e in model.effects if isinstance(e, ErrorMotion)]
+
+
+@pytest.mark.parametrize("sides", CHAINS)
+@pytest.mark.parametrize(
+    ("offsets", "known", "rank"), [(ONE, 14, 67), (TWO, 16, 79), (THREE, 18, 90)]
+)
+def test_tool_offsets_decide_how_many_motions_are_told_apart(
+    sides, offsets, known, rank
+):
+    """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion."""
+    last = "XYZ".index("".join(sides)[-1])
+    lengths = np.roll(np.array(offsets), last - 2, axis=1)  # along the last axis
+    model, merged = identifiable_model(machine(*sides), lengths, intervals=5)
+    assert len(motions(model)) == known
+    assert len(motions(model)) + len(merged) == 18
+    assert model.size == rank
+
+
+def test_what_merges_is_named_with_what_it_merges_into():
+    _, merged = identifiable_model(machine("", "XYZ"), np.array([(30.0, 20.0, -100.0)]))
+    said = {m.symbol: str(m) for m in merged}
+    assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
+    assert "EXZ" in said["EBZ"]
+    assert "another tool length" in said["EBZ"]
+
+
+def test_a_turn_about_a_target_on_the_spindle_axis_moves_nothing():
+    _, merged = identifiable_model(machine("", "XYZ"), np.array(ONE))
+    said = {m.symbol: str(m) for m in merged}
+    assert "does not move the target" in said["ECZ"]

@@ -1,0 +1,66 @@
+"""The banded whitening equals the dense covariance it stands for."""
+
+import numpy as np
+import pytest
+
+from app.numerics.correlated_noise import whitener
+
+TAU_S = 0.8
+
+
+@pytest.fixture
+def case(rng):
+    n = 30
+    time_s = np.cumsum(rng.uniform(0.02, 0.6, n))
+    root = rng.normal(size=(n, 3, 3))
+    white = np.linalg.inv(root @ np.swapaxes(root, 1, 2) + np.eye(3))
+    return time_s, white, rng.uniform(0.5, 2.0, (n, 3)), rng.normal(size=(n, 3, 4))
+
+
+def dense(time_s, white, sigma):
+    n = len(time_s)
+    fade = np.exp(-np.abs(time_s[:, None] - time_s) / TAU_S)
+    V = np.zeros((3 * n, 3 * n))
+    for j in range(3):
+        V[j::3, j::3] = fade * np.outer(sigma[:, j], sigma[:, j])
+    for k in range(n):
+        V[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += np.linalg.inv(white[k])
+    return V
+
+
+def test_slow_and_white_noise_are_whitened_exactly(case):
+    time_s, white, sigma, rows = case
+    V, flat = dense(time_s, white, sigma), rows.reshape(-1, 4)
+    built = whitener(time_s, white, sigma, TAU_S)
+    a, z = built.halves(rows)
+    assert np.allclose(a.T @ a - z.T @ z, flat.T @ np.linalg.solve(V, flat), rtol=1e-9)
+    assert built.log_determinant == pytest.approx(np.linalg.slogdet(V)[1])
+
+
+def test_without_slow_noise_only_white_weights_remain(case):
+    time_s, white, sigma, rows = case
+    a, z = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
+    expected = np.einsum("kip,kij,kjq->pq", rows, white, rows)
+    assert len(z) == 0
+    assert np.allclose(a.T @ a, expected)
+
+
+def test_a_direction_without_precision_carries_nothing(case, rng):
+    time_s, white, sigma, rows = case
+    blind = rng.normal(size=(len(time_s), 3))
+    blind /= np.linalg.norm(blind, axis=1, keepdims=True)
+    seen = np.eye(3) - blind[:, :, None] * blind[:, None, :]
+    precision = seen @ white @ seen
+    along = blind[:, :, None] * rng.normal(size=(len(time_s), 1, 4))
+    built = whitener(time_s, precision, sigma, TAU_S)
+    a, z = built.halves(rows)
+    b, y = built.halves(rows + along)
+    assert np.allclose(a.T @ a - z.T @ z, b.T @ b - y.T @ y, rtol=1e-9)
+
+
+def test_one_point_in_correlated_noise_tells_less_than_many_white_ones(case):
+    time_s, white, sigma, rows = case
+    slow_a, slow_z = whitener(time_s, white, sigma, TAU_S).halves(rows)
+    free_a, _ = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
+    gained = free_a.T @ free_a - (slow_a.T @ slow_a - slow_z.T @ slow_z)
+    assert np.linalg.eigvalsh(gained).min() > 0.0
