@@ -126,6 +126,10 @@ def problem(status: int, code: str, title: str, detail: str, action: str) -> Res
     return JSONResponse(body, status, media_type="application/problem+json")
 
 
+def event_text(kind: str, body: Any) -> str:
+    return f"event: {kind}\ndata: {json.dumps(body)}\n\n"
+
+
 class ScriptedService:
     """State of the service, changed by the test and by the page."""
 
@@ -230,7 +234,7 @@ class ScriptedService:
         """Send one event to every page."""
         if self.silent:
             return
-        text = f"event: {kind}\ndata: {json.dumps(body)}\n\n"
+        text = event_text(kind, body)
         with self._lock:
             for loop, queue in self._streams:
                 loop.call_soon_threadsafe(queue.put_nowait, text)
@@ -263,13 +267,14 @@ class ScriptedService:
         with self._lock:
             self._streams.add(entry)
         try:
-            yield ": open\n\n"
+            for job in [j for j in self.jobs.values() if j["state"] not in ENDED]:
+                yield event_text("job", job)
             while not self.closing.is_set() and not await request.is_disconnected():
                 try:
                     yield await asyncio.wait_for(queue.get(), 0.25)
                 except TimeoutError:
                     if not self.silent:
-                        yield "event: tick\ndata: {}\n\n"
+                        yield event_text("tick", {})
         finally:
             with self._lock:
                 self._streams.discard(entry)
@@ -310,7 +315,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
                 "Check the cable, then connect again.",
             )
         service.connected = True
-        return machine()
+        return {"connected": True, "tracker": TRACKER, "motion": MOTION}
 
     @app.get(f"{API}/jobs")
     def jobs(limit: int = 50) -> Any:
@@ -337,7 +342,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
 
     @app.post(f"{API}/stop", status_code=202)
     def stop() -> Any:
-        return {"items": service.stop()}
+        return {"jobs": service.stop()}
 
     @app.get(f"{API}/jobs/{{job_id}}/plan")
     def plan(job_id: str) -> Any:

@@ -50,21 +50,37 @@ def test_the_order_carries_what_was_chosen(panel, service):
     service.connected = True
     page = panel.open("#/plan")
     page.get_by_role("radio", name="At standstill").click()
+    expect(page.locator("#feed")).to_be_hidden()
     page.get_by_role("checkbox").click()
-    page.get_by_label("Slower").click()
     follow(page, "Prepare the run")
     page.wait_for_url("**/#/check/*")
     assert service.requests == [
         (
             "POST",
             "/jobs",
-            {
-                "kind": "measure-standstill",
-                "feed_mm_min": 5500,
-                "perpendicular_only": True,
-            },
+            {"kind": "measure-standstill", "perpendicular_only": True},
         )
     ]
+
+
+def test_the_feed_goes_up_and_down_in_steps(panel, service):
+    service.connected = True
+    page = panel.open("#/plan")
+    page.get_by_label("Slower").click()
+    follow(page, "Prepare the run")
+    page.wait_for_url("**/#/check/*")
+    ((_, _, order),) = service.requests
+    assert order["feed_mm_min"] == 5500
+
+
+def test_a_hold_at_the_machine_says_who_has_to_act(panel, service):
+    job = measuring(service)
+    page = panel.open()
+    error = {"title": "Feed held", "detail": "At the panel", "action": "Cycle start."}
+    service.change(job, state="paused", error=error)
+    expect(page.locator("main .notice.is-held")).to_contain_text("Cycle start.")
+    service.change(job, state="running", error=None)
+    expect(page.locator("main .notice")).to_have_count(0)
 
 
 def test_a_feed_out_of_limits_cannot_be_planned(panel, service):

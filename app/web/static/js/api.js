@@ -14,10 +14,11 @@ export class Problem extends Error {
   }
 }
 
-async function call(method, path, { json, form, version, patience_ms = PATIENCE_MS } = {}) {
+async function call(method, path, { json, form, version, key, patience_ms = PATIENCE_MS } = {}) {
   const headers = { Accept: "application/json" };
   if (json !== undefined) headers["Content-Type"] = "application/json";
   if (version !== undefined) headers["If-Match"] = `"${version}"`;
+  if (key !== undefined) headers["Idempotency-Key"] = key;
   const body = form ?? (json === undefined ? undefined : JSON.stringify(json));
   const signal = AbortSignal.timeout(patience_ms);
   let answer;
@@ -34,13 +35,25 @@ async function call(method, path, { json, form, version, patience_ms = PATIENCE_
 const items = (page) => page.items ?? page;
 
 export const system = () => call("GET", "/system");
-export const machine = () => call("GET", "/machines/current");
+
+/** The machine and who answers on its ports; null where none is set up. */
+export async function machine() {
+  try {
+    return await call("GET", "/machines/current");
+  } catch (problem) {
+    if (problem.status === 404) return null;
+    throw problem;
+  }
+}
+
 export const connect = () =>
   call("POST", "/machines/current:connect", { patience_ms: 60000 });
 
 export const job = (id) => call("GET", `/jobs/${id}`);
 export const jobs = async (limit = 50) => items(await call("GET", `/jobs?limit=${limit}`));
-export const createJob = (order) => call("POST", "/jobs", { json: order });
+
+/** Make a job. The key makes one of it, even if the request is sent twice. */
+export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
 export const plan = (id) => call("GET", `/jobs/${id}/plan`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
@@ -50,6 +63,10 @@ export const resume = ({ id, version }) => call("POST", `/jobs/${id}/resume`, { 
 export const abort = ({ id }) => call("POST", `/jobs/${id}/abort`);
 
 export const runs = async () => items(await call("GET", "/runs"));
+
+// Not randomUUID: a panel that reaches the service over plain HTTP has none.
+const newKey = () =>
+  Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 
 /** Send a bundle; answers the Run. */
 export function upload(file) {

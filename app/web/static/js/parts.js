@@ -68,8 +68,8 @@ export const linkButton = (address, shape, text, more = {}) =>
   h("a", { class: "button", href: address, ...more }, icon(shape), text);
 
 /** Everything a job's error says, as a notice. */
-export function errorNotice(job) {
+export function errorNotice(job, tone = "fault") {
   if (!job.error) return null;
   const { title, detail, action } = job.error;
-  return notice("fault", title || t("problem.refused"), detail, action);
+  return notice(tone, title || t("problem.refused"), detail, action);
 }

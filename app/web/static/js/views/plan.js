@@ -8,6 +8,9 @@ import { decimalsOf, shown, stored, unitOf } from "../units.js";
 const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
 const choices = { kind: "measure-otf", feed_mm_min: FEED_MM_MIN.usual, perpendicular_only: false };
 
+/** Whether the machine moves while it is measured: only then there is a feed to choose. */
+const streams = () => choices.kind === "measure-otf";
+
 const withinLimits = (feed) => feed >= FEED_MM_MIN.least && feed <= FEED_MM_MIN.most;
 
 /** Button that leads on. */
@@ -26,25 +29,31 @@ export function lead({ machine, busy, job }, { actions, go }) {
 function refusal(machine, busy) {
   if (busy) return t("plan.preparing");
   if (!isConnected(machine)) return t("plan.not_connected");
-  return withinLimits(choices.feed_mm_min) ? "" : t("plan.feed_refused");
+  return !streams() || withinLimits(choices.feed_mm_min) ? "" : t("plan.feed_refused");
 }
 
 function order() {
   const { kind, feed_mm_min, perpendicular_only } = choices;
-  return { kind, feed_mm_min, perpendicular_only };
+  return { kind, perpendicular_only, ...(streams() ? { feed_mm_min } : {}) };
 }
 
 /** Show the choices. */
 export function mount(root, { store }) {
   const changed = () => store.set({});
+  const feed = feedField(changed);
   root.append(
     head(t("plan.title"), t("plan.text")),
     h("div", { class: "columns" },
       h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed)),
       h("section", { class: "card stack" }, h("h2", {}, t("plan.details")),
-        feedField(changed), perpendicular())),
+        feed, perpendicular())),
   );
-  return { update() {}, close() {} };
+  return {
+    update() {
+      feed.hidden = !streams();
+    },
+    close() {},
+  };
 }
 
 function kinds(changed) {

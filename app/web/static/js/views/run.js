@@ -69,8 +69,9 @@ function mountMeasuring(root, { actions }) {
         live = state.live;
         addSamples(chart, live);
       }
-      if (ended !== `${job.id}${job.state}`) {
-        ended = `${job.id}${job.state}`;
+      const key = [job.id, job.state, job.error?.detail].join();
+      if (ended !== key) {
+        ended = key;
         ending.replaceChildren(...endingOf(job));
       }
     },
@@ -225,9 +226,11 @@ function key() {
 }
 
 function endingOf(job) {
-  if (!hasEnded(job) || job.state === "succeeded") return [];
+  if (!hasEnded(job)) return job.error ? [below(errorNotice(job, "held"))] : [];
+  if (job.state === "succeeded") return [];
   const kept = isMeasuring(job) && job.run_id ? t("run.kept") : "";
   const said = errorNotice(job) ?? notice("fault", wordOf(job.state), t("run.ended", { kind: kindOf(job.kind) }), kept);
-  const row = h("div", { style: "margin-bottom: 20px" }, said);
-  return [row];
+  return [below(said)];
 }
+
+const below = (said) => h("div", { style: "margin-bottom: 20px" }, said);
