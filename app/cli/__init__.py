@@ -10,7 +10,12 @@ Commands import what they need when they run, so that `truepath --help` answers 
     command      the commands and their options
     failures     from an error to one line and an exit status
     terminal     progress and tables for a person
-    client       the service as its REST clients see it
-    main_job     the main job over REST, followed to its end
+    summary      a result in a few numbers
+    science      analyse and predict, on files
     demo         the main job on a simulated machine, against its truth
+    following    one measurement by a cell of our own
+    truth        a result against true errors
+    serving      the service, and its own first user
+    main_job     the main job over REST
+    client       the service as its REST clients see it
 """

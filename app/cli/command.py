@@ -73,13 +73,29 @@ def serve(
         bool, typer.Option("--measure", help="Begin the main job at once (simulated).")
     ] = False,
     port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port to listen on.")
+        int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")
     ] = None,
+    data_dir: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Runs, results, catalogue.")
+    ] = None,
+    allow_plain_http: Annotated[
+        bool,
+        typer.Option(
+            "--allow-plain-http", help="Listen beyond this computer, unencrypted."
+        ),
+    ] = False,
 ) -> None:
     """REST API and operator page."""
     from app.cli.serving import serve_until_stopped
 
-    serve_until_stopped(config, simulated=simulated, measure=measure, port=port)
+    serve_until_stopped(
+        config,
+        measure=measure,
+        simulated=simulated or None,
+        port=port,
+        data_dir=data_dir,
+        allow_plain_http=allow_plain_http or None,
+    )
 
 
 @app.command()
@@ -87,7 +103,7 @@ def demo(
     output: OutputFolder = Path("truepath-demo"),
     feed: Annotated[
         float, typer.Option(min=1.0, help="Feed along the path, mm/min.")
-    ] = 2500.0,
+    ] = 6000.0,
     minutes: Annotated[
         float | None,
         typer.Option(min=0.1, help="Choose the feed so that the path takes this long."),

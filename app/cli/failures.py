@@ -11,6 +11,7 @@ from app.errors import BadInput, TruepathError
 from drivers.interfaces.errors import DeviceError
 
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+_CTRL_C = 130  # as Typer answers it
 
 
 def exit_status(call: Callable[[], int | None]) -> int:
@@ -20,7 +21,7 @@ def exit_status(call: Callable[[], int | None]) -> int:
     of the program: it passes through with its traceback.
     """
     try:
-        return _status_of_typer(call())
+        return _status_of_typer(call() or SUCCESS)
     except typer.TyperException as error:
         return _say(error.format_message(), error.exit_code)
     except BadInput as error:
@@ -30,14 +31,13 @@ def exit_status(call: Callable[[], int | None]) -> int:
     except OSError as error:
         return _failed_file(error)
     except (KeyboardInterrupt, typer.Abort):
+        return _status_of_typer(_CTRL_C)
+
+
+def _status_of_typer(status: int) -> int:
+    if status == _CTRL_C:
         return _say("interrupted", FAILURE)
-
-
-def _status_of_typer(status: int | None) -> int:
-    # Typer answers Ctrl-C with 130; here everything but bad input is a 1.
-    if status in (None, SUCCESS, BAD_INPUT):
-        return status or SUCCESS
-    return FAILURE
+    return status if status in (SUCCESS, BAD_INPUT) else FAILURE
 
 
 def _failed_file(error: OSError) -> int:

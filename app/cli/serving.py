@@ -1,0 +1,57 @@
+"""The service in this process; with `--measure`, its own first user."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from app.cli.client import Client
+from app.cli.main_job import follow_to_the_end, measure_on_the_fly
+from app.cli.terminal import Report, say
+from app.errors import BadInput, TruepathError
+from app.main import serve
+from app.settings import load_settings
+
+
+def serve_until_stopped(config: Path | None, *, measure: bool, **given: Any) -> None:
+    """Serve until SIGTERM or Ctrl-C.
+
+    measure : begin the main job as soon as the service answers; simulated devices only,
+        since nobody has looked at the machine
+    given : settings of the command line; None where one was not given
+    """
+    settings = load_settings(config, **given)
+    if measure and not settings.simulated:
+        raise BadInput("--measure moves the machine at once; it needs --simulated")
+    serve(settings, listening=calibrate if measure else None)
+
+
+def calibrate(address: str) -> None:
+    """Do the main job over REST and say how it goes; a failure is a line."""
+    client = Client(address)
+    try:
+        job_id = measure_on_the_fly(client)
+        say(f"calibrating on the fly: watch it at {address}/")
+        follow_to_the_end(client, job_id, _tenths())
+    except TruepathError as error:
+        say(f"the main job ended early: {error}")
+        return
+    result = f"{address}/api/v1/jobs/{job_id}/result"
+    say(f"error tables with uncertainties stand at {address}/")
+    say(f"  table   {result}/error-tables.csv")
+    say(f"  report  {result}/report.html")
+    say("Ctrl-C ends the service.")
+
+
+def _tenths() -> Report:
+    """Report by lines, one a stage and one every tenth: the log shares the screen."""
+    last = ("", -1)
+
+    def report(share: float, stage: str, note: str = "") -> None:
+        nonlocal last
+        now = (stage, int(10 * share))
+        if now != last:
+            say(f"  {stage} {100 * share:3.0f} %, {note}")
+            last = now
+
+    return report
