@@ -204,6 +204,8 @@ class Recorder:
             database.executescript(TABLES)
             manifest = manifest_of(header, datetime.now(UTC).isoformat())
             insert_manifest(database, manifest)
+            # Without its tables and its manifest a log that is cut is worth nothing.
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             sync_folder(self.file.parent)
         except (sqlite3.Error, OSError) as error:
             raise MeasurementFailed(_storage_text(self.file, error)) from error

@@ -45,6 +45,8 @@ from drivers.interfaces.records import AxisSamples, TrackerSamples
 
 _LEAST_ROW_BYTES = 64
 _NAMED_PROBLEMS = 100
+_TORN = "torn"  # outcome of a Run whose writer was killed
+_NO_RUN = ("no such table", "not a database")
 
 Row = tuple[Any, ...]
 
@@ -70,7 +72,7 @@ def open_run(file: str | Path) -> Run:
     content = _read(place)
     try:
         header = header_of(content.manifest, file=place.name)
-        closed = json.loads(content.manifest.get(CLOSED, '{"outcome": "torn"}'))
+        closed = json.loads(content.manifest.get(CLOSED, "{}"))
         started = json.loads(content.manifest["started"])
     except (KeyError, ValueError) as error:
         raise BundleError(
@@ -88,7 +90,7 @@ def open_run(file: str | Path) -> Run:
         provenance={
             "source": place.name,
             "started": started,
-            "outcome": closed["outcome"],
+            "outcome": closed.get("outcome", _TORN),
             **{
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
                 for name, who in header.devices.items()
@@ -113,13 +115,18 @@ def settle(file: str | Path) -> ClosedRun:
     content = _read(place)
     tracker = _tracker(content.batches)
     failure = "; ".join(content.problems[:_NAMED_PROBLEMS])
+    lost = int(np.diff(tracker.sequence).sum()) - max(len(tracker) - 1, 0)
+    end = {"outcome": _TORN, "samples": len(tracker), "lost_samples": lost}
     if content.problems:
+        content.manifest.setdefault(CLOSED, json.dumps(end))
         sha256 = _salvage(place, content)
     elif CLOSED in content.manifest and not _log(place).exists():
         sha256 = sha256_of(place)
     else:
-        sha256 = seal(connect(place), place)
-    lost = int(np.diff(tracker.sequence).sum()) - max(len(tracker) - 1, 0)
+        database = connect(place)
+        if CLOSED not in content.manifest:
+            insert_manifest(database, {CLOSED: json.dumps(end)})
+        sha256 = seal(database, place)
     return ClosedRun(place, sha256, len(tracker), lost, failure)
 
 
@@ -211,7 +218,7 @@ def _table(
     try:
         return database.execute(f"{query} ORDER BY rowid").fetchall()
     except sqlite3.DatabaseError as error:
-        if "no such table" in str(error):
+        if any(sign in str(error) for sign in _NO_RUN):
             raise
     problems.append(f"pages of the table {table} are damaged")
     rows: list[Row] = []

@@ -175,7 +175,7 @@ class Session:
 
     def finish(self) -> None:
         """Record `lead_s` after the last motion."""
-        self.stage, self._finished = "closing", True
+        self.stage, self._finished, self._told_s = "closing", True, -np.inf
         begin_s = self._device_s()
         while self._device_s() - begin_s < self.limits.lead_s:
             self.tick()

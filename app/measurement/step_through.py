@@ -17,7 +17,8 @@ def step_through(
     session.open_stream(rate_hz)
     for row, position in enumerate(points.position):
         session.begin_row(row)
-        session.approach(position, feed)
+        if row > 0:
+            session.approach(position, feed)
         session.record_for(session.limits.settle_s + float(points.dwell_s[row]))
         session.point_done(row)
     session.finish()

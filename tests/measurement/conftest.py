@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +15,19 @@ import pytest
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.measurement.bundle import write_bundle
 from app.measurement.run import DirectMeasurement, Run
-from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+from drivers.interfaces.errors import DeviceTimeout
+from drivers.interfaces.link import ByteLink
+from drivers.interfaces.motion import MotionController
+from drivers.interfaces.records import (
+    Identity,
+    LinkHealth,
+    MotionState,
+    MotionStatus,
+    Path,
+    TemperatureSamples,
+    TrackerSamples,
+)
+from drivers.interfaces.tracker import Tracker
 
 
 @pytest.fixture
@@ -93,3 +108,269 @@ def bundle(run: Run, tmp_path: FilePath) -> FilePath:
     folder = tmp_path / "bundle"
     write_bundle(run, folder)
     return folder
+
+
+class FakeTracker(Tracker, ByteLink):
+    """A tracker in this process: its clock runs `speed` times faster than ours."""
+
+    def __init__(self, speed: float = 20.0) -> None:
+        self.speed = speed
+        self.silent = False
+        self.beam = True
+        self.error: Exception | None = None
+        self.refusal: Exception | None = None
+        self.restarted = False
+        self.streaming = False
+        self.stops = 0
+        self._begun_s = 0.0
+        self._sent = 0
+        self._rate_hz = 500.0
+        self._bytes = b""
+
+    def connect(self) -> Identity:
+        return Identity("Us", "fake tracker", "T1", "0")
+
+    def close(self) -> None:
+        self.stop()
+
+    def start(self, rate_hz: float) -> None:
+        if self.refusal is not None:
+            raise self.refusal
+        self._rate_hz, self._begun_s, self._sent = rate_hz, time.monotonic(), 0
+        self.streaming = True
+
+    def stop(self) -> None:
+        self.streaming = False
+        self.stops += 1
+
+    def read(self, timeout_s: float) -> TrackerSamples:
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            if self.error is not None:
+                raise self.error
+            block = self._new()
+            if len(block) or time.monotonic() >= deadline_s:
+                return block
+            time.sleep(0.005)
+
+    def received(self) -> bytes:
+        data, self._bytes = self._bytes, b""
+        return data
+
+    @property
+    def health(self) -> LinkHealth:
+        return LinkHealth(frames=self._sent, crc_errors=2)
+
+    def _new(self) -> TrackerSamples:
+        if not self.streaming:
+            return TrackerSamples.empty()
+        passed_s = (time.monotonic() - self._begun_s) * self.speed
+        count = int(passed_s * self._rate_hz)
+        first, self._sent = self._sent, count
+        if self.silent or count <= first:
+            return TrackerSamples.empty()
+        sequence = np.arange(first, count, dtype=np.int64)
+        if self.restarted:
+            sequence -= first
+        self._bytes += bytes(count - first)
+        return TrackerSamples(
+            sequence,
+            100.0 + np.arange(first, count) / self._rate_hz,
+            np.tile([1.0, 2.0, 3.0], (count - first, 1)),
+            np.full(count - first, 0 if self.beam else 4, np.int64),
+        )
+
+
+class FakeMotion(MotionController):
+    """A controller in this process: constant speed, `speed` times faster than told."""
+
+    def __init__(self, speed: float = 20.0) -> None:
+        self.speed = speed
+        self.calls: list[str] = []
+        self.out_of_reach = False
+        self.ignores_hold = self.ignores_resume = False
+        self.ends_after_s: float | None = None
+        self.here = np.zeros(3)
+        self.loaded: Path | None = None
+        self.alarm = ""
+        self.longest_beat_gap_s = 0.0
+        self._state, self._reason = MotionState.IDLE, ""
+        self._rows: list[np.ndarray] = []
+        self._feed = 6000.0
+        self._done_s = 0.0
+        self._since_s = self._beat_s = time.monotonic()
+        self._lock = threading.RLock()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return ("X", "Y", "Z")
+
+    @property
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        return ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
+
+    def connect(self) -> Identity:
+        return Identity("Us", "fake controller", "C1", "0")
+
+    def close(self) -> None:
+        self.abort()
+
+    def beat(self) -> None:
+        self._reach()
+        now_s = time.monotonic()
+        if self._state is MotionState.RUNNING:
+            gap_s = now_s - max(self._beat_s, self._since_s)
+            self.longest_beat_gap_s = max(self.longest_beat_gap_s, gap_s)
+        self._beat_s = now_s
+
+    def status(self) -> MotionStatus:
+        self._reach()
+        with self._lock:
+            line = self._advance()
+            return MotionStatus(
+                self._state, tuple(self.here), line, self.alarm, self._reason
+            )
+
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        self._reach()
+        self.calls.append("move_to")
+        self._run([np.array(position, float)], feed_mm_min)
+
+    def load(self, path: Path) -> None:
+        self._reach()
+        self.calls.append("load")
+        self.loaded = path
+        self._state = MotionState.READY
+
+    def start(self) -> None:
+        self._reach()
+        self.calls.append("start")
+        assert self.loaded is not None
+        self._run(list(self.loaded.position), float(self.loaded.feed_mm_min[0]))
+
+    def wait(self, timeout_s: float) -> MotionStatus:
+        raise NotImplementedError
+
+    def hold(self) -> None:
+        self._reach()
+        self.calls.append("hold")
+        with self._lock:
+            if not self.ignores_hold:
+                self.stand("command")
+
+    def resume(self) -> None:
+        self._reach()
+        self.calls.append("resume")
+        with self._lock:
+            if self._state is MotionState.HELD and not self.ignores_resume:
+                self.go_on()
+
+    def abort(self) -> None:
+        self._reach()
+        self.calls.append("abort")
+        with self._lock:
+            self._advance()
+            self.loaded = None
+            if self._state is not MotionState.ALARM:
+                self._state, self._reason = MotionState.ABORTED, ""
+
+    # What happens at the machine itself.
+
+    def stand(self, reason: str) -> None:
+        """Hold the feed for a reason."""
+        with self._lock:
+            self._advance()
+            if self._state is MotionState.RUNNING:
+                self._state, self._reason = MotionState.HELD, reason
+
+    def go_on(self) -> None:
+        """Release the feed."""
+        with self._lock:
+            self._state, self._reason = MotionState.RUNNING, ""
+            self._since_s = time.monotonic()
+
+    def raise_alarm(self, text: str) -> None:
+        """Stop with an alarm."""
+        with self._lock:
+            self._advance()
+            self._state, self.alarm = MotionState.ALARM, text
+
+    def begin_elsewhere(self) -> None:
+        """Run a program that nobody here has started."""
+        self._run([np.array([400.0, 0.0, 0.0])], 6.0)
+
+    def _reach(self) -> None:
+        if self.out_of_reach:
+            raise DeviceTimeout("the controller does not answer; is it on?")
+
+    def _run(self, rows: list[np.ndarray], feed_mm_min: float) -> None:
+        with self._lock:
+            self._rows = [self.here.copy(), *rows]
+            self._feed, self._done_s = feed_mm_min, 0.0
+            self.go_on()
+
+    def _advance(self) -> int:
+        """Bring position and state to now; return the row moved towards."""
+        now_s = time.monotonic()
+        if self._state is not MotionState.RUNNING:
+            return max(len(self._rows) - 2, 0)
+        self._done_s += (now_s - self._since_s) * self.speed
+        self._since_s = now_s
+        left_mm = self._done_s * self._feed / 60.0
+        for row, (begin, end) in enumerate(itertools.pairwise(self._rows)):
+            length = float(np.linalg.norm(end - begin))
+            if left_mm < length:
+                self.here = begin + (end - begin) * left_mm / length
+                self._end_early()
+                return row
+            left_mm -= length
+        self.here = self._rows[-1].copy()
+        self._state = MotionState.FINISHED
+        return max(len(self._rows) - 2, 0)
+
+    def _end_early(self) -> None:
+        if self.ends_after_s is not None and self._done_s > self.ends_after_s:
+            self._state = MotionState.FINISHED
+
+
+@pytest.fixture
+def tracker() -> FakeTracker:
+    return FakeTracker()
+
+
+@pytest.fixture
+def motion() -> FakeMotion:
+    return FakeMotion()
+
+
+class Journal:
+    """Collects events and waits for some."""
+
+    def __init__(self) -> None:
+        self.events: list[tuple[str, dict[str, Any]]] = []
+        self._changed = threading.Condition()
+
+    def report(self, kind: str, body: dict[str, Any]) -> None:
+        with self._changed:
+            self.events.append((kind, body))
+            self._changed.notify_all()
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        return [body for k, body in self.events if k == kind]
+
+    @property
+    def states(self) -> list[str]:
+        return [body["state"] for body in self.of("state")]
+
+    @property
+    def faults(self) -> list[str]:
+        return [body["code"] for body in self.of("fault")]
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float = 8.0) -> None:
+        with self._changed:
+            assert self._changed.wait_for(condition, timeout_s), self.events[-8:]
+
+
+@pytest.fixture
+def journal() -> Journal:
+    return Journal()

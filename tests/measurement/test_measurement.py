@@ -1,0 +1,653 @@
+"""Measurements on devices in this process: procedures, verbs, faults."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.measurement.faults import Fault
+from app.measurement.measurement import Measurement, arranged
+from app.measurement.orders import Order
+from app.measurement.recording import link_bytes, open_run
+from app.measurement.session import Limits
+from app.measurement.stream_watch import Patience
+from app.planning.configurations import Configurations
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+)
+
+QUICK = Limits(
+    poll_s=0.02,
+    confirm_s=0.6,
+    link_s=0.4,
+    first_sample_s=0.6,
+    progress_s=0.05,
+    axes_rows=5,
+    patience=Patience(silent_s=0.25, dead_s=1.5, beam_s=0.1),
+)
+
+
+class Running:
+    """A measurement on fake devices, in a thread."""
+
+    def __init__(self, order, tracker, motion, journal) -> None:
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        self.order, self.journal = order, journal
+        self.measurement = Measurement(
+            order, tracker, motion, devices, journal.report, limits=QUICK
+        )
+        self.thread = threading.Thread(target=self.measurement.run)
+
+    def start(self) -> Running:
+        self.thread.start()
+        return self
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        self.journal.wait(condition)
+
+    def until_state(self, state: str) -> None:
+        self.until(lambda: state in self.journal.states)
+
+    def until_moving(self) -> None:
+        self.until(lambda: any(p["done"] >= 1 for p in self.journal.of("progress")))
+
+    def ended(self) -> str:
+        self.until(lambda: bool(self.journal.of("closed")))
+        self.thread.join(5.0)
+        assert not self.thread.is_alive()
+        return self.journal.states[-1]
+
+    @property
+    def run(self):
+        return open_run(self.order.run_file)
+
+
+@pytest.fixture
+def order(mill, square, tmp_path) -> Order:
+    return Order(
+        "monday", str(tmp_path / "monday.sqlite"), mill, square, reserve_bytes=0
+    )
+
+
+@pytest.fixture
+def long_order(order, square) -> Order:
+    """Almost two seconds of motion, there and back again."""
+    position = np.tile([[10.0, 10.0, -10.0], [410.0, 310.0, -210.0]], (4, 1))
+    n = len(position)
+    path = replace(
+        square,
+        position=position,
+        feed_mm_min=np.full(n, 6000.0),
+        dwell_s=np.zeros(n),
+    )
+    return replace(order, commanded=path)
+
+
+@pytest.fixture
+def begin(tracker, motion, journal) -> Iterator[Callable[[Order], Running]]:
+    begun: list[Running] = []
+
+    def start(order: Order) -> Running:
+        begun.append(Running(order, tracker, motion, journal).start())
+        return begun[-1]
+
+    yield start
+    for one in begun:
+        if one.thread.is_alive():
+            one.measurement.abort()
+            one.thread.join(5.0)
+
+
+def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
+    begin, order, motion, journal
+):
+    running = begin(order)
+    assert running.ended() == "finished"
+    run = running.run
+    assert motion.calls == ["abort", "move_to", "load", "start"]
+    np.testing.assert_array_equal(motion.loaded.position, order.commanded.position)
+    assert run.mode == "otf"
+    assert run.name == "monday"
+    assert run.machine == order.machine
+    assert run.provenance["outcome"] == "finished"
+    assert run.provenance["tracker"] == "Us fake tracker T1 0"
+    # 3 lines of 100, 50, 105 mm at 100 mm/s and a second at both ends.
+    assert np.ptp(run.tracker.device_time_s) > 2.55 + 2 * 0.9
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert journal.states == ["running", "finished"]
+
+
+def test_what_is_told_at_the_end_is_what_the_file_holds(begin, order, journal):
+    running = begin(order)
+    running.ended()
+    kinds = [kind for kind, _ in journal.events]
+    assert kinds[-2:] == ["state", "closed"]
+    closed = journal.of("closed")[0]
+    assert closed["run_file"] == order.run_file
+    assert closed["samples"] == len(running.run.tracker)
+    assert closed["lost_samples"] == 0
+    assert closed["outcome"] == "finished"
+    assert len(closed["sha256"]) == 64
+
+
+def test_the_bytes_of_the_link_are_kept_beside_the_samples(begin, order):
+    running = begin(order)
+    running.ended()
+    assert len(link_bytes(order.run_file)) == len(running.run.tracker)
+
+
+def test_axis_positions_are_recorded_slowly(begin, order):
+    running = begin(order)
+    running.ended()
+    axes = running.run.axis_samples
+    assert axes.axes == ("X", "Y", "Z")
+    assert (np.diff(axes.host_time_s) > 0).all()
+    assert np.ptp(axes.position_mm[:, 0]) == pytest.approx(110.0, abs=1.0)
+
+
+def test_progress_counts_lines_and_foresees_the_end(begin, long_order, journal):
+    begin(long_order).ended()
+    progress = journal.of("progress")
+    assert [p["done"] for p in progress] == sorted(p["done"] for p in progress)
+    last = progress[-1]
+    assert (last["done"], last["total"], last["unit"]) == (7, 7, "lines")
+    assert last["stage"] == "closing"
+    assert last["remaining_s"] == 0.0
+    assert last["crc_errors"] == 2
+    assert last["samples"] > 0
+    # The fake machine is twenty times faster than the 38 s that were planned.
+    half_way = next(p for p in progress if p["done"] >= 3)
+    assert half_way["remaining_s"] < 6.0
+
+
+def test_live_points_are_a_tenth_of_a_second_apart(begin, long_order, journal):
+    begin(long_order).ended()
+    live = journal.of("live")
+    points = sum(len(body["tracker_mm"]) for body in live)
+    device_s = live[-1]["device_time_s"] - 100.0
+    assert points == pytest.approx(10 * device_s, abs=3)
+    assert live[-1]["tracker_mm"][0] == [1.0, 2.0, 3.0]
+    assert len(live[-1]["axes"]) == 3
+
+
+def test_the_watchdog_is_fed_while_the_machine_moves(begin, long_order, motion):
+    begin(long_order).ended()
+    assert motion.longest_beat_gap_s < 0.5
+
+
+def test_points_are_stepped_through_with_a_dwell_at_each(
+    begin, order, square, motion, journal
+):
+    points = Configurations(square.axes, square.position, np.full(4, 2.0))
+    running = begin(replace(order, commanded=points))
+    assert running.ended() == "finished"
+    assert motion.calls == ["abort"] + 4 * ["move_to"]
+    run = running.run
+    assert run.mode == "standstill"
+    done = [e.text for e in run.events if e.kind == "point"]
+    assert [text.split(" until ")[0] for text in done] == [
+        f"row {i}" for i in (1, 2, 3, 4)
+    ]
+    until_s = [float(text.split()[3]) for text in done]
+    assert (np.diff(until_s) > 2.3).all()
+    last = journal.of("progress")[-1]
+    assert (last["done"], last["total"], last["unit"]) == (4, 4, "points")
+
+
+def test_pause_holds_and_resume_goes_on(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.pause()
+    running.until_state("paused")
+    here = motion.status().position
+    assert motion.status().position == here
+    running.measurement.pause()
+    running.measurement.resume()
+    assert running.ended() == "finished"
+    assert journal.states == [
+        "running",
+        "pausing",
+        "paused",
+        "resuming",
+        "running",
+        "finished",
+    ]
+    kinds = [e.text.split(":")[0] for e in running.run.events if e.kind == "state"]
+    assert kinds == ["pausing", "paused", "resuming", "running"]
+
+
+def test_resume_without_a_pause_is_nothing(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.resume()
+    assert running.ended() == "finished"
+    assert "resume" not in motion.calls
+    assert journal.states == ["running", "finished"]
+
+
+def test_a_pause_in_a_dwell_makes_the_dwell_start_over(
+    begin, order, square, motion, journal
+):
+    points = Configurations(square.axes, square.position[:2], np.full(2, 30.0))
+    running = begin(replace(order, commanded=points))
+    running.until(lambda: any(b["device_time_s"] > 110.0 for b in journal.of("live")))
+    running.measurement.pause()
+    running.until_state("paused")
+    assert motion.calls.count("move_to") == 1
+    resumed_s = journal.of("live")[-1]["device_time_s"]
+    running.measurement.resume()
+    assert running.ended() == "finished"
+    first = next(e.text for e in running.run.events if e.kind == "point")
+    assert float(first.split()[3]) > resumed_s + 29.0
+
+
+def test_abort_stops_the_machine_and_keeps_the_run(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.abort()
+    assert running.ended() == "aborted"
+    assert motion.calls[-1] == "abort"
+    assert motion.status().state == "aborted"
+    assert running.run.provenance["outcome"] == "aborted"
+    assert len(running.run.tracker) > 100
+
+
+def test_abort_while_paused_is_an_abort(begin, long_order, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.pause()
+    running.until_state("paused")
+    running.measurement.abort()
+    assert running.ended() == "aborted"
+
+
+def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
+    order, tracker, motion, journal
+):
+    running = Running(order, tracker, motion, journal)
+    running.measurement.pause()
+    running.measurement.resume()
+    running.measurement.abort()
+    running.start()
+    assert running.ended() == "aborted"
+    assert "start" not in motion.calls
+    running.measurement.pause()
+    running.measurement.resume()
+    assert journal.states[-1] == "aborted"
+
+
+def test_halt_holds_the_feed_and_forgets_nothing(begin, long_order, motion):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.halt()
+    assert running.ended() == "aborted"
+    assert motion.status().state == "held"
+
+
+def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
+    begin, long_order, tracker, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    tracker.silent = True
+    running.until_state("paused")
+    assert motion.status().state == "held"
+    tracker.silent = False
+    assert running.ended() == "finished"
+    assert journal.faults == ["tracker-silent"]
+    run = running.run
+    assert (np.diff(run.tracker.sequence) > 1).sum() == 1
+    assert any(e.kind == "gap" for e in run.events)
+    assert journal.of("closed")[0]["lost_samples"] > 100
+
+
+def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.pause()
+    running.until_state("paused")
+    tracker.silent = True
+    running.until(lambda: journal.faults == ["tracker-silent"])
+    running.measurement.resume()
+    running.until(lambda: journal.faults == ["tracker-silent", "not-resumed"])
+    tracker.silent = False
+    events = len(journal.of("live"))
+    running.until(lambda: len(journal.of("live")) > events + 3)
+    assert journal.states[-1] == "paused"
+    running.measurement.resume()
+    assert running.ended() == "finished"
+
+
+def test_a_long_silence_is_a_fault_with_the_feed_held(
+    begin, long_order, tracker, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    tracker.silent = True
+    assert running.ended() == "faulted"
+    assert motion.status().state == "held"
+    assert journal.faults == ["tracker-silent", "tracker-silent"]
+    assert "check the tracker and its cable" in journal.of("fault")[-1]["action"]
+    assert running.run.provenance["outcome"] == "faulted"
+
+
+def test_a_lost_beam_holds_until_somebody_resumes(
+    begin, long_order, tracker, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    tracker.beam = False
+    running.until_state("paused")
+    assert journal.faults == ["beam-lost"]
+    running.measurement.resume()
+    running.until(lambda: journal.faults[-1] == "not-resumed")
+    tracker.beam = True
+    live = len(journal.of("live"))
+    running.until(lambda: len(journal.of("live")) > live + 2)
+    assert journal.states[-1] == "paused"
+    running.measurement.resume()
+    assert running.ended() == "finished"
+    assert (running.run.tracker.status != 0).any()
+
+
+def test_a_tracker_that_never_sends_is_a_fault_before_the_path_starts(
+    begin, order, tracker, motion, journal
+):
+    tracker.silent = True
+    running = begin(order)
+    assert running.ended() == "faulted"
+    assert journal.faults[-1] == "tracker-silent"
+    assert "start" not in motion.calls
+
+
+def test_a_tracker_without_a_beam_fails_before_the_path_starts(
+    begin, order, tracker, motion, journal
+):
+    tracker.beam = False
+    running = begin(order)
+    running.until(lambda: "beam-lost" in journal.faults)
+    assert running.ended() == "failed"
+    assert "start" not in motion.calls
+
+
+def test_a_tracker_that_refuses_the_rate_fails_the_order(
+    begin, order, tracker, motion, journal
+):
+    tracker.refusal = Refused("500 Hz is too fast for this instrument")
+    assert begin(order).ended() == "failed"
+    assert journal.of("fault")[-1]["code"] == "refused"
+    assert "500 Hz is too fast" in journal.of("fault")[-1]["text"]
+
+
+@pytest.mark.parametrize("error", [ConnectionLost("unplugged"), OSError("odd")])
+def test_a_tracker_that_goes_away_is_a_fault(
+    begin, long_order, tracker, motion, journal, error
+):
+    running = begin(long_order)
+    running.until_moving()
+    tracker.error = error
+    assert running.ended() == "faulted"
+    assert motion.status().state == "held"
+    code = "link-lost" if isinstance(error, ConnectionLost) else "internal"
+    assert journal.faults == [code]
+
+
+def test_a_counter_that_goes_back_fails_the_run(begin, long_order, tracker, journal):
+    running = begin(long_order)
+    running.until_moving()
+    tracker.restarted = True
+    assert running.ended() == "failed"
+    assert "counter went back" in journal.of("fault")[-1]["text"]
+
+
+def test_an_alarm_is_a_fault_with_its_text(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    motion.raise_alarm("1201 following error X")
+    assert running.ended() == "faulted"
+    assert journal.faults == ["motion-alarm"]
+    assert "1201 following error X" in journal.of("fault")[0]["text"]
+    assert len(running.run.tracker) > 100
+
+
+def test_a_motion_that_ends_early_is_a_fault(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    motion.ends_after_s = 0.0
+    assert running.ended() == "faulted"
+    assert journal.faults == ["ended-early"]
+    assert "not at 410.000, 310.000, -210.000" in journal.of("fault")[0]["text"]
+
+
+def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.stand("operator")
+    running.until_state("paused")
+    assert "held at the machine: operator" in journal.of("state")[-1]["text"]
+    motion.go_on()
+    assert running.ended() == "finished"
+    assert journal.states == ["running", "paused", "running", "finished"]
+
+
+def test_a_hold_at_the_machine_may_be_ended_by_resume(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.stand("watchdog")
+    running.until_state("paused")
+    running.measurement.resume()
+    assert running.ended() == "finished"
+    assert "resume" in motion.calls
+
+
+def test_a_pause_is_kept_against_a_release_at_the_machine(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.pause()
+    running.until_state("paused")
+    holds = motion.calls.count("hold")
+    motion.go_on()
+    running.until(lambda: motion.calls.count("hold") > holds)
+    running.until(lambda: motion.status().state == "held")
+    assert journal.states[-1] == "paused"
+    running.measurement.resume()
+    assert running.ended() == "finished"
+
+
+def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal):
+    slow = replace(
+        long_order,
+        commanded=replace(
+            long_order.commanded, feed_mm_min=np.full(len(long_order.commanded), 2000.0)
+        ),
+    )
+    running = begin(slow)
+    running.until_moving()
+    motion.ignores_hold = True
+    running.measurement.pause()
+    running.until(lambda: "hold-unconfirmed" in journal.faults)
+    motion.ignores_hold = False
+    assert running.ended() == "faulted"
+
+
+def test_a_resume_that_is_not_obeyed_stays_a_pause(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.pause()
+    running.until_state("paused")
+    motion.ignores_resume = True
+    running.measurement.resume()
+    running.until(lambda: journal.faults == ["resume-unconfirmed"])
+    running.until(lambda: journal.states[-1] == "paused")
+    motion.ignores_resume = False
+    running.measurement.resume()
+    assert running.ended() == "finished"
+
+
+def test_a_controller_out_of_reach_for_a_moment_is_borne(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.out_of_reach = True
+    told = len(journal.of("progress"))
+    running.until(lambda: len(journal.of("progress")) > told + 2)
+    motion.out_of_reach = False
+    assert running.ended() == "finished"
+    assert journal.faults == []
+
+
+def test_a_controller_out_of_reach_for_long_is_a_fault(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    motion.out_of_reach = True
+    assert running.ended() == "faulted"
+    assert journal.faults == ["no-answer"]
+    motion.out_of_reach = False
+
+
+def test_a_verb_that_does_not_reach_the_controller_says_so(begin, long_order, motion):
+    running = begin(long_order)
+    running.until_moving()
+    motion.out_of_reach = True
+    with pytest.raises(DeviceTimeout):
+        running.measurement.abort()
+    motion.out_of_reach = False
+    assert running.ended() == "aborted"
+    assert motion.status().state == "aborted"
+
+
+def test_nothing_moves_when_a_row_is_out_of_travel(
+    begin, order, motion, journal, square
+):
+    far = replace(square, position=square.position + np.array([450.0, 0, 0]))
+    running = begin(replace(order, commanded=far))
+    assert running.ended() == "failed"
+    assert motion.calls == []
+    assert "X = 560 mm exceeds 500 mm" in journal.of("fault")[0]["text"]
+    assert journal.of("closed")[0]["run_file"] == ""
+
+
+def test_a_controller_that_already_runs_is_left_alone(begin, order, motion, journal):
+    motion.begin_elsewhere()
+    running = begin(order)
+    assert running.ended() == "failed"
+    assert journal.faults == ["motion-busy"]
+    assert motion.calls == []
+    motion.abort()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "state"),
+    [
+        (OutOfTravel("X beyond 400 mm"), "out-of-travel", "failed"),
+        (Refused("too many rows"), "refused", "failed"),
+        (MotionFault("read back differs"), "motion-alarm", "faulted"),
+    ],
+)
+def test_a_path_that_the_controller_does_not_take_ends_the_order(
+    begin, order, motion, journal, monkeypatch, error, code, state
+):
+    def load(_path):
+        raise error
+
+    monkeypatch.setattr(motion, "load", load)
+    assert begin(order).ended() == state
+    assert journal.faults == [code]
+    assert "start" not in motion.calls
+
+
+def test_a_defect_of_ours_is_a_fault_not_a_hang(
+    begin, order, motion, journal, monkeypatch, caplog
+):
+    monkeypatch.setattr(motion, "load", lambda _path: 1 / 0)
+    assert begin(order).ended() == "faulted"
+    assert journal.faults == ["internal"]
+    assert "ZeroDivisionError" in journal.of("fault")[0]["text"]
+    assert "defect while measuring" in caplog.text
+
+
+def test_a_disk_that_fails_holds_the_machine_first(
+    begin, long_order, motion, journal, monkeypatch
+):
+    running = begin(long_order)
+    running.until_moving()
+    recorder = running.measurement._recorder
+
+    def full(_item) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recorder, "_commit", full)
+    assert running.ended() == "failed"
+    assert motion.status().state == "held"
+    assert journal.faults[0] == "storage"
+    assert "No space left" in journal.of("fault")[0]["text"]
+    assert len(running.run.tracker) > 0
+
+
+def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement._recorder._low_space = True
+    assert running.ended() == "failed"
+    assert motion.status().state == "held"
+    assert "almost full" in journal.of("fault")[0]["text"]
+    assert running.run.provenance["outcome"] == "failed"
+
+
+def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
+    begin, long_order, motion, journal, monkeypatch
+):
+    running = begin(long_order)
+    running.until_moving()
+    recorder = running.measurement._recorder
+    slow, commit = threading.Event(), recorder._commit
+
+    def wait_then_commit(item) -> None:
+        slow.wait(5.0)
+        commit(item)
+
+    monkeypatch.setattr(recorder._queue, "maxsize", 12)
+    monkeypatch.setattr(recorder, "_commit", wait_then_commit)
+    running.until(lambda: journal.faults == ["slow-disk"])
+    running.until_state("paused")
+    slow.set()
+    assert running.ended() == "finished"
+    assert journal.of("closed")[0]["lost_samples"] == 0
+
+
+def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_path):
+    (tmp_path / "monday.sqlite").write_bytes(b"precious")
+    assert begin(order).ended() == "failed"
+    assert "exists" in journal.of("fault")[0]["text"]
+    assert (tmp_path / "monday.sqlite").read_bytes() == b"precious"
+
+
+def test_rows_are_put_into_the_axis_order_of_the_controller(square):
+    turned = arranged(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))
+    np.testing.assert_array_equal(turned.position[:, 0], square.position[:, 2])
+    np.testing.assert_array_equal(turned.position[:, 1], np.full(4, 2.0))
+    np.testing.assert_array_equal(turned.position[:, 2:], square.position[:, :2])
+
+
+def test_an_axis_that_the_controller_lacks_is_named(square):
+    with pytest.raises(Fault, match="axes X, Y, none is Z"):
+        arranged(square, ("X", "Y"), (0.0, 0.0))

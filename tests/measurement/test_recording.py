@@ -1,0 +1,466 @@
+"""Runs on disk: written batch by batch, closed, killed, damaged, full disks."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.errors import BundleError, MeasurementFailed
+from app.measurement import recorder as recorder_module
+from app.measurement.recorder import Recorder
+from app.measurement.recording import link_bytes, open_run, settle
+from app.measurement.run_file import RunHeader
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
+
+DEVICES = {
+    "tracker": Identity("Us", "T", "1", "0.1"),
+    "motion": Identity("Us", "C", "2", "0.2"),
+}
+
+
+@pytest.fixture
+def header(mill, square) -> RunHeader:
+    return RunHeader("monday", mill, square, 500.0, DEVICES, ("X", "Y", "Z"))
+
+
+@pytest.fixture
+def file(tmp_path) -> Path:
+    return tmp_path / "runs" / "monday.sqlite"
+
+
+@pytest.fixture
+def recorder(file, header):
+    made = Recorder(file, header, reserve_bytes=0)
+    yield made
+    made.close("aborted")
+
+
+def block(first: int, count: int = 50) -> TrackerSamples:
+    sequence = np.arange(first, first + count, dtype=np.int64)
+    rng = np.random.default_rng(first)
+    return TrackerSamples(
+        sequence,
+        1000.0 + sequence * 0.002,
+        rng.normal(0, 100, (count, 3)),
+        (sequence % 7 == 0).astype(np.int64),
+    )
+
+
+def fill(recorder: Recorder, blocks: int = 20) -> TrackerSamples:
+    made = [block(1000 + 50 * i) for i in range(blocks)]
+    for i, one in enumerate(made):
+        recorder.put_tracker(one, b"%03d" % i * 20)
+    return TrackerSamples.joined(made)
+
+
+def assert_same(first: TrackerSamples, second: TrackerSamples) -> None:
+    np.testing.assert_array_equal(first.sequence, second.sequence)
+    np.testing.assert_array_equal(first.device_time_s, second.device_time_s)
+    np.testing.assert_array_equal(first.position_mm, second.position_mm)
+    np.testing.assert_array_equal(first.status, second.status)
+
+
+def test_what_was_recorded_is_read_back(recorder, file, header):
+    written = fill(recorder)
+    rows = np.array([[0.1, 1, 2, 3], [0.2, 4, 5, 6]])
+    recorder.put_axes(AxisSamples(("X", "Y", "Z"), rows[:, 0], rows[:, 1:]))
+    recorder.put_axes(AxisSamples(("X", "Y", "Z"), rows[:1, 0] + 1, rows[:1, 1:]))
+    recorder.event("start", "cycle start")
+    recorder.close("finished")
+    run = open_run(file)
+    assert_same(run.tracker, written)
+    assert run.name == "monday"
+    assert run.machine == header.machine
+    np.testing.assert_array_equal(run.commanded.position, header.commanded.position)
+    np.testing.assert_array_equal(run.commanded.dwell_s, header.commanded.dwell_s)
+    np.testing.assert_array_equal(run.axis_samples.host_time_s, [0.1, 0.2, 1.1])
+    np.testing.assert_array_equal(run.axis_samples.position_mm[1], [4, 5, 6])
+    assert [(e.kind, e.text) for e in run.events] == [("start", "cycle start")]
+    assert run.provenance["outcome"] == "finished"
+    assert run.provenance["motion"] == "Us C 2 0.2"
+
+
+def test_points_are_read_back(file, header, square):
+    points = Configurations(
+        square.axes, square.position, square.dwell_s, ("a", "b", "a", "b")
+    )
+    Recorder(file, replace(header, commanded=points), reserve_bytes=0).close("failed")
+    run = open_run(file)
+    assert run.mode == "standstill"
+    assert run.commanded.target == ("a", "b", "a", "b")
+    assert len(run.tracker) == 0
+    assert run.axis_samples is None
+
+
+def test_the_bytes_of_the_link_are_read_back(recorder, file):
+    fill(recorder, 3)
+    recorder.close("finished")
+    assert link_bytes(file) == b"000" * 20 + b"001" * 20 + b"002" * 20
+
+
+def test_a_closed_run_is_one_signed_read_only_file(recorder, file):
+    fill(recorder)
+    closed = recorder.close("finished")
+    assert [p.name for p in file.parent.iterdir()] == ["monday.sqlite"]
+    assert file.stat().st_mode & 0o777 == 0o444
+    assert closed.sha256 == recorder_module.sha256_of(file)
+    assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
+
+
+def test_a_hole_in_the_counter_is_counted_and_named(recorder, file):
+    recorder.put_tracker(block(0))
+    recorder.put_tracker(block(60))
+    assert recorder.close("finished").lost_samples == 10
+    gaps = [e.text for e in open_run(file).events if e.kind == "gap"]
+    assert gaps == ["gap: 10 samples after sequence 49"]
+
+
+def test_a_counter_that_goes_back_is_refused(recorder):
+    recorder.put_tracker(block(100))
+    for first in (100, 149, 0):
+        with pytest.raises(MeasurementFailed, match="counter went back"):
+            recorder.put_tracker(block(first))
+
+
+def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
+    seen = []
+
+    def look(samples: TrackerSamples) -> None:
+        with sqlite3.connect(file) as database:
+            rows = database.execute("SELECT sum(n) FROM batch").fetchone()
+        database.close()
+        seen.append((len(samples), rows[0]))
+
+    recorder = Recorder(file, header, committed=look, reserve_bytes=0)
+    for i in range(3):
+        recorder.put_tracker(block(50 * i))
+    recorder.close("finished")
+    assert [n for n, _ in seen] == [50, 50, 50]
+    assert all(on_disk >= 50 * (i + 1) for i, (_, on_disk) in enumerate(seen))
+
+
+def test_an_empty_block_is_nothing(recorder, file):
+    recorder.put_tracker(TrackerSamples.empty())
+    recorder.put_tracker(TrackerSamples.empty(), b"noise")
+    recorder.close("finished")
+    assert link_bytes(file) == b"noise"
+
+
+def test_a_file_that_exists_is_not_touched(recorder, file, header):
+    with pytest.raises(MeasurementFailed, match="exists; give the Run another name"):
+        Recorder(file, header, reserve_bytes=0)
+
+
+def test_a_folder_that_cannot_be_written_is_named(header, tmp_path):
+    (tmp_path / "runs").write_text("not a folder")
+    with pytest.raises(MeasurementFailed, match="cannot be written"):
+        Recorder(tmp_path / "runs" / "a.sqlite", header, reserve_bytes=0)
+
+
+def test_a_full_disk_refuses_to_begin(file, header):
+    with pytest.raises(MeasurementFailed, match="less than 500 MiB are free"):
+        Recorder(file, header, free_bytes=lambda: 10 << 20)
+
+
+def test_a_disk_that_fills_up_is_noticed_in_time(file, header, monkeypatch):
+    monkeypatch.setattr(recorder_module, "GUARD_PERIOD_S", 0.0)
+    free = [1 << 40]
+    recorder = Recorder(file, header, free_bytes=lambda: free[0])
+    recorder.put_tracker(block(0))
+    free[0] = 1 << 20
+    recorder.put_tracker(block(50))
+    deadline_s = time.monotonic() + 5.0
+    while not recorder.low_space and time.monotonic() < deadline_s:
+        time.sleep(0.005)
+    assert recorder.low_space
+    assert recorder.close("failed").failure == ""
+
+
+def test_a_disk_that_is_full_is_a_clean_error_and_loses_nothing_committed(
+    file, header, monkeypatch
+):
+    recorder = Recorder(file, header, reserve_bytes=0)
+    written = fill(recorder, 4)
+    recorder._queue.put(recorder_module._Item())
+    while recorder._queue.qsize():
+        time.sleep(0.005)
+    recorder._database.execute("PRAGMA max_page_count = 1")
+    deadline_s = time.monotonic() + 5.0
+    recorder.put_tracker(block(5000, 5000))
+    while not recorder.failure and time.monotonic() < deadline_s:
+        time.sleep(0.005)
+    assert "full" in recorder.failure
+    assert "check disk space" in recorder.failure
+    with pytest.raises(MeasurementFailed):
+        recorder.event("late", "too late")
+    closed = recorder.close("failed")
+    assert "full" in closed.failure
+    recorded = open_run(file).tracker
+    assert len(recorded) >= 200
+    np.testing.assert_array_equal(recorded.sequence[:200], written.sequence)
+
+
+def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
+    file, header, monkeypatch
+):
+    monkeypatch.setattr(recorder_module, "PUT_TIMEOUT_S", 0.05)
+    recorder = Recorder(file, header, reserve_bytes=0, queue_items=4)
+    go_on, commit = threading.Event(), recorder._commit
+
+    def stuck(item) -> None:
+        go_on.wait(10.0)
+        commit(item)
+
+    monkeypatch.setattr(recorder, "_commit", stuck)
+    recorder.put_tracker(block(0))
+    while recorder._queue.qsize():
+        time.sleep(0.005)
+    for i in range(1, 5):
+        recorder.put_tracker(block(50 * i))
+    with pytest.raises(MeasurementFailed, match="too slow: 4 batches wait"):
+        recorder.put_tracker(block(250))
+    assert recorder.strained
+    go_on.set()
+    closed = recorder.close("failed")
+    assert "too slow" in closed.failure
+    assert len(open_run(file).tracker) >= 50
+
+
+def test_a_disk_that_hangs_does_not_hang_the_end(file, header, monkeypatch):
+    monkeypatch.setattr(recorder_module, "CLOSE_TIMEOUT_S", 0.1)
+    recorder = Recorder(file, header, reserve_bytes=0)
+    go_on = threading.Event()
+    monkeypatch.setattr(recorder, "_commit", lambda _item: go_on.wait(10.0))
+    recorder.put_tracker(block(0))
+    assert "does not answer" in recorder.close("failed").failure
+    go_on.set()
+    recorder._writer.join(5.0)
+    recorder._database.close()
+
+
+def test_a_run_that_somebody_reads_cannot_be_sealed(recorder, file):
+    fill(recorder, 2)
+    reader = sqlite3.connect(file)
+    reader.execute("BEGIN")
+    reader.execute("SELECT count(*) FROM batch").fetchone()
+    recorder._database.execute("PRAGMA busy_timeout = 10")
+    closed = recorder.close("finished")
+    reader.close()
+    assert closed.sha256 == ""
+    assert "open elsewhere" in closed.failure or "locked" in closed.failure
+    assert len(open_run(file).tracker) == 100
+    assert settle(file).sha256
+
+
+WRITER = """
+import sys
+sys.path[:0] = [{root!r}]
+from pathlib import Path
+import numpy as np
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from app.measurement.recorder import Recorder
+from app.measurement.run_file import RunHeader
+from drivers.interfaces.records import Path as Lines, TrackerSamples
+axes = tuple(LinearAxis(n, 0.0, 500.0) for n in "XYZ")
+mill = Machine("m", (), ("X", "Y", "Z"), axes, (Target("", "tool", (0, 0, 0)),),
+               TrackerNoise())
+path = Lines(("X", "Y", "Z"), np.zeros((2, 3)), np.ones(2), np.zeros(2))
+header = RunHeader("killed", mill, path, 500.0, {{}}, ("X", "Y", "Z"))
+tell = lambda samples: print(samples.sequence[-1], flush=True)
+recorder = Recorder(Path({file!r}), header, committed=tell, reserve_bytes=0)
+first = 0
+while True:
+    s = np.arange(first, first + 50)
+    first += 50
+    recorder.put_tracker(
+        TrackerSamples(s, s * 0.002, np.ones((50, 3)) * s[:, None], 0 * s), b"x" * 99)
+"""
+
+
+@pytest.fixture
+def killed(file) -> tuple[Path, int]:
+    """A Run whose writer was killed at full speed, and the last committed counter."""
+    file.parent.mkdir()
+    script = WRITER.format(root=str(Path.cwd()), file=str(file))
+    writer = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)
+    assert writer.stdout is not None
+    for _ in range(30):
+        last = int(writer.stdout.readline())
+    writer.send_signal(signal.SIGKILL)
+    for line in writer.stdout:
+        last = int(line) if line.endswith(b"\n") else last
+    writer.wait()
+    writer.stdout.close()
+    return file, last
+
+
+def test_nothing_committed_is_lost_when_the_writer_is_killed(killed):
+    file, last = killed
+    assert file.with_name(file.name + "-wal").exists()
+    run = open_run(file)
+    assert run.tracker.sequence[-1] >= last
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    np.testing.assert_array_equal(run.tracker.position_mm[:, 0], run.tracker.sequence)
+    assert run.provenance["outcome"] == "torn"
+    assert file.with_name(file.name + "-wal").exists()
+
+
+def test_a_killed_run_is_settled_into_one_file(killed):
+    file, last = killed
+    closed = settle(file)
+    assert closed.samples > last
+    assert closed.lost_samples == 0
+    assert closed.failure == ""
+    assert [p.name for p in file.parent.iterdir()] == [file.name]
+    assert settle(file) == closed
+    assert len(open_run(file).tracker) == closed.samples
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.99])
+def test_a_log_cut_anywhere_gives_the_batches_before_the_cut(killed, share):
+    file, _ = killed
+    whole = open_run(file).tracker
+    log = file.with_name(file.name + "-wal")
+    os.truncate(log, int(share * log.stat().st_size))
+    part = open_run(file).tracker
+    assert len(part) <= len(whole)
+    assert_same(
+        part,
+        TrackerSamples(
+            whole.sequence[: len(part)],
+            whole.device_time_s[: len(part)],
+            whole.position_mm[: len(part)],
+            whole.status[: len(part)],
+        ),
+    )
+
+
+@pytest.fixture
+def closed_file(recorder, file) -> Path:
+    fill(recorder, 40)
+    recorder.event("start", "cycle start")
+    recorder.close("finished")
+    file.chmod(0o644)
+    return file
+
+
+def damage(file: Path, needle: bytes, offset: int = 0) -> None:
+    data = bytearray(file.read_bytes())
+    at = data.index(needle) + offset
+    data[at] ^= 0x40
+    file.write_bytes(data)
+
+
+def test_a_flipped_bit_costs_one_batch_and_is_named(closed_file):
+    lost = block(1000 + 50 * 7)
+    damage(closed_file, lost.position_mm[10].tobytes())
+    run = open_run(closed_file)
+    assert len(run.tracker) == 39 * 50
+    assert not np.isin(lost.sequence, run.tracker.sequence).any()
+    texts = {e.kind: e.text for e in run.events}
+    assert texts["bad-batch"] == "batch of tracker at 1350: its CRC does not match"
+    assert texts["gap"] == "gap: 50 samples after sequence 1349"
+
+
+def test_no_flipped_bit_ever_gives_a_wrong_sample(closed_file, rng):
+    good = open_run(closed_file)
+    whole = {int(s): i for i, s in enumerate(good.tracker.sequence)}
+    data = closed_file.read_bytes()
+    for at in rng.integers(100, len(data), 40):
+        broken = bytearray(data)
+        broken[at] ^= 1 << int(rng.integers(8))
+        closed_file.write_bytes(broken)
+        try:
+            run = open_run(closed_file)
+        except BundleError:
+            continue
+        rows = [whole[int(s)] for s in run.tracker.sequence]
+        np.testing.assert_array_equal(
+            run.tracker.position_mm, good.tracker.position_mm[rows]
+        )
+        np.testing.assert_array_equal(run.commanded.position, good.commanded.position)
+
+
+def test_lost_pages_leave_the_rest_readable(closed_file):
+    data = bytearray(closed_file.read_bytes())
+    page = 4096
+    for number in (12, 13, 25):
+        data[number * page : (number + 1) * page] = os.urandom(page)
+    closed_file.write_bytes(data)
+    run = open_run(closed_file)
+    assert 50 * 20 < len(run.tracker) < 50 * 40
+    assert any(e.kind == "bad-batch" for e in run.events)
+
+
+def test_a_damaged_run_is_salvaged_and_kept_as_torn(closed_file):
+    damaged_at = block(1000 + 50 * 7).position_mm[10].tobytes()
+    damage(closed_file, damaged_at)
+    before = closed_file.read_bytes()
+    closed = settle(closed_file)
+    assert "CRC does not match" in closed.failure
+    assert closed.samples == 39 * 50
+    assert closed.lost_samples == 50
+    torn = closed_file.with_name("monday.sqlite.torn")
+    assert torn.read_bytes() == before
+    assert closed.sha256 == recorder_module.sha256_of(closed_file)
+    run = open_run(closed_file)
+    assert len(run.tracker) == 39 * 50
+    assert [e.kind for e in run.events] == ["start", "gap"]
+    assert run.provenance["outcome"] == "finished"
+
+
+def test_a_damaged_killed_run_keeps_its_log_as_well(killed):
+    file, _ = killed
+    log = file.with_name(file.name + "-wal")
+    shutil.copy(log, log.with_suffix(".kept"))
+    with sqlite3.connect(file) as database:
+        database.execute("UPDATE batch SET crc32 = 0 WHERE seq0 = 100")
+    settle(file)
+    database.close()
+    assert len(open_run(file).tracker) > 100
+    assert file.with_name(file.name + ".torn").exists()
+
+
+def test_a_damaged_manifest_is_an_error_not_a_guess(closed_file):
+    damage(closed_file, b"410.0" if b"410.0" in closed_file.read_bytes() else b"110.0")
+    with pytest.raises(BundleError, match="manifest is damaged"):
+        open_run(closed_file)
+
+
+def test_a_later_schema_is_refused(file, header, monkeypatch):
+    monkeypatch.setattr("app.measurement.run_file.SCHEMA", "run/2")
+    Recorder(file, header, reserve_bytes=0).close("finished")
+    monkeypatch.undo()
+    with pytest.raises(BundleError, match="schema is 'run/2', not 'run/1'"):
+        open_run(file)
+
+
+def test_a_damaged_event_is_named_and_left_out(closed_file):
+    damage(closed_file, b'{"text": "cycle start"}')
+    kinds = [e.kind for e in open_run(closed_file).events]
+    assert kinds == ["bad-batch"]
+
+
+@pytest.mark.parametrize("content", [b"", b"SQLite format 3\0", b"nothing of the kind"])
+def test_another_file_is_not_a_run(tmp_path, content):
+    other = tmp_path / "other.sqlite"
+    other.write_bytes(content)
+    with pytest.raises(BundleError, match=r"other\.sqlite: is not a Run file"):
+        open_run(other)
+
+
+def test_a_run_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(BundleError, match="no such Run"):
+        open_run(tmp_path / "none.sqlite")
