@@ -89,13 +89,16 @@ class PtyPort(Port):
         return len(self._waiting)
 
     def disconnect(self) -> None:
-        """Close the terminal and open another under the same link."""
-        self._shut()
+        """Open another terminal under the same link, then hang up the old one."""
+        old = self._master, self._slave
         self._open()
+        for descriptor in old:
+            os.close(descriptor)
 
     def close(self) -> None:
         """Close the terminal and remove the link."""
-        self._shut()
+        os.close(self._master)
+        os.close(self._slave)
         if self._link is not None:
             self._link.unlink(missing_ok=True)
 
@@ -112,10 +115,6 @@ class PtyPort(Port):
             fresh.unlink(missing_ok=True)
             fresh.symlink_to(self._name)
             fresh.replace(self._link)
-
-    def _shut(self) -> None:
-        os.close(self._master)
-        os.close(self._slave)
 
 
 class TcpPort(Port):
