@@ -105,7 +105,11 @@ class ModbusController(MotionController):
                 except DeviceError:
                     self._link.close()
                     raise
-                log.info("%s: %s", self._link.name, self._controller)
+                log.info(
+                    "%s: %s answers; this driver has met simulated CNCs only so far",
+                    self._link.name,
+                    self._controller.identity,
+                )
             return self._controller.identity
 
     def status(self) -> MotionStatus:

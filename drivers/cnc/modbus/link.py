@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,9 @@ from drivers.interfaces.errors import (
     MotionFault,
     Refused,
 )
+
+# Our errors tell what failed; without this the library's log goes to the terminal.
+logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
 # The library's own 3 s and 3 repeats are 12 s of blindness; these are 0.4 s.
 TIMEOUT_S = 0.2

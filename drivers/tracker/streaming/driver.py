@@ -167,7 +167,11 @@ class StreamingTracker(Tracker, ByteLink):
             raise
         receiver.take(0.0, 0.0)
         receiver.received()
-        log.info("%s: %s", self._port.name, identity)
+        log.info(
+            "%s: %s answers; this driver has met simulated trackers only so far",
+            self._port.name,
+            identity,
+        )
         return identity
 
     def _shut(self) -> None:

@@ -567,3 +567,13 @@ def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
 
 def _popped(items: list) -> bool:
     return bool(items and items.pop())
+
+
+def test_a_reply_with_too_few_registers_is_not_taken(tcp_peer, tcp_controller):
+    def shortened(reply):
+        fewer = bytes([3, 2, 0, 6])
+        return reply[:4] + struct.pack(">HB", len(fewer) + 1, 1) + fewer
+
+    tcp_peer.mangle = shortened
+    with pytest.raises(DeviceTimeout, match="1 registers came, not 24"):
+        tcp_controller.status()

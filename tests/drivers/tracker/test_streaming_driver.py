@@ -432,3 +432,29 @@ def test_the_driver_connects_again_after_a_loss(loopback_tracker, wire, monkeypa
 
 def _fail(port, timeout_s):
     raise ConnectionLost("pulled")
+
+
+def test_a_keep_alive_that_cannot_be_sent_does_not_end_the_reading(
+    loopback_tracker, running_tracker, monkeypatch, caplog, until
+):
+    def stuck(data):
+        raise DeviceTimeout("takes no bytes")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(receiver, "PING_PERIOD_S", 0.02)
+        patch.setattr(running_tracker._port, "write", stuck)
+        until(lambda: "keep-alive not sent" in caplog.text)
+        assert len(read_for(running_tracker, 20)) >= 20
+    running_tracker.stop()
+
+
+def test_stop_on_a_port_lost_in_that_moment_is_quiet(
+    running_tracker, monkeypatch, caplog
+):
+    def gone(data):
+        raise ConnectionLost("it hung up")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(running_tracker._port, "write", gone)
+        running_tracker.stop()
+    assert "stop not sent: it hung up" in caplog.text
