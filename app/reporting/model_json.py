@@ -44,7 +44,12 @@ def model_to_json(
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> dict[str, Any]:
-    """Return the model as JSON, lengths in mm, errors in µm and µrad."""
+    """Return the model as JSON, lengths in mm, errors in µm and µrad.
+
+    What belongs to the measurement (how the targets sit in the spindle) is integrated
+    out: to the map of one target it adds a shift, which is no machine error.
+    """
+    model, theta, covariance = _of_the_machine(model, theta, covariance)
     G = _stated(model)
     values = G @ theta
     effects: list[dict[str, Any]] = []
@@ -83,6 +88,21 @@ def model_from_json(field: Field, machine: Machine) -> SavedModel:
     values = np.concatenate([*stated, np.empty(0)])
     covariance = _covariance(content.child("covariance").mapping(), len(values))
     return SavedModel(model, back @ values, back @ covariance @ back.T)
+
+
+def _of_the_machine(
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[MachineModel, Float64[np.ndarray, " m"], Float64[np.ndarray, "m m"]]:
+    effects = tuple(
+        e for e in model.effects if not all(p.nuisance for p in e.parameters)
+    )
+    kept = np.concatenate(
+        [np.arange(model.size)[model.slices[e.name]] for e in effects]
+    )
+    machine_model = MachineModel(model.machine, effects)
+    return machine_model, theta[kept], covariance[np.ix_(kept, kept)]
 
 
 def _stated(model: MachineModel) -> Float64[np.ndarray, "s p"]:

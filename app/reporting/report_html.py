@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from app.reporting.findings import Findings
 from app.reporting.html_parts import escape, figure_text, plain, tile
-from app.reporting.report_sections import (
+from app.reporting.report_errors import error_motions, squareness, volumetric
+from app.reporting.report_measurement import (
     GOOD_FIT,
     documentation,
-    error_motions,
     fit_ratio,
     machine_and_measurement,
     residuals_and_noise,
-    squareness,
     unobservable,
     validation,
-    volumetric,
 )
 from app.reporting.report_style import STYLE
 

@@ -86,7 +86,7 @@ def inline_svg(drawn: Figure, description: str) -> str:
     none = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     drawn.savefig(sink, format="svg", metadata=none)
     text = sink.getvalue()
-    width, height = _size(text)
+    width, height = 72.0 * drawn.get_size_inches()
     body = text[text.index(">", text.index("<svg")) + 1 :]
     body = re.sub(r"<style.*?</style>", "", body, count=1, flags=re.DOTALL)
     body = re.sub(r' id="(?![mp][0-9a-f]{6})[^"]*"', "", body)
@@ -96,13 +96,6 @@ def inline_svg(drawn: Figure, description: str) -> str:
     body = re.sub(r"\s*\n\s*", " ", body)
     label = html.escape(description, quote=True)
     return (
-        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{label}" '
+        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{label}" '
         f'xmlns:xlink="http://www.w3.org/1999/xlink">{body}'
     )
-
-
-def _size(text: str) -> tuple[str, str]:
-    found = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
-    if found is None:
-        raise ValueError("the figure has no view box")
-    return found[1], found[2]

@@ -1,4 +1,4 @@
-"""Estimates constructed from known numbers, and a Run that they could have come from."""
+"""Estimates constructed from known numbers, and what is found in them."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ def construct() -> Callable[..., Estimate]:
     return made
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def estimate(construct) -> Estimate:
     return construct()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def provenance() -> Provenance:
     run = RunAccount(
         "monday",
@@ -101,12 +101,12 @@ def provenance() -> Provenance:
     return Provenance(run, "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def found(estimate, provenance) -> Findings:
     return find(estimate, provenance)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def loaded(estimate) -> LoadedResult:
     """The estimate as prediction reads it, without a file between."""
     return as_loaded(estimate)
@@ -137,7 +137,7 @@ def travel_points(rng) -> np.ndarray:
     return rng.uniform(low, high, (60, 3))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def across_only(construct) -> Estimate:
     """An estimate of what lies across the travel alone."""
     plain = construct()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.symbols import is_straightness, is_turn
 from app.reporting.error_tables import error_tables, table_positions_mm
 
@@ -99,3 +100,14 @@ def test_three_targets_off_one_line_give_tables_for_any_tool(construct, three_ta
     assert len(tables.tables) == 18
     assert tables.any_tool
     assert tables.targets == three_targets
+
+
+def test_an_effect_that_is_no_error_motion_has_no_table(estimate, tables):
+    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
+    more = error_tables(
+        model,
+        np.append(estimate.theta, np.ones(6)),
+        np.pad(estimate.covariance, (0, 6)),
+    )
+    assert [t.symbol for t in more.tables] == [t.symbol for t in tables.tables]
+    assert len(more.squareness) == 3

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from app.errors import BundleError
+from app.kinematics.effects.tracker_pose import TrackerPose
 from app.measurement.machine_file import machine_from_json
 from app.reporting.findings import find
+from app.reporting.model_json import model_to_json
+from app.reporting.packing import pack_symmetric
 from app.reporting.prediction import predict
 from app.reporting.result_json import read_result, result_json
 
@@ -113,7 +116,7 @@ def test_the_file_predicts_what_the_estimate_predicts(
 
 
 def test_parameters_come_back_whatever_basis_the_gauge_had(estimate, content):
-    """The file holds values at knots, so θ may differ only by the basis of its gauge."""
+    """The file holds values at knots; a gauge brings its own basis when it is read."""
     read = read_result(content)
     assert read.mode == "otf"
     assert read.unobservable == estimate.observability.unobservable
@@ -204,8 +207,6 @@ def test_a_bad_result_is_one_clear_error(content, spoil, said):
 
 
 def test_a_negative_variance_is_refused(content):
-    from app.reporting.packing import pack_symmetric
-
     size = content["model"]["covariance"]["size"]
     content["model"]["covariance"]["data"] = pack_symmetric(-np.eye(size))
     with pytest.raises(BundleError, match="negative variance"):
@@ -215,3 +216,22 @@ def test_a_negative_variance_is_refused(content):
 def test_what_is_no_object_is_no_result():
     with pytest.raises(BundleError, match="write an object"):
         read_result([1, 2])
+
+
+def test_what_belongs_to_the_measurement_is_integrated_out(estimate):
+    model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
+    covariance = np.pad(estimate.covariance, (0, 6))
+    covariance[:, -6:] = covariance[-6:, :] = 0.5
+    stated = model_to_json(model, np.append(estimate.theta, np.ones(6)), covariance)
+    assert stated == model_to_json(estimate.model, estimate.theta, estimate.covariance)
+
+
+def test_an_effect_without_a_form_in_the_file_is_not_dropped_silently(estimate):
+    class Unknown(TrackerPose):
+        @property
+        def parameters(self):
+            return tuple(replace(p, nuisance=False) for p in super().parameters)
+
+    model = estimate.model.with_effects(Unknown((0.0, 0.0, 0.0)))
+    with pytest.raises(TypeError, match="tracker-pose has no form"):
+        model_to_json(model, np.zeros(model.size), np.eye(model.size))

@@ -1,0 +1,61 @@
+"""The report in a real browser."""
+
+import os
+import shutil
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+from app.reporting.report_html import report_html
+
+pytestmark = pytest.mark.ui
+
+
+@pytest.fixture(scope="module")
+def browser():
+    executable = os.environ.get("CHROMIUM") or shutil.which("chromium")
+    assert executable, "Chromium is not installed"
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=executable)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module")
+def file(found, tmp_path_factory):
+    place = tmp_path_factory.mktemp("report") / "report.html"
+    place.write_text(report_html(found), encoding="utf-8")
+    return place
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(420, "light"), (1180, "dark")])
+def test_the_report_fits_the_screen_and_asks_for_nothing(browser, file, scheme, width):
+    page = browser.new_page(
+        viewport={"width": width, "height": 900}, color_scheme=scheme
+    )
+    said, asked = [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(file.as_uri())
+    assert said == []
+    assert asked == [file.as_uri()]
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    ink = page.evaluate("getComputedStyle(document.querySelector('svg text')).fill")
+    paper = page.evaluate(
+        "getComputedStyle(document.querySelector('section')).backgroundColor"
+    )
+    assert contrast(ink, paper) > 4.5
+
+
+def contrast(one: str, other: str) -> float:
+    """Return the contrast ratio of two CSS colours (WCAG 2.2)."""
+    light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def luminance(colour: str) -> float:
+    parts = [float(p) / 255 for p in colour[colour.index("(") + 1 : -1].split(",")[:3]]
+    linear = [
+        p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts
+    ]
+    return sum(w * p for w, p in zip((0.2126, 0.7152, 0.0722), linear, strict=True))

@@ -1,0 +1,90 @@
+"""What a result says about its Run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from app.reporting.run_account import account_of, run_digest
+from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+
+
+@pytest.fixture
+def run(estimate, rng) -> Run:
+    n = 1000
+    stream = TrackerSamples(
+        np.arange(n),
+        5.0 + np.arange(n) / 500.0,
+        rng.normal(size=(n, 3)),
+        np.zeros(n, int),
+    )
+    path = Path(
+        ("X", "Y", "Z"),
+        rng.uniform(20.0, 300.0, (4, 3)),
+        np.array([500.0, 2500.0, 800.0, 1000.0]),
+        np.full(4, 0.5),
+    )
+    warm = TemperatureSamples(
+        ("X", "air"), np.arange(2.0), np.array([[20, 21], [22, 19]])
+    )
+    return Run(
+        "monday", estimate.model.machine, path, stream, warm, provenance={"source": "a"}
+    )
+
+
+def test_a_path_of_four_rows_has_three_lines(run):
+    account = account_of(run)
+    assert (account.mode, account.lines) == ("otf", 3)
+    assert account.feed_mm_min == (500.0, 2500.0)
+    assert account.measured_s == pytest.approx(999 / 500)
+    assert account.samples == 1000
+    assert account.temperature_degc == {"X": (20.0, 22.0), "air": (19.0, 21.0)}
+    assert account.source == {"source": "a"}
+
+
+def test_standstill_points_have_no_feed(run):
+    points = Configurations(("X", "Y", "Z"), run.commanded.position, np.full(4, 1.0))
+    account = account_of(replace(run, commanded=points, temperature=None))
+    assert (account.mode, account.lines) == ("standstill", 4)
+    assert account.feed_mm_min is None
+    assert account.temperature_degc == {}
+
+
+def test_an_empty_stream_was_measured_for_no_time(run):
+    assert account_of(replace(run, tracker=TrackerSamples.empty())).measured_s == 0.0
+
+
+def test_the_digest_is_of_the_numbers_and_not_of_their_storage(run):
+    status = run.tracker.status.astype(np.int32)
+    position = np.asfortranarray(run.tracker.position_mm)
+    stored = replace(run.tracker, status=status, position_mm=position)
+    again = replace(run, name="tuesday", tracker=stored, provenance={})
+    assert run_digest(again) == run_digest(run)
+
+
+def moved_sample(run):
+    position = run.tracker.position_mm.copy()
+    position[500, 1] = np.nextafter(position[500, 1], 9.0)
+    return replace(run, tracker=replace(run.tracker, position_mm=position))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        moved_sample,
+        lambda run: replace(
+            run, commanded=replace(run.commanded, feed_mm_min=np.full(4, 501.0))
+        ),
+        lambda run: replace(run, machine=replace(run.machine, name="other")),
+        lambda run: replace(
+            run,
+            commanded=Configurations(
+                ("X", "Y", "Z"), run.commanded.position, run.commanded.dwell_s
+            ),
+        ),
+    ],
+)
+def test_another_input_has_another_digest(run, change):
+    assert run_digest(change(run)) != run_digest(run)

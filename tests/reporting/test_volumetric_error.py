@@ -1,0 +1,57 @@
+"""What the errors do at the tool point, before and after compensation."""
+
+import numpy as np
+import pytest
+
+from app.reporting.prediction import predict
+from app.reporting.volumetric_error import volumetric_error
+
+
+@pytest.fixture
+def seen(estimate):
+    return volumetric_error(estimate.model, estimate.theta, estimate.covariance)
+
+
+def test_the_grid_spans_the_travel(estimate, seen):
+    axes = estimate.model.machine.linear_axes
+    assert len(seen.position_mm) == 729
+    assert seen.position_mm.min(axis=0).tolist() == [a.min_mm for a in axes]
+    assert seen.position_mm.max(axis=0).tolist() == [a.max_mm for a in axes]
+
+
+def test_errors_and_uncertainties_are_those_of_predictions(seen, loaded):
+    predicted = predict(loaded, seen.position_mm)
+    assert seen.error_um == pytest.approx(predicted.error_um)
+    assert seen.uncertainty_um == pytest.approx(predicted.uncertainty_um)
+
+
+def test_before_is_the_length_of_the_map(seen):
+    length = np.linalg.norm(seen.error_um, axis=1)
+    assert seen.before.mean.value_um == pytest.approx(length.mean())
+    assert seen.before.p95.value_um == pytest.approx(np.quantile(length, 0.95))
+    assert seen.before.largest.value_um == pytest.approx(length.max())
+
+
+def test_after_is_what_the_stated_uncertainty_leaves(seen):
+    """The mean square length is the mean trace of the covariance at the points."""
+    expected = np.mean(np.sum(seen.uncertainty_um**2, axis=1))
+    quantiles = seen.after_lengths_um
+    middle = 0.5 * (quantiles[1:] + quantiles[:-1])
+    assert np.mean(middle**2) == pytest.approx(expected, rel=0.1)
+    assert (np.diff(quantiles) >= 0).all()
+    after = seen.after
+    assert after.mean.value_um < after.p95.value_um < after.largest.value_um
+
+
+def test_a_certain_estimate_leaves_nothing(estimate):
+    certain = volumetric_error(
+        estimate.model, estimate.theta, np.zeros_like(estimate.covariance)
+    )
+    assert certain.after.largest.value_um == 0.0
+    assert certain.before.mean.uncertainty_um == pytest.approx(0.0, abs=1e-9)
+
+
+def test_half_the_uncertainty_leaves_half(estimate, seen):
+    halved = volumetric_error(estimate.model, estimate.theta, estimate.covariance / 4)
+    assert halved.after.mean.value_um == pytest.approx(seen.after.mean.value_um / 2)
+    assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)
