@@ -1,0 +1,539 @@
+"""Cell processes on simulated devices, over a pseudo-terminal and Modbus."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from multiprocessing import Pipe
+from pathlib import Path as FilePath
+
+import numpy as np
+import psutil
+import pytest
+
+from app.errors import MeasurementFailed, OutOfTravel, TruepathError
+from app.measurement.bundle import read_bundle, write_bundle
+from app.measurement.cell import Cell, CellConfig, CellEvent, Order
+from app.measurement.cell_process import Command, serve
+from app.measurement.machine_file import machine_from_json
+from app.measurement.outbox import Outbox
+from app.measurement.recording import link_bytes, open_run, settle
+from app.planning.configurations import Configurations
+from app.planning.paths import default_path
+from app.plugins import load
+from drivers.interfaces.errors import ConnectionLost, WrongDevice
+from drivers.interfaces.records import MotionStatus
+from simulators.bench import Bench
+
+SPEED = 10.0
+
+
+@pytest.fixture
+def bench(tmp_path) -> Iterator[Bench]:
+    with Bench(seed=3, speed=SPEED, workdir=tmp_path / "bench", rtu=False) as started:
+        yield started
+
+
+def config_of(bench: Bench) -> CellConfig:
+    return CellConfig(
+        "streaming", bench.tracker_options, "modbus", bench.motion_options
+    )
+
+
+class Driven:
+    """A cell and all it has said."""
+
+    def __init__(self, config: CellConfig) -> None:
+        self.cell = Cell(config)
+        self.events: list[CellEvent] = []
+
+    def until(
+        self, condition: Callable[[], bool], timeout_s: float = 15.0
+    ) -> list[CellEvent]:
+        deadline_s = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline_s, self.events[-5:]
+            self.events += self.cell.poll(0.1)
+        return self.events
+
+    def of(self, kind: str) -> list[dict]:
+        return [e.body for e in self.events if e.kind == kind]
+
+    @property
+    def states(self) -> list[str]:
+        return [body["state"] for body in self.of("state")]
+
+    @property
+    def faults(self) -> list[str]:
+        return [body["code"] for body in self.of("fault")]
+
+    def until_state(self, state: str) -> None:
+        self.until(lambda: self.states[-1:] == [state])
+
+    def until_line(self, line: int) -> None:
+        self.until(lambda: any(p["done"] >= line for p in self.of("progress")))
+
+    def until_closed(self) -> dict:
+        self.until(lambda: bool(self.of("closed")), 30.0)
+        return self.of("closed")[-1]
+
+
+@pytest.fixture
+def driven(bench) -> Iterator[Driven]:
+    made = Driven(config_of(bench))
+    made.cell.start()
+    yield made
+    made.cell.close()
+
+
+@pytest.fixture
+def connected(driven) -> Driven:
+    driven.cell.connect()
+    return driven
+
+
+@pytest.fixture
+def order(bench, tmp_path) -> Order:
+    machine = machine_from_json(bench.machine)
+    path = default_path(machine, lines=4)
+    return Order("bench", str(tmp_path / "bench.sqlite"), machine, path)
+
+
+@pytest.fixture
+def long_order(order) -> Order:
+    """Longer than the watchdog's second, tenfold speed considered."""
+    return replace(order, commanded=default_path(order.machine, lines=12))
+
+
+@pytest.fixture
+def machine_state(bench) -> Iterator[Callable[[], MotionStatus]]:
+    """Looks at the CNC as somebody else would."""
+    factory = load("truepath.motion_controllers", "modbus")
+    with factory(**bench.motion_options) as controller:
+        yield controller.status
+
+
+def moves(run) -> int:
+    """Count the motions in a stream by speed."""
+    position = run.tracker.position_mm
+    speed = np.linalg.norm(position[25:] - position[:-25], axis=1) / 0.05
+    return int((np.diff((speed > 2.0).astype(int)) == 1).sum())
+
+
+def test_a_whole_run_over_serial_and_modbus_loses_no_sample(connected, order, tmp_path):
+    connected.cell.begin(order)
+    closed = connected.until_closed()
+    assert closed["outcome"] == "finished"
+    assert closed["lost_samples"] == 0
+    assert connected.states == ["connecting", "ready", "running", "finished"]
+    run = open_run(order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert (run.tracker.status == 0).all()
+    assert moves(run) == 4
+    assert len(link_bytes(order.run_file)) > 44 * len(run.tracker)
+    write_bundle(run, tmp_path / "bundle")
+    copy = read_bundle(tmp_path / "bundle")
+    np.testing.assert_array_equal(copy.tracker.position_mm, run.tracker.position_mm)
+    np.testing.assert_array_equal(copy.tracker.device_time_s, run.tracker.device_time_s)
+    np.testing.assert_array_equal(copy.tracker.status, run.tracker.status)
+    np.testing.assert_array_equal(copy.commanded.position, order.commanded.position)
+    np.testing.assert_array_equal(
+        copy.tracker.sequence, run.tracker.sequence - run.tracker.sequence[0]
+    )
+
+
+def test_the_bytes_of_a_run_decode_to_its_samples_again(connected, order):
+    from drivers.tracker.streaming.codec import SampleDecoder
+    from drivers.tracker.streaming.framing import FrameReader
+
+    connected.cell.begin(order)
+    connected.until_closed()
+    bodies = FrameReader().feed(link_bytes(order.run_file))
+    again = SampleDecoder().decode(bodies).samples
+    run = open_run(order.run_file)
+    at = np.searchsorted(again.device_time_s, run.tracker.device_time_s[0] - 1e-4)
+    np.testing.assert_array_equal(
+        again.position_mm[at : at + len(run.tracker)], run.tracker.position_mm
+    )
+
+
+def test_points_are_stepped_through_on_the_bench(connected, order):
+    corners = order.commanded.position[:3]
+    points = Configurations(order.commanded.axes, corners, np.full(3, 2.0))
+    connected.cell.begin(replace(order, commanded=points, feed_mm_min=9000.0))
+    assert connected.until_closed()["outcome"] == "finished"
+    run = open_run(order.run_file)
+    assert run.mode == "standstill"
+    assert moves(run) == 2
+    assert connected.of("progress")[-1]["done"] == 3
+
+
+def test_one_cell_measures_again_and_again(connected, order, tmp_path):
+    for number in range(2):
+        file = str(tmp_path / f"run{number}.sqlite")
+        connected.cell.begin(replace(order, run_file=file))
+        connected.until(lambda n=number: len(connected.of("closed")) > n, 30.0)
+    assert [c["outcome"] for c in connected.of("closed")] == ["finished", "finished"]
+    assert [c["lost_samples"] for c in connected.of("closed")] == [0, 0]
+
+
+def test_a_run_over_modbus_rtu(tmp_path):
+    with Bench(seed=3, speed=SPEED, workdir=tmp_path / "bench") as bench:
+        driven = Driven(
+            replace(config_of(bench), motion_options=bench.motion_options_rtu)
+        )
+        driven.cell.start()
+        machine = machine_from_json(bench.machine)
+        try:
+            driven.cell.connect()
+            path = default_path(machine, lines=2)
+            file = str(tmp_path / "rtu.sqlite")
+            driven.cell.begin(Order("rtu", file, machine, path))
+            assert driven.until_closed()["outcome"] == "finished"
+        finally:
+            driven.cell.close()
+
+
+def test_connect_tells_who_answers(driven):
+    devices = driven.cell.connect()
+    assert devices["tracker"].model == "Simulated tracker"
+    assert devices["motion"].model == "Simulated CNC"
+    assert driven.cell.connect() == devices
+
+
+def test_pause_resume_and_abort_reach_the_machine(connected, order, machine_state):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    connected.cell.pause()
+    connected.until_state("paused")
+    held = machine_state()
+    assert (held.state, held.hold_reason) == ("held", "command")
+    assert machine_state().position == held.position
+    connected.cell.resume()
+    connected.until_state("running")
+    connected.cell.abort()
+    assert connected.until_closed()["outcome"] == "aborted"
+    assert machine_state().state == "aborted"
+    run = open_run(order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert run.provenance["outcome"] == "aborted"
+
+
+def test_a_second_order_is_refused_while_one_runs(connected, order, tmp_path):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    connected.cell.begin(replace(order, run_file=str(tmp_path / "other.sqlite")))
+    connected.until(lambda: connected.faults == ["busy"])
+    assert connected.states[-1] == "running"
+    assert connected.cell.connect()["motion"].model == "Simulated CNC"
+    connected.cell.abort()
+    connected.until_closed()
+    assert not (tmp_path / "other.sqlite").exists()
+
+
+def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
+    connected, long_order, machine_state
+):
+    order = long_order
+    connected.cell.begin(order)
+    connected.until_line(2)
+    recorded = connected.of("progress")[-1]["samples"]
+    os.kill(connected.cell.process_id, signal.SIGKILL)
+    connected.until_state("faulted")
+    assert connected.faults == ["cell-died"]
+    assert not connected.cell.alive
+    assert connected.cell.poll(0.0) == []
+    with pytest.raises(MeasurementFailed, match="not alive"):
+        connected.cell.pause()
+    deadline_s = time.monotonic() + 5.0
+    while (status := machine_state()).state == "running":
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    assert (status.state, status.hold_reason) == ("held", "watchdog")
+    run = open_run(order.run_file)
+    # What was on its way to the disk, at ten times the usual rate, may be missing.
+    assert len(run.tracker) > recorded - 0.5 * 500 * SPEED
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert run.provenance["outcome"] == "torn"
+    assert moves(run) >= 2
+    assert settle(order.run_file).samples == len(run.tracker)
+
+
+def test_another_cell_takes_over_from_a_killed_one(bench, connected, order, tmp_path):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    os.kill(connected.cell.process_id, signal.SIGKILL)
+    connected.until_state("faulted")
+    second = Driven(config_of(bench))
+    second.cell.start()
+    try:
+        second.cell.connect()
+        deadline_s = time.monotonic() + 5.0
+        file = tmp_path / "second.sqlite"
+        while not second.of("closed") or second.of("closed")[-1]["outcome"] == "failed":
+            # Until the watchdog has stopped it, the machine is still busy.
+            assert time.monotonic() < deadline_s
+            second.events.clear()
+            second.cell.begin(replace(order, run_file=str(file)))
+            second.until_closed()
+        assert second.of("closed")[-1]["outcome"] == "finished"
+    finally:
+        second.cell.close()
+
+
+PARENT = """
+import sys, time
+from app.measurement.cell import Cell, CellConfig, Order
+from app.measurement.machine_file import machine_from_json
+from app.planning.paths import default_path
+def main():
+    tracker, motion, machine, file = eval(sys.argv[1])
+    machine = machine_from_json(machine)
+    cell = Cell(CellConfig("streaming", tracker, "modbus", motion))
+    cell.start()
+    cell.connect()
+    cell.begin(Order("orphan", file, machine, default_path(machine, lines=6)))
+    print(cell.process_id, flush=True)
+    while True:
+        for event in cell.poll(0.1):
+            if event.kind == "progress":
+                print(event.body["done"], flush=True)
+if __name__ == "__main__":
+    main()
+"""
+
+
+def test_a_cell_ends_with_its_parent_and_holds_the_feed(bench, tmp_path, machine_state):
+    script, file = tmp_path / "parent.py", str(tmp_path / "orphan.sqlite")
+    script.write_text(PARENT)
+    arguments = (bench.tracker_options, bench.motion_options, bench.machine, file)
+    parent = subprocess.Popen(
+        [sys.executable, str(script), repr(arguments)],
+        stdout=subprocess.PIPE,
+        cwd=FilePath.cwd(),
+        env=os.environ | {"PYTHONPATH": str(FilePath.cwd())},
+    )
+    assert parent.stdout is not None
+    cell_id = int(parent.stdout.readline())
+    cell = psutil.Process(cell_id)
+    while int(parent.stdout.readline()) < 1:
+        pass
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    cell.wait(10.0)
+    status = machine_state()
+    assert (status.state, status.hold_reason) == ("held", "command")
+    run = open_run(file)
+    assert run.provenance["outcome"] == "aborted"
+    assert moves(run) >= 1
+
+
+def test_a_cell_told_to_terminate_holds_the_feed_first(connected, order, machine_state):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    os.kill(connected.cell.process_id, signal.SIGTERM)
+    connected.until_closed()
+    status = machine_state()
+    assert (status.state, status.hold_reason) == ("held", "command")
+    assert open_run(order.run_file).provenance["outcome"] == "aborted"
+
+
+def test_closing_a_cell_that_measures_ends_the_run_properly(
+    connected, order, machine_state
+):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    connected.cell.close()
+    connected.cell.close()
+    assert not connected.cell.alive
+    assert machine_state().state == "held"
+    assert open_run(order.run_file).provenance["outcome"] == "aborted"
+
+
+def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
+    bench, connected, order, machine_state
+):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    bench.inject("tracker:silence")
+    connected.until_state("paused")
+    assert machine_state().hold_reason == "command"
+    assert connected.until_closed()["outcome"] == "faulted"
+    assert connected.faults == ["tracker-silent", "tracker-silent"]
+    assert machine_state().state == "held"
+
+
+def test_a_short_silence_is_lived_through(bench, connected, order):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    bench.inject(f"tracker:silence+{1.2 * SPEED}s")
+    closed = connected.until_closed()
+    assert closed["outcome"] == "finished"
+    assert connected.faults == ["tracker-silent"]
+    assert closed["lost_samples"] > 0.5 * SPEED * 500
+
+
+def test_a_broken_beam_waits_for_somebody(bench, connected, order):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    bench.inject(f"tracker:beam-break+{SPEED}s")
+    connected.until_state("paused")
+    assert connected.faults == ["beam-lost"]
+    seen = len(connected.of("live"))
+    connected.until(lambda: len(connected.of("live")) > seen + 2)
+    connected.cell.resume()
+    assert connected.until_closed()["outcome"] == "finished"
+    assert (open_run(order.run_file).tracker.status != 0).any()
+
+
+def test_an_alarm_of_the_machine_ends_the_run(bench, connected, order):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    bench.inject("cnc:alarm")
+    assert connected.until_closed()["outcome"] == "faulted"
+    assert connected.faults == ["motion-alarm"]
+    assert len(open_run(order.run_file).tracker) > 0
+
+
+def test_a_hold_at_the_panel_is_a_pause_that_ends_there(bench, connected, order):
+    connected.cell.begin(order)
+    connected.until_line(1)
+    bench.inject(f"cnc:feed-hold+{SPEED}s")
+    assert connected.until_closed()["outcome"] == "finished"
+    assert connected.states[2:] == ["running", "paused", "running", "finished"]
+
+
+def test_a_wrong_device_on_the_port_is_refused_by_name(tmp_path):
+    faults = ["tracker:wrong-identity"]
+    with Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench:
+        driven = Driven(config_of(bench))
+        driven.cell.start()
+        try:
+            with pytest.raises(WrongDevice):
+                driven.cell.connect()
+        finally:
+            driven.cell.close()
+
+
+def test_a_port_that_is_not_there_is_a_lost_connection(bench):
+    options = {**bench.tracker_options, "port": "/dev/no-such-port"}
+    driven = Driven(replace(config_of(bench), tracker_options=options))
+    driven.cell.start()
+    try:
+        with pytest.raises(ConnectionLost, match="no-such-port"):
+            driven.cell.connect()
+    finally:
+        driven.cell.close()
+
+
+def test_an_order_before_connecting_fails_and_opens_no_file(driven, order):
+    driven.cell.begin(order)
+    closed = driven.until_closed()
+    assert (closed["outcome"], closed["run_file"]) == ("failed", "")
+    assert driven.faults == ["not-connected"]
+
+
+def test_an_order_out_of_travel_never_leaves_the_parent(connected, order):
+    far = replace(order.commanded, position=order.commanded.position + 9000.0)
+    with pytest.raises(OutOfTravel, match="row 1: X"):
+        connected.cell.begin(replace(order, commanded=far))
+
+
+def test_an_unknown_driver_is_named():
+    driven = Driven(CellConfig("no-such-tracker", {}, "modbus", {}))
+    driven.cell.start()
+    try:
+        with pytest.raises(TruepathError, match="no trackers called 'no-such-tracker'"):
+            driven.cell.connect()
+    finally:
+        driven.cell.close()
+
+
+def test_wrong_options_of_a_driver_are_named():
+    driven = Driven(CellConfig("streaming", {"prot": "x"}, "modbus", {}))
+    driven.cell.start()
+    try:
+        with pytest.raises(TruepathError, match="prot"):
+            driven.cell.connect()
+    finally:
+        driven.cell.close()
+
+
+def test_a_cell_that_was_never_started_can_be_closed():
+    cell = Cell(CellConfig("streaming", {}, "modbus", {}))
+    assert not cell.alive
+    assert cell.poll(0.0) == []
+    with pytest.raises(MeasurementFailed, match="not alive"):
+        cell.connect()
+    cell.close()
+
+
+def test_the_cell_uses_one_thread_for_linear_algebra(driven):
+    environment = psutil.Process(driven.cell.process_id).environ()
+    assert environment["OMP_NUM_THREADS"] == "1"
+    assert environment["OPENBLAS_NUM_THREADS"] == "1"
+
+
+def test_a_cell_obeys_in_the_same_process_as_well(bench, order):
+    """For debugging; it also ends when its life line is ready."""
+    ours, theirs = Pipe()
+    reading, writing = os.pipe()
+    thread = threading.Thread(target=serve, args=(theirs, config_of(bench), (reading,)))
+    thread.start()
+    try:
+        ours.send(Command("connect"))
+        kinds = []
+        while "connected" not in kinds:
+            assert ours.poll(10.0)
+            kinds.append(ours.recv().kind)
+        ours.send(Command("pause"))
+        ours.send(Command("begin", order))
+        while ours.recv().kind != "progress":
+            pass
+    finally:
+        os.write(writing, b"x")
+        thread.join(10.0)
+        os.close(reading)
+        os.close(writing)
+        ours.close()
+        theirs.close()
+    assert not thread.is_alive()
+    assert open_run(order.run_file).provenance["outcome"] == "aborted"
+
+
+def test_a_slow_parent_gets_the_latest_and_every_state():
+    ours, theirs = Pipe()
+    outbox = Outbox(theirs)
+    big = ["x" * 1000] * 1000
+    for number in range(50):
+        outbox.report("progress", {"number": number, "ballast": big})
+        outbox.report("state", {"state": str(number)})
+    events = []
+    while not events or events[-1].body.get("state") != "49":
+        assert ours.poll(5.0)
+        events.append(ours.recv())
+    outbox.close(1.0)
+    states = [e.body["state"] for e in events if e.kind == "state"]
+    assert states == [str(n) for n in range(50)]
+    progress = [e.body["number"] for e in events if e.kind == "progress"]
+    assert progress[-1] == 49
+    assert len(progress) < 10
+    ours.close()
+    theirs.close()
+
+
+def test_a_parent_that_is_gone_does_not_hang_the_outbox():
+    ours, theirs = Pipe()
+    outbox = Outbox(theirs)
+    ours.close()
+    outbox.report("state", {"state": "ready"})
+    outbox.close(5.0)
+    assert not outbox._thread.is_alive()
+    theirs.close()
