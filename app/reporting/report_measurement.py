@@ -93,9 +93,9 @@ def unobservable(number: int, found: Findings) -> str:
     else:
         items = "".join(f"<li>{escape(s)}</li>" for s in seen.unobservable)
         text = (
-            "<p>These stay open. Motions that merge with others were left out of the solve rather than "
-            "set to zero; the tables of the others hold for the measured target only."
-            f"</p><ul>{items}</ul>"
+            "<p>These stay open. Motions that merge with others were left out of the "
+            "solve rather than set to zero; the tables of the others hold for "
+            f"the measured target only.</p><ul>{items}</ul>"
         )
     note = (
         f"<p class=note>The measurement determines {seen.rank} of {seen.parameters} "
