@@ -143,7 +143,7 @@ def documentation(number: int, found: Findings) -> str:
             "Model",
             f"{found.estimate.model.size} parameters: natural cubic splines with the "
             "bending energy as prior, its strength found from the data; tracker pose "
-            "and timing solved jointly",
+            f"{'and timing of each line ' if run.mode == 'otf' else ''}solved jointly",
         ),
         ("Uncertainty", "GUM propagation of the full covariance, correlated noise"),
     ]
@@ -195,6 +195,8 @@ def _temperature(seen: dict[str, tuple[float, float]]) -> str:
 
 def _along(found: Findings) -> str:
     jitter = found.noise.along_travel_um
+    if found.provenance.run.mode != "otf":
+        return ""
     if jitter is None:
         return "What lies along the travel was not used."
     return f"Along the travel the feed scatters by {jitter:.2g} µm a cell."

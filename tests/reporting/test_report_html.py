@@ -157,7 +157,10 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
     assert "12 points" in text
     assert "mm/min" not in text
     assert "Temperature" not in text
-    assert "Residual by point" in residuals_and_noise(5, at_rest)
+    residuals = residuals_and_noise(5, at_rest)
+    assert "Residual by point" in residuals
+    assert "travel" not in residuals
+    assert "timing" not in documentation(8, at_rest)
 
 
 def test_one_feed_is_one_number(estimate, provenance):
