@@ -3,6 +3,8 @@ import * as api from "./api.js";
 import { addressOf, hasEnded, isActive, isMeasuring } from "./flow.js";
 import { t } from "./texts.js";
 
+const KEPT_JOBS = 50;
+
 /** Bind the actions to a store; `go(address)` changes the step. */
 export function createActions(store, go) {
   /** Run one request at a time under a name; a refusal becomes the problem shown. */
@@ -31,7 +33,7 @@ export function createActions(store, go) {
   }
 
   async function loadRecords() {
-    const [jobs, runs] = await Promise.all([api.jobs(), api.runs()]);
+    const [jobs, runs] = await Promise.all([api.jobs(KEPT_JOBS), api.runs()]);
     store.set({ jobs, runs });
   }
 
@@ -39,7 +41,7 @@ export function createActions(store, go) {
   function hear(job) {
     const { job: followed, jobs } = store.get();
     const others = jobs.filter((other) => other.id !== job.id);
-    store.set({ jobs: [job, ...others].sort(byCreation) });
+    store.set({ jobs: [job, ...others].sort(byCreation).slice(0, KEPT_JOBS) });
     if (followed?.id === job.id) store.set({ job: newer(followed, job) });
     else if (isMeasuring(job) && isActive(job) && (!followed || hasEnded(followed))) follow(job);
   }

@@ -50,7 +50,7 @@ export const connect = () =>
   call("POST", "/machines/current:connect", { patience_ms: 60000 });
 
 export const job = (id) => call("GET", `/jobs/${id}`);
-export const jobs = async (limit = 50) => items(await call("GET", `/jobs?limit=${limit}`));
+export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limit}`));
 
 /** Make a job. The key makes one of it, even if the request is sent twice. */
 export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });

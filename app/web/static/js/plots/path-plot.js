@@ -122,6 +122,7 @@ export async function drawPath(element, plan, machine) {
   const standing = !plan.feed_mm_min?.length;
   await Plotly.newPlot(element, traces(rows, travel, standing), layout(travel, element), options);
 
+  const name = element.getAttribute("aria-label");
   let wanted = null;
   let drawn = "";
   const timer = setInterval(redraw, REDRAW_MS);
@@ -137,7 +138,7 @@ export async function drawPath(element, plan, machine) {
     const along = (name) => parts.map((part) => part[name]);
     Plotly.restyle(element, { x: along("x"), y: along("y"), z: along("z") },
       [TRACE.plan, TRACE.done, TRACE.now]);
-    element.setAttribute("aria-label", at.length ? spoken(at[0]) : "");
+    element.setAttribute("aria-label", [name, ...at.map(spoken)].join(": "));
   }
 
   return {

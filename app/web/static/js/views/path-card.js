@@ -8,10 +8,10 @@ const VIEWS = ["iso", "top", "front", "side"];
 
 /** A card that draws the plan as soon as it is there; `progress` and `close` as the plot's. */
 export function pathCard(live) {
-  const view = h("div", { class: "path-view", role: "img" });
+  const view = h("div", { class: "path-view", role: "img", "aria-label": t("path.title") });
   const missing = h("div", { class: "path-view path-missing" }, t("path.waiting"));
   const tools = h("div", { class: "path-tools", hidden: true });
-  const element = h("section", { class: `card path-card${live ? " is-live" : ""}`, "aria-label": t("path.title") },
+  const element = h("section", { class: `card path-card${live ? " is-live" : ""}` },
     legend(live), missing, view, tools);
   mark(view, "hidden", "");
   let plan = null;

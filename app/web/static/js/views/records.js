@@ -33,11 +33,12 @@ export function mount(root, { store, actions, go }) {
 }
 
 const table = (titles, rows) => h("table", {},
-  h("thead", {}, h("tr", {}, titles.map((title) => h("th", {}, title)))), h("tbody", {}, rows));
+  h("thead", {}, h("tr", {}, titles.map((title) => h("th", {}, title)),
+    h("th", {}, h("span", { class: "unseen" }, t("records.actions"))))), h("tbody", {}, rows));
 
 function jobTable(jobs, go) {
   if (!jobs.length) return h("p", { class: "empty" }, t("records.no_jobs"));
-  const titles = [t("records.state"), t("records.kind"), t("records.created"), t("records.took"), ""];
+  const titles = [t("records.state"), t("records.kind"), t("records.created"), t("records.took")];
   return table(titles, jobs.map((job) => h("tr", {},
     h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state))),
     h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", {}, took(job)),
@@ -53,7 +54,7 @@ function took(job) {
 
 function runTable({ runs, busy }, actions) {
   if (!runs.length) return h("p", { class: "empty" }, t("records.no_runs"));
-  const titles = [t("records.name"), t("records.created"), t("run.samples"), ""];
+  const titles = [t("records.name"), t("records.created"), t("run.samples")];
   return table(titles, runs.map((run) => h("tr", {},
     h("td", {}, run.name ?? run.id), h("td", {}, dateTime(run.created ?? run.started)),
     h("td", { class: "number" }, number(run.samples)),
