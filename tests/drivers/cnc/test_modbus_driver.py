@@ -311,6 +311,34 @@ def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_cont
     assert model.executed == [START]
 
 
+def test_a_number_that_another_master_has_used_is_not_used_again(peer, controller):
+    controller.hold()
+    peer.model.words[200] = peer.model.words[105] = peer.model.words[105] + 1
+    controller.abort()
+    assert peer.model.executed == [HOLD, ABORT]
+
+
+def test_a_number_that_was_sent_in_vain_is_not_used_again(tcp_peer):
+    with ModbusController(command_timeout_s=0.1, **tcp_peer.options) as controller:
+        tcp_peer.model.takes_commands = False
+        with pytest.raises(MotionFault):
+            controller.start()
+        in_vain = tcp_peer.model.words[200]
+        tcp_peer.model.takes_commands = True
+        controller.abort()
+        assert tcp_peer.model.words[105] == in_vain + 1
+
+
+def test_a_hold_is_sent_even_where_the_state_cannot_be_read(tcp_peer, tcp_controller):
+    tcp_peer.mangle = lambda reply: reply if reply[7] == 16 else b""
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.hold()
+    assert tcp_peer.model.executed == [HOLD]
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.start()
+    assert tcp_peer.model.executed == [HOLD]
+
+
 def test_numbers_go_on_where_the_device_is_and_skip_zero(peer):
     peer.model.words[105] = peer.model.words[200] = 0xFFFF
     with ModbusController(**peer.options) as controller:

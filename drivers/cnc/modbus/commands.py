@@ -1,0 +1,230 @@
+"""Commands that run once, over a link that may lose requests and replies."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from drivers.cnc.modbus import registers as r
+from drivers.cnc.modbus.controller_map import (
+    Controller,
+    ControllerStatus,
+    parse_controller,
+    parse_status,
+)
+from drivers.cnc.modbus.link import DeviceBusy, ModbusLink
+from drivers.cnc.modbus.priority_lock import PriorityLock
+from drivers.interfaces.errors import (
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    OutOfTravel,
+    Refused,
+    WrongDevice,
+)
+from drivers.interfaces.records import MotionState, MotionStatus
+
+log = logging.getLogger(__name__)
+
+_ACK_POLL_S = 0.002
+_BUSY_POLL_S = 0.02
+_REASONS: dict[int, str] = {
+    r.Result.WRONG_STATE: "not in this state",
+    r.Result.NO_PATH: "no path is loaded",
+    r.Result.CRC_MISMATCH: "the path arrived damaged; load it again",
+    r.Result.BAD_ARGUMENT: "an argument is out of range",
+    r.Result.UNKNOWN_COMMAND: "the device does not know this command",
+    r.Result.NOT_READY: "the machine is not ready; drives on, door closed, homed?",
+}
+
+T = TypeVar("T")
+
+
+class CommandChannel:
+    """The registers of one controller as reads, beats and commands. For any thread.
+
+    Every exchange has the link for itself, from a command's number to its
+    acknowledgement; what is urgent goes before all that waits.
+    """
+
+    def __init__(self, link: ModbusLink, serial_number: str, timeout_s: float) -> None:
+        self._link = link
+        self._serial_number = serial_number
+        self._timeout_s = timeout_s
+        self._lock = PriorityLock()
+        self._controller: Controller | None = None
+        self._sequence = 0
+        self._beats = 0
+
+    @property
+    def name(self) -> str:
+        """Address and unit, for messages."""
+        return self._link.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the connection stands, as far as is known."""
+        return self._link.is_open
+
+    @property
+    def controller(self) -> Controller | None:
+        """Who answered at `open`; None before it and after `close`."""
+        return self._controller
+
+    def open(self) -> Controller:
+        """Connect where there is no connection, and ask who is there."""
+        with self._lock.taken():
+            if self._controller is None or not self._link.is_open:
+                self._controller = None
+                self._link.open()
+                try:
+                    self._controller = self._identify()
+                except DeviceError:
+                    self._link.close()
+                    raise
+                log.info(
+                    "%s: %s answers; this driver has met simulated CNCs only so far",
+                    self.name,
+                    self._controller.identity,
+                )
+            return self._controller
+
+    def close(self) -> None:
+        """Release the port. Idempotent."""
+        with self._lock.taken(urgent=True):
+            self._controller = None
+            self._link.close()
+
+    def status(self) -> ControllerStatus:
+        """Read the status, with the text of an alarm."""
+        with self._lock.taken():
+            status = self._read_status()
+            if status.motion.state is not MotionState.ALARM:
+                return status
+            alarm = self._alarm(status.motion)
+            return replace(status, motion=replace(status.motion, alarm=alarm))
+
+    def beat(self) -> None:
+        """Write a new number for the watchdog."""
+        with self._lock.taken():
+            self._beats = (self._beats + 1) & 0xFFFF
+            words = r.encode("heartbeat", self._beats)
+            address = r.BY_NAME["heartbeat"].address
+            self._patiently(lambda: self._link.write(address, words))
+
+    def command(
+        self, verb: r.Command, arguments: Sequence[int] = (), *, urgent: bool = False
+    ) -> ControllerStatus:
+        """Have a verb done once; return the status that acknowledges it."""
+        with self._lock.taken(urgent=urgent):
+            status = self._deliver([self._number(urgent), verb, *arguments])
+            self._judge(verb, status)
+            return status
+
+    def _identify(self) -> Controller:
+        try:
+            controller = parse_controller(self._read(r.IDENTITY))
+        except (Refused, WrongDevice) as error:
+            raise WrongDevice(f"{self.name}: {error}") from error
+        answers = controller.identity.serial_number
+        if self._serial_number not in ("", answers):
+            raise WrongDevice(
+                f"{self.name}: controller {answers} answers, "
+                f"{self._serial_number} is configured; check the address"
+            )
+        # Over a new connection too, a number that was sent in vain is not used again.
+        self._sequence = self._sequence or self._read_status().acknowledged
+        return controller
+
+    def _number(self, urgent: bool) -> int:
+        """Return a number that the device has not just taken, and that is new for us.
+
+        Another master may have used the number that would be ours: the device would
+        take our command for a repeat and not run it. What is urgent is sent blindly
+        rather than not at all.
+        """
+        try:
+            taken = self._read_status().acknowledged
+        except DeviceTimeout:
+            if not urgent:
+                raise
+            taken = 0
+        self._sequence = _following(self._sequence)
+        if self._sequence == taken:
+            self._sequence = _following(taken)
+        return self._sequence
+
+    def _deliver(self, request: list[int]) -> ControllerStatus:
+        """Write a command and read until its number is acknowledged.
+
+        After a write without reply the state is read first; then the same number is
+        sent again, which runs nothing a second time.
+        """
+        deadline_s = time.monotonic() + self._timeout_s
+        delivered = self._written(request)
+        while True:
+            status = self._read_status()
+            if status.acknowledged == request[0]:
+                return status
+            if time.monotonic() >= deadline_s:
+                raise MotionFault(
+                    f"{self.name}: {r.Command(request[1]).name} was not taken in "
+                    f"{self._timeout_s:g} s; the device's program stands, or "
+                    "another master commands it"
+                )
+            if not delivered:
+                delivered = self._written(request)
+            time.sleep(_ACK_POLL_S)
+
+    def _written(self, request: list[int]) -> bool:
+        """Write a command; False if its outcome is unknown."""
+        try:
+            self._link.write(r.COMMAND.address, request)
+        except DeviceTimeout as error:
+            log.warning("reading back the state: %s", error)
+            return False
+        return True
+
+    def _judge(self, verb: r.Command, status: ControllerStatus) -> None:
+        place = f"{self.name} refuses {verb.name}"
+        match status.result:
+            case r.Result.DONE:
+                return
+            case r.Result.OUT_OF_TRAVEL:
+                raise OutOfTravel(f"{place}: beyond the travel of an axis")
+            case r.Result.IN_ALARM:
+                raise MotionFault(f"{place}: {self._alarm(status.motion)}")
+            case code:
+                reason = _REASONS.get(code, f"result {code}")
+                raise Refused(f"{place} in state {status.motion.state}: {reason}", code)
+
+    def _read_status(self) -> ControllerStatus:
+        status = parse_status(self._read(r.STATUS))
+        axes = len(self._controller.axes) if self._controller else r.MAX_AXES
+        position = status.motion.position[:axes]
+        return replace(status, motion=replace(status.motion, position=position))
+
+    def _alarm(self, motion: MotionStatus) -> str:
+        words = self._read(r.ALARM_TEXT)
+        return r.decode_text("alarm_text", words, r.ALARM_TEXT) or motion.alarm
+
+    def _read(self, block: r.Block) -> list[int]:
+        return self._patiently(lambda: self._link.read(block))
+
+    def _patiently(self, request: Callable[[], T]) -> T:
+        """Repeat a harmless request while the device says that it is busy."""
+        deadline_s = time.monotonic() + self._timeout_s
+        while True:
+            try:
+                return request()
+            except DeviceBusy:
+                if time.monotonic() >= deadline_s:
+                    raise
+                time.sleep(_BUSY_POLL_S)
+
+
+def _following(number: int) -> int:
+    return number % 0xFFFF + 1
