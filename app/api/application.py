@@ -1,0 +1,91 @@
+"""The FastAPI application: routes, problems, guard, documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from contextlib import AbstractAsyncContextManager
+from importlib.metadata import version
+
+from fastapi import APIRouter, FastAPI
+
+from app.api import documentation, events, jobs, machine, problems, runs
+from app.api.documentation import SCHEMA_PATH
+from app.api.models import PREFIX
+from app.api.security import Guard
+from app.api.service import Service
+
+MAX_BODY_BYTES = 1 << 20
+_FORM_BYTES = 1 << 20
+
+Lifespan = Callable[[FastAPI], AbstractAsyncContextManager[None]]
+
+_DESCRIPTION = """
+Calibrates machine tools with a laser tracker. Lengths are in mm, angles in degrees,
+errors in µm and µrad, times in s and °C; every key names its unit.
+
+Create a job, follow it, arm it when the machine is clear, take the error tables away.
+`POST /api/v1/stop` stops all motion and is never refused. It is no emergency stop: that
+is the hard-wired circuit of the machine.
+"""
+_TAGS = [
+    {"name": "jobs", "description": "Measuring and analysing."},
+    {"name": "results", "description": "Error tables, report."},
+    {"name": "runs", "description": "What was recorded, as measurement bundles."},
+    {"name": "machines", "description": "The machine and its devices."},
+    {"name": "events", "description": "What happens, as it happens."},
+    {"name": "system", "description": "The service itself."},
+]
+
+
+def create_application(
+    service: Service | None = None,
+    *,
+    trusted_hosts: Collection[str] = (),
+    lifespan: Lifespan | None = None,
+    pages: APIRouter | None = None,
+) -> FastAPI:
+    """Return the application.
+
+    service : None only to describe the interface
+    pages : routes of the operator page
+    """
+    max_upload_bytes = service.max_upload_bytes if service else 0
+    app = FastAPI(
+        title="Truepath",
+        version=version("truepath"),
+        summary="Machine tool calibration by laser tracker",
+        description=_DESCRIPTION,
+        openapi_url=SCHEMA_PATH,
+        openapi_tags=_TAGS,
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    app.state.service = service
+    app.add_middleware(Guard, trusted_hosts=trusted_hosts)
+    problems.install(app)
+    app.include_router(_api(), max_body_size=MAX_BODY_BYTES)
+    app.include_router(
+        runs.uploads, prefix=PREFIX, max_body_size=max_upload_bytes + _FORM_BYTES
+    )
+    app.include_router(machine.probes)
+    app.include_router(documentation.router)
+    documentation.mount_assets(app)
+    if pages is not None:
+        app.include_router(pages)
+    return app
+
+
+def _api() -> APIRouter:
+    api = APIRouter(prefix=PREFIX)
+    for router in (
+        jobs.router,
+        jobs.results,
+        jobs.stop,
+        runs.router,
+        machine.machines,
+        machine.system,
+        events.router,
+    ):
+        api.include_router(router)
+    return api

@@ -1,0 +1,227 @@
+"""Server-sent events: what is kept is caught up on, what is live is dropped when slow.
+
+`job` events have identifiers of the catalogue; a client that comes back with
+Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
+events (`progress`, `live`, `tick`) are for now only: the newest count.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager, suppress
+from typing import Annotated, Any
+
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Depends, Header
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from starlette.exceptions import HTTPException
+
+from app.api.models import job_out
+from app.api.problems import answers
+from app.api.service import Service, ServiceDep
+from app.jobs.feed import Notice
+from app.jobs.job import job_from_json, now_utc
+from app.jobs.store import StoredEvent
+
+TICK_S = 1.0
+WAITING = 50
+"""Live events that wait for a slow client; older ones are dropped."""
+
+router = APIRouter(tags=["events"])
+
+_EXAMPLE = (
+    'event: job\ndata: {"id": "019a…", "state": "running", "version": 4, …}\nid: 17\n\n'
+    'event: progress\ndata: {"job_id": "019a…", "stage": "measuring", …}\n\n'
+    'event: tick\ndata: {"time": "2026-05-04T09:30:01.000Z", "last_event_id": 17}\n\n'
+)
+_STREAM: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "Events `job` (kept, with id), `progress`, `live`, `tick`.",
+        "content": {"text/event-stream": {"example": _EXAMPLE}},
+    },
+    **answers(404, 429),
+}
+
+
+class Subscription:
+    """Takes notices from any thread, hands them to one stream."""
+
+    def __init__(self, service: Service, job_id: str | None) -> None:
+        self._service, self._job_id = service, job_id
+        self._lock = threading.Lock()
+        self._waiting: deque[Notice] = deque(maxlen=WAITING)
+        self._loop = asyncio.get_running_loop()
+        self._changed = asyncio.Event()
+        self._news = True
+
+    def put(self, notice: Notice) -> None:
+        """Take a notice. Never waits; the oldest live one makes room."""
+        if self._job_id not in (None, notice.job_id) and notice.job_id is not None:
+            return
+        with self._lock:
+            if notice.id is not None:
+                self._news = True
+            elif notice.type in ("progress", "live"):
+                self._waiting.append(notice)
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._changed.set)
+
+    def take(self) -> tuple[bool, list[Notice]]:
+        """Return whether the catalogue has news, and the live notices."""
+        with self._lock:
+            news, self._news = self._news, False
+            waiting = list(self._waiting)
+            self._waiting.clear()
+        self._changed.clear()
+        return news, waiting
+
+    async def wait(self, timeout_s: float) -> None:
+        """Return when there is something to take, or after the time."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), timeout_s)
+
+
+class Streams:
+    """Counts the open streams: each browser tab holds one."""
+
+    def __init__(self) -> None:
+        self._open = 0
+
+    @property
+    def count(self) -> int:
+        """How many are open."""
+        return self._open
+
+    @contextmanager
+    def one_more(self) -> Iterator[None]:
+        """Count one while the block runs. On the event loop only."""
+        self._open += 1
+        try:
+            yield
+        finally:
+            self._open -= 1
+
+
+streams = Streams()
+
+
+def _room_for_one(service: ServiceDep) -> None:
+    if streams.count >= service.max_streams:
+        raise HTTPException(429, f"{service.max_streams} event streams are open")
+
+
+def _existing(job_id: str, service: ServiceDep) -> str:
+    return service.store.get(job_id).id
+
+
+LastEventId = Annotated[
+    str, Header(description="Identifier of the last event that was received.")
+]
+
+
+@router.get(
+    "/events",
+    operation_id="stream_events",
+    response_class=EventSourceResponse,
+    responses=_STREAM,
+    dependencies=[Depends(_room_for_one)],
+)
+async def stream_events(
+    service: ServiceDep, last_event_id: LastEventId = ""
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow everything. One stream a page; the browser reconnects by itself."""
+    async for event in _follow(service, None, last_event_id):
+        yield event
+
+
+@router.get(
+    "/jobs/{job_id}/events",
+    operation_id="stream_job_events",
+    response_class=EventSourceResponse,
+    responses=_STREAM,
+    dependencies=[Depends(_room_for_one)],
+)
+async def stream_job_events(
+    job_id: Annotated[str, Depends(_existing)],
+    service: ServiceDep,
+    last_event_id: LastEventId = "",
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow one job."""
+    async for event in _follow(service, job_id, last_event_id):
+        yield event
+
+
+async def _follow(
+    service: Service, job_id: str | None, last_event_id: str
+) -> AsyncIterator[ServerSentEvent]:
+    subscription = Subscription(service, job_id)
+    forget = service.feed.listen(subscription.put)
+    try:
+        with streams.one_more():
+            async for event in _events(service, job_id, last_event_id, subscription):
+                yield event
+    finally:
+        forget()
+
+
+async def _events(
+    service: Service,
+    job_id: str | None,
+    last_event_id: str,
+    subscription: Subscription,
+) -> AsyncIterator[ServerSentEvent]:
+    newest = await run_sync(service.store.last_event_id)
+    known = _known(last_event_id, newest)
+    if known is None:
+        known = newest
+        for event in await run_sync(_present, service, job_id, newest):
+            yield event
+    next_tick = time.monotonic()
+    while not service.closing.is_set():
+        news, live = subscription.take()
+        while news:
+            missed = await run_sync(_missed, service, job_id, known)
+            for stored in missed:
+                known = stored.id
+                yield _job_event(stored)
+            news = bool(missed)
+        for notice in live:
+            body = {"job_id": notice.job_id, **notice.body}
+            yield ServerSentEvent(data=body, event=notice.type)
+        if time.monotonic() >= next_tick:
+            next_tick = time.monotonic() + TICK_S
+            tick = {"time": now_utc(), "last_event_id": known}
+            yield ServerSentEvent(data=tick, event="tick")
+        await subscription.wait(next_tick - time.monotonic())
+
+
+def _known(last_event_id: str, newest: int) -> int | None:
+    """Return what the client has seen; None if it is new or of another catalogue."""
+    if not last_event_id.isdecimal() or len(last_event_id) > 18:
+        return None
+    seen = int(last_event_id)
+    return seen if seen <= newest else None
+
+
+def _present(
+    service: Service, job_id: str | None, newest: int
+) -> list[ServerSentEvent]:
+    """Return where things stand, for a client that has seen nothing."""
+    store = service.store
+    jobs = store.unfinished() if job_id is None else [store.get(job_id)]
+    return [
+        ServerSentEvent(data=job_out(job), event="job", id=str(newest)) for job in jobs
+    ]
+
+
+def _missed(service: Service, job_id: str | None, known: int) -> list[StoredEvent]:
+    return service.store.events_after(known, job_id=job_id)
+
+
+def _job_event(stored: StoredEvent) -> ServerSentEvent:
+    job = job_out(job_from_json(stored.body))
+    return ServerSentEvent(data=job, event=stored.type, id=str(stored.id))

@@ -1,0 +1,105 @@
+"""The machine and its devices; the service itself."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from starlette.exceptions import HTTPException
+
+from app.api.models import (
+    Alive,
+    CellOut,
+    Connection,
+    MachineOut,
+    MachineSummary,
+    Ready,
+    SystemOut,
+    connection_out,
+)
+from app.api.problems import answers
+from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from app.errors import NotFound
+from app.jobs.errors import NoMachine
+from app.jobs.job import now_utc
+from app.measurement.machine_file import machine_to_json
+
+machines = APIRouter(prefix="/machines", tags=["machines"])
+system = APIRouter(prefix="/system", tags=["system"])
+probes = APIRouter(tags=["system"])
+
+
+@machines.get("/current", operation_id="get_machine", responses=answers(404))
+def get_machine(service: ServiceDep) -> MachineOut:
+    """Return the machine file, and who answers on the ports."""
+    if service.machine is None:
+        raise NotFound("no machine is set up; give the service a machine_file")
+    devices = service.cell.status.devices if service.cell is not None else {}
+    content = machine_to_json(service.machine)
+    # `tracker` of the machine file is its noise; here the name is for who answers.
+    content["tracker_noise"] = content.pop("tracker", None)
+    return MachineOut(**content, **connection_out(devices).model_dump())
+
+
+@machines.post(
+    "/current:connect",
+    operation_id="connect_machine",
+    responses=answers(409, 502, 503, 504),
+)
+def connect_machine(service: ServiceDep) -> Connection:
+    """Open the ports and return who answers. Moves nothing; again is harmless."""
+    if service.cell is None:
+        raise NoMachine("no machine is set up; give the service a machine_file")
+    return connection_out(service.cell.connect())
+
+
+@system.get("", operation_id="get_system")
+def get_system(service: ServiceDep) -> SystemOut:
+    """Return what the service is and what holds the machine."""
+    machine = service.machine
+    measuring = [job for job in service.store.unfinished() if job.kind.measures]
+    return SystemOut(
+        version=service.version,
+        simulated=service.simulated,
+        machine=None
+        if machine is None
+        else MachineSummary(
+            name=machine.name,
+            kinematic_chain=machine.chain,
+            axes=list(machine.axis_names),
+        ),
+        cell=_cell_out(service),
+        current_job=measuring[0].id if measuring else None,
+        time=now_utc(),
+    )
+
+
+@probes.get("/healthz", operation_id="get_health")
+def get_health() -> Alive:
+    """Say that the process answers."""
+    return Alive()
+
+
+@probes.get("/readyz", operation_id="get_readiness", responses=answers(503))
+def get_readiness(service: ServiceDep) -> Ready:
+    """Say whether catalogue and disk are there, and whether a cell process runs."""
+    cell = service.cell
+    needed = {
+        "catalogue": service.database.ready(),
+        "disk": service.free_bytes() > LEAST_FREE_BYTES,
+    }
+    running = cell is not None and cell.status.state not in ("starting", "down")
+    missing = ", ".join(name for name, good in needed.items() if not good)
+    if missing:
+        raise HTTPException(503, f"not ready: {missing}")
+    return Ready(status="ready", checks={**needed, "cell": running})
+
+
+def _cell_out(service: Service) -> CellOut:
+    if service.cell is None:
+        return CellOut(state="none", text="", connected=False, restarts=0)
+    status = service.cell.status
+    return CellOut(
+        state=status.state,
+        text=status.text,
+        connected=status.connected,
+        restarts=status.restarts,
+    )

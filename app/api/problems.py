@@ -1,0 +1,112 @@
+"""Every answer that refuses is a problem: the application's handlers, its schema."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from app.api import failures
+from app.api.failures import BY_STATUS, INTERNAL, KINDS, MEDIA_TYPE, Kind
+from app.api.models import Problem
+
+MAX_ERRORS = 20
+
+
+def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the refusals of a route for its documentation, each with an example."""
+    return {status: _answer(status) for status in statuses}
+
+
+def install(app: FastAPI) -> None:
+    """Turn every error of the application's routes into a problem."""
+    for family in KINDS:
+        app.add_exception_handler(family, _of_family)
+    app.add_exception_handler(RequestValidationError, _of_validation)
+    app.add_exception_handler(HTTPException, _of_framework)
+
+
+def problem_response(
+    content: Mapping[str, Any],
+    instance: str,
+    request_id: str,
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """Return a problem as an answer."""
+    body = {**content, "instance": instance, "request_id": request_id}
+    text = json.dumps(body, ensure_ascii=False, allow_nan=False)
+    return Response(text, content["status"], headers, MEDIA_TYPE)
+
+
+def kind_of_status(status: int) -> Kind:
+    """Return the kind of problem that a bare status is."""
+    if status in BY_STATUS:
+        return BY_STATUS[status]
+    if status >= 500:
+        return INTERNAL
+    known = BY_STATUS[400]
+    return Kind(status, known.code, known.title, known.action)
+
+
+def _of_family(request: Request, error: Exception) -> Response:
+    return _respond(request, failures.problem_of(error))
+
+
+def _of_validation(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 (by registration)
+    # `input` and `ctx` stay out: they echo what was sent and may not be JSON.
+    found = [
+        {
+            "location": [str(part) for part in item["loc"]],
+            "message": str(item["msg"]),
+            "type": str(item["type"]),
+        }
+        for item in error.errors()[:MAX_ERRORS]
+    ]
+    first = found[0]
+    detail = f"{'.'.join(first['location'])}: {first['message']}"
+    return _respond(
+        request, failures.problem(BY_STATUS[422], detail, {"errors": found})
+    )
+
+
+def _of_framework(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)  # noqa: S101 (by registration)
+    kind = kind_of_status(error.status_code)
+    detail = "" if error.detail == _phrase(error.status_code) else str(error.detail)
+    return _respond(request, failures.problem(kind, detail), error.headers)
+
+
+def _phrase(status: int) -> str:
+    return HTTPException(status).detail
+
+
+def _respond(
+    request: Request,
+    content: Mapping[str, Any],
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    request_id = request.scope.get("state", {}).get("request_id", "")
+    return problem_response(content, request.url.path, request_id, headers)
+
+
+def _answer(status: int) -> dict[str, Any]:
+    kind = next((k for k in _KINDS_BY_STATUS if k.status == status), INTERNAL)
+    example = {
+        **failures.problem(kind),
+        "instance": "/api/v1/jobs",
+        "request_id": "6f0e4c1b9a7d4e52",
+    }
+    return {
+        "model": Problem,
+        "description": kind.title,
+        "content": {MEDIA_TYPE: {"example": example}},
+    }
+
+
+_KINDS_BY_STATUS = (*KINDS.values(), *BY_STATUS.values())

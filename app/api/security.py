@@ -1,0 +1,159 @@
+"""What stands before every route: names, origins, identifiers, headers, the last net.
+
+Plain ASGI, so that streams pass through untouched. Browsers are kept from being used
+against the service: a page of another site cannot post to it (Sec-Fetch-Site, Origin),
+and a name that an attacker points at this computer is not answered (Host).
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import secrets
+import time
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.api import failures
+from app.api.failures import BY_STATUS, INTERNAL, Kind
+from app.api.problems import problem_response
+
+log = structlog.get_logger(__name__)
+
+CONTENT_SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'self'",
+        "style-src 'self' 'unsafe-inline'",
+        "img-src 'self' data: blob:",
+        "worker-src 'self' blob:",
+        "object-src 'none'",
+        "base-uri 'none'",
+        "form-action 'self'",
+        "frame-ancestors 'none'",
+    )
+)
+_HEADERS = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+    "Cache-Control": "no-store",
+}
+_UNSAFE = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+_REQUEST_ID = re.compile(r"^[\w.-]{1,64}$")
+
+
+class Guard:
+    """The outermost middleware of the application.
+
+    trusted_hosts : names of this computer beside localhost and any IP address
+    """
+
+    def __init__(self, app: ASGIApp, trusted_hosts: Collection[str] = ()) -> None:
+        self._app = app
+        self._trusted = frozenset({"localhost", *(n.lower() for n in trusted_hosts)})
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a request through, or refuse it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request_id = _request_id(Headers(scope=scope))
+        scope.setdefault("state", {})["request_id"] = request_id
+        answer = _Answer(scope, send, request_id)
+        with structlog.contextvars.bound_contextvars(request_id=request_id):
+            try:
+                await self._let_through(scope, receive, answer)
+            except Exception:
+                log.exception("request failed", path=scope["path"])
+                await answer.refuse(receive, INTERNAL)
+            answer.log()
+
+    async def _let_through(
+        self, scope: Scope, receive: Receive, answer: _Answer
+    ) -> None:
+        headers = Headers(scope=scope)
+        if not self._is_ours(headers.get("host", "")):
+            detail = f"{headers.get('host', '')!r} is not a name of this service"
+            await answer.refuse(receive, BY_STATUS[421], detail)
+        elif scope["method"] in _UNSAFE and not _is_same_site(headers):
+            await answer.refuse(receive, BY_STATUS[403])
+        else:
+            await self._app(scope, receive, answer.send)
+
+    def _is_ours(self, host: str) -> bool:
+        """A name that is not known may be one that somebody points at this computer."""
+        name = _hostname(host)
+        if name in self._trusted:
+            return True
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+
+class _Answer:
+    """Sends the answer of one request with the headers that every answer has."""
+
+    def __init__(self, scope: Scope, send: Send, request_id: str) -> None:
+        self._scope, self._send, self._request_id = scope, send, request_id
+        self._begun = time.monotonic()
+        self._status = 0
+
+    async def send(self, message: Message) -> None:
+        """Send one message; the first one gets its headers."""
+        if message["type"] == "http.response.start":
+            self._status = message["status"]
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers.setdefault(name, value)
+            headers["X-Request-ID"] = self._request_id
+        await self._send(message)
+
+    async def refuse(self, receive: Receive, kind: Kind, detail: str = "") -> None:
+        """Send a problem, unless the answer has begun."""
+        if self._status:
+            return
+        content = failures.problem(kind, detail)
+        response = problem_response(content, self._scope["path"], self._request_id)
+        await response(self._scope, receive, self.send)
+
+    def log(self) -> None:
+        """Write one line a request; what only reads and succeeds is for debugging."""
+        is_quiet = self._scope["method"] not in _UNSAFE and self._status < 400
+        (log.debug if is_quiet else log.info)(
+            "request",
+            method=self._scope["method"],
+            path=self._scope["path"],
+            status=self._status,
+            ms=round(1000 * (time.monotonic() - self._begun), 1),
+        )
+
+
+def _request_id(headers: Headers) -> str:
+    given = headers.get("x-request-id", "")
+    return given if _REQUEST_ID.match(given) else secrets.token_hex(8)
+
+
+def _hostname(host: str) -> str:
+    try:
+        return (urlsplit(f"//{host}").hostname or "").rstrip(".")
+    except ValueError:
+        return ""
+
+
+def _is_same_site(headers: Headers) -> bool:
+    """Whether no page of another site is behind a request. Programs send neither."""
+    site = headers.get("sec-fetch-site")
+    if site is not None:
+        return site in ("same-origin", "none")
+    origin = headers.get("origin")
+    return origin is None or urlsplit(origin).netloc == headers.get("host")

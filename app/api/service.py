@@ -1,0 +1,59 @@
+"""What the routes work with, made by `main` and handed to the application."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.database import Database
+from app.jobs.dispatcher import Dispatcher
+from app.jobs.feed import Feed, Notice
+from app.jobs.runs import RunCatalogue
+from app.jobs.store import Store
+from app.kinematics.machine import Machine
+
+LEAST_FREE_BYTES = 500 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """Everything behind the routes.
+
+    closing : set when the service is about to end; open streams then end
+    """
+
+    version: str
+    simulated: bool
+    database: Database
+    store: Store
+    runs: RunCatalogue
+    results: Path
+    dispatcher: Dispatcher
+    feed: Feed
+    machine: Machine | None
+    cell: CellSupervisor | None
+    max_upload_bytes: int = 512 << 20
+    max_streams: int = 64
+    closing: threading.Event = field(default_factory=threading.Event)
+
+    def end_streams(self) -> None:
+        """Let every open stream end."""
+        self.closing.set()
+        self.feed.tell(Notice("closing", None, {}))
+
+    def free_bytes(self) -> int:
+        """Return the room left on the disk of the results."""
+        return shutil.disk_usage(self.results).free
+
+
+def _service(request: Request) -> Service:
+    return request.app.state.service
+
+
+ServiceDep = Annotated[Service, Depends(_service)]

@@ -1,0 +1,245 @@
+"""One job under way, as its own thread and the threads of requests share it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import structlog
+
+from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
+from app.jobs.executor import Computation
+from app.jobs.feed import Feed, Notice
+from app.jobs.job import (
+    Failure,
+    Health,
+    Job,
+    Json,
+    Progress,
+    Stage,
+    progress_json,
+)
+from app.jobs.store import Store
+from app.jobs.transitions import State, Verb, after_verb, may_follow
+
+log = structlog.get_logger(__name__)
+
+_WISHES = {
+    Verb.ARM: str(State.RUNNING),
+    Verb.PAUSE: str(State.PAUSED),
+    Verb.RESUME: str(State.RUNNING),
+    Verb.ABORT: str(State.ABORTED),
+}
+KEEP_EVERY_S = 1.0
+TELL_EVERY_S = 0.1
+
+
+class Control:
+    """Wishes come in from requests: `obey`, `arm`, `abort`, `interrupt`.
+
+    The job's thread reads them at its checkpoints and writes down how far it is.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        store: Store,
+        feed: Feed,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.job_id, self.kind = job.id, job.kind
+        self._store, self._feed, self._clock = store, feed, clock
+        self._changed = threading.Condition()
+        self._state, self._since = job.state, clock()
+        self._armed = self._aborted = self._interrupted = False
+        self._computation: Computation | None = None
+        self._stage, self._progress, self._health = job.stage, job.progress, job.health
+        self._kept_at = self._told_at = -float("inf")
+
+    @property
+    def called_off(self) -> bool:
+        """Whether the job has to end now."""
+        return self._aborted or self._interrupted
+
+    @property
+    def state(self) -> State:
+        """The state the job has last been put into."""
+        return self._state
+
+    @property
+    def state_lasts_s(self) -> float:
+        """How long the job has been in that state."""
+        return self._clock() - self._since
+
+    def obey(self, verb: Verb, version: int | None = None) -> Job:
+        """Put down what a user asks for. Raises IllegalTransition, StaleVersion."""
+
+        def change(job: Job) -> Job:
+            state = after_verb(verb, job.state)
+            if state is job.state:
+                return job
+            return replace(job, state=state, desired_state=_WISHES[verb])
+
+        return self._noted(self._store.change(self.job_id, change, version=version))
+
+    def arm(self) -> None:
+        """Let a ready job go on."""
+        with self._changed:
+            self._armed = True
+            self._changed.notify_all()
+
+    def abort(self) -> None:
+        """End the job because somebody asked. Writes nothing down: that may wait."""
+        self._call_off(interrupted=False)
+
+    def interrupt(self) -> None:
+        """End the job because the service ends."""
+        self._call_off(interrupted=True)
+
+    def checkpoint(self) -> None:
+        """Raise Aborted or Interrupted if the job has to end."""
+        if self._aborted:
+            raise Aborted("aborted")
+        if self._interrupted:
+            raise Interrupted("the service was ended while the job was under way")
+
+    def wait_until_armed(self) -> None:
+        """Wait for `arm`. Raises as `checkpoint`."""
+        with self._changed:
+            while not self._armed and not self.called_off:
+                self._changed.wait()
+        self.checkpoint()
+
+    def compute(self, computation: Computation) -> None:
+        """Wait for a computation, which ends when the job is called off."""
+        with self._changed:
+            self._computation = computation
+        try:
+            self.checkpoint()
+            computation.result()
+        except Aborted:
+            self.checkpoint()
+            raise
+        finally:
+            with self._changed:
+                self._computation = None
+
+    def enter(self, state: State, stage: Stage) -> Job:
+        """Go on to a state or a stage; what the table does not allow changes nothing.
+
+        An abort under way is never left like this.
+        """
+
+        def change(job: Job) -> Job:
+            allowed = job.state is state or may_follow(job.state, state)
+            if not allowed or (job.state, job.stage) == (state, stage):
+                return job
+            return replace(
+                job,
+                state=state,
+                stage=stage,
+                progress=self._progress,
+                health=self._health,
+            )
+
+        if stage is not self._stage:
+            self._stage, self._progress = stage, Progress()
+        return self._noted(self._store.change(self.job_id, change))
+
+    def complain(self, failure: Failure | None) -> None:
+        """Show why the job stands, or that it does so no longer.
+
+        A complaint while resuming means that the machine is held still.
+        """
+
+        def change(job: Job) -> Job:
+            if job.failure == failure:
+                return job
+            held = failure is not None and job.state is State.RESUMING
+            if not held:
+                return replace(job, failure=failure)
+            paused = State.PAUSED
+            return replace(
+                job, state=paused, desired_state=str(paused), failure=failure
+            )
+
+        self._noted(self._store.change(self.job_id, change))
+
+    def end(self, state: State, failure: Failure | None = None) -> Job:
+        """Enter a final state; an abort under way wins over success and failure."""
+
+        def change(job: Job) -> Job:
+            aborting = job.state is State.ABORTING
+            final = state if may_follow(job.state, state) else State.ABORTED
+            kept = None if aborting and final is State.ABORTED else failure
+            return replace(
+                job,
+                state=final,
+                stage=self._stage,
+                failure=kept,
+                progress=self._progress,
+                health=self._health,
+            )
+
+        return self._noted(self._store.change(self.job_id, change))
+
+    def link_run(self, run_id: str) -> None:
+        """Note which Run the job has made."""
+        self._store.change(self.job_id, lambda job: replace(job, run_id=run_id))
+
+    def report(
+        self,
+        progress: Progress,
+        *,
+        stage: Stage | None = None,
+        health: Health | None = None,
+    ) -> None:
+        """Tell how far the job is, and keep it once a second."""
+        is_new_stage = stage is not None and stage is not self._stage
+        self._stage = stage or self._stage
+        self._progress, self._health = progress, health or self._health
+        now = self._clock()
+        if is_new_stage or now - self._told_at >= TELL_EVERY_S:
+            self._told_at = now
+            self._tell()
+        if is_new_stage or now - self._kept_at >= KEEP_EVERY_S:
+            self._kept_at = now
+            self._keep()
+
+    def show(self, live: Json) -> None:
+        """Show where tracker and axes are, for the eye only."""
+        self._feed.tell(Notice("live", self.job_id, live))
+
+    def _noted(self, job: Job) -> Job:
+        with self._changed:
+            if job.state is not self._state:
+                self._state, self._since = job.state, self._clock()
+        return job
+
+    def _tell(self) -> None:
+        body = {
+            "stage": str(self._stage),
+            "progress": progress_json(self._progress),
+            "health": asdict(self._health),
+        }
+        self._feed.tell(Notice("progress", self.job_id, body))
+
+    def _keep(self) -> None:
+        try:
+            self._store.note(self.job_id, self._stage, self._progress, self._health)
+        except StorageUnavailable as error:
+            # Progress is a convenience: the measurement goes on without it.
+            log.warning("progress not kept", job_id=self.job_id, reason=str(error))
+
+    def _call_off(self, *, interrupted: bool) -> None:
+        with self._changed:
+            if interrupted:
+                self._interrupted = True
+            else:
+                self._aborted = True
+            computation = self._computation
+            self._changed.notify_all()
+        if computation is not None:
+            computation.cancel()

@@ -1,0 +1,182 @@
+"""The catalogue's connection: SQLite or PostgreSQL, the same code.
+
+Writers take turns behind one lock, so that event identifiers are committed in order and
+SQLite never has two writers of ours. Every SQLite connection gets write-ahead logging,
+full synchronisation, foreign keys and a busy timeout.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import structlog
+from alembic import command
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from alembic.util import CommandError
+from sqlalchemy import Connection, Engine, create_engine, event, text
+from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.pool import ConnectionPoolEntry
+
+from app.errors import BadInput
+from app.jobs.errors import SchemaTooNew, StorageUnavailable
+
+log = structlog.get_logger(__name__)
+T = TypeVar("T")
+
+_MIGRATIONS = Path(__file__).parent / "migrations"
+_PRAGMAS = (
+    "journal_mode=WAL",
+    "synchronous=FULL",
+    "foreign_keys=ON",
+    "busy_timeout=5000",
+)
+
+
+class Database:
+    """One catalogue. `migrate` before anything else.
+
+    patience_s : how long a write is repeated while another program holds the lock
+    """
+
+    def __init__(self, url: str, *, patience_s: float = 15.0) -> None:
+        self._patience_s = patience_s
+        self._writer = threading.RLock()
+        self.engine = _engine(url)
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """Open a consistent view."""
+        with _as_storage_errors(), self.engine.connect() as connection:
+            yield connection
+
+    def write(
+        self, change: Callable[[Connection], T], then: Callable[[T], None] | None = None
+    ) -> T:
+        """Run `change` in one transaction, alone, repeated while the file is locked.
+
+        `then` runs after the commit and before the next writer: what it publishes is in
+        the order of the commits. Raises StorageUnavailable after `patience_s`.
+        """
+        deadline = time.monotonic() + self._patience_s
+        with self._writer:
+            result = self._committed(change, deadline)
+            if then is not None:
+                then(result)
+            return result
+
+    def migrate(self) -> None:
+        """Bring the tables up to this version; a SQLite file is copied first.
+
+        Raises SchemaTooNew if a newer version of the service wrote the catalogue.
+        """
+        with _as_storage_errors(), self.engine.connect() as connection:
+            before = MigrationContext.configure(connection).get_current_revision()
+        config = Config()
+        config.set_main_option("script_location", str(_MIGRATIONS))
+        head = ScriptDirectory.from_config(config).get_current_head()
+        if before == head:
+            return
+        _refuse_newer(config, before)
+        if before is not None:
+            self._copy_aside(before)
+        with _as_storage_errors(), self.engine.begin() as connection:
+            config.attributes["connection"] = connection
+            command.upgrade(config, "head")
+        log.info("catalogue migrated", before=before, now=head)
+
+    def ready(self) -> bool:
+        """Say whether the catalogue answers."""
+        try:
+            with self.read() as connection:
+                connection.execute(text("SELECT 1"))
+        except StorageUnavailable:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Release every connection."""
+        self.engine.dispose()
+
+    def _committed(self, change: Callable[[Connection], T], deadline: float) -> T:
+        while True:
+            try:
+                with self.engine.connect() as raw:
+                    connection = raw.execution_options(truepath_writes=True)
+                    with connection.begin():
+                        return change(connection)
+            except OperationalError as error:
+                if time.monotonic() > deadline:
+                    raise StorageUnavailable(_busy_text(error)) from error
+                log.warning("catalogue is busy", reason=str(error.orig))
+                time.sleep(0.1)
+
+    def _copy_aside(self, revision: str) -> None:
+        if self.engine.dialect.name != "sqlite" or not self.engine.url.database:
+            return
+        file = Path(self.engine.url.database)
+        copy = file.with_name(
+            f"{file.stem}.before-{revision}-{int(time.time())}.sqlite"
+        )
+        with self.engine.connect() as connection:
+            raw = connection.execution_options(isolation_level="AUTOCOMMIT")
+            raw.execute(text("VACUUM INTO :copy"), {"copy": str(copy)})
+        log.info("catalogue copied before its migration", copy=str(copy))
+
+
+@contextmanager
+def _as_storage_errors() -> Iterator[None]:
+    try:
+        yield
+    except OperationalError as error:
+        raise StorageUnavailable(_busy_text(error)) from error
+
+
+def _busy_text(error: OperationalError) -> str:
+    return f"the catalogue does not answer: {error.orig}"
+
+
+def _refuse_newer(config: Config, revision: str | None) -> None:
+    if revision is None:
+        return
+    try:
+        ScriptDirectory.from_config(config).get_revision(revision)
+    except CommandError as error:
+        raise SchemaTooNew(
+            f"the catalogue has schema {revision}, newer than this version knows; "
+            "start the version that wrote it, or give another data folder"
+        ) from error
+
+
+def _engine(url: str) -> Engine:
+    try:
+        engine = create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
+    except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+        raise BadInput(f"setting database_url: {error}") from error
+    if engine.dialect.name == "sqlite":
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(dbapi_connection: Any, _: ConnectionPoolEntry) -> None:
+    # Transactions are begun by `_begin_sqlite`, not by the module behind our back.
+    dbapi_connection.isolation_level = None
+    for pragma in _PRAGMAS:
+        dbapi_connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    # A transaction that will write takes the lock at once: upgrading a read to a write
+    # fails without waiting when somebody else wrote in between.
+    options = connection.get_execution_options()
+    if options.get("isolation_level") == "AUTOCOMMIT":
+        return
+    writes = options.get("truepath_writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

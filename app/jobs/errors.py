@@ -1,0 +1,98 @@
+"""What can go wrong with a job beyond the families of `app.errors`."""
+
+from __future__ import annotations
+
+from app.errors import Busy, JobError, MeasurementFailed, TruepathError
+
+
+class StaleVersion(JobError):
+    """Somebody else changed the job since its version was read."""
+
+    def __init__(self, text: str, current: int) -> None:
+        super().__init__(text)
+        self.current = current
+
+
+class KeyReused(JobError):
+    """The same Idempotency-Key came with another body."""
+
+
+class NoMachine(JobError):
+    """The service has no machine file, so it has nothing to drive."""
+
+
+class DeviceSettings(JobError):
+    """A driver cannot be made with its options: unknown driver, wrong option."""
+
+
+class CellDown(JobError):
+    """The cell process is not running."""
+
+
+class QueueFull(JobError):
+    """More jobs wait than the service takes on."""
+
+
+class CellBusy(Busy):
+    """One measuring job at a time: `job_id` holds the cell."""
+
+    def __init__(self, job_id: str, state: str) -> None:
+        super().__init__(f"job {job_id} ({state}) holds the machine")
+        self.job_id = job_id
+
+
+class MeasurementEnded(MeasurementFailed):
+    """The cell ended a measurement before its path did; the machine stands in order.
+
+    code : what it was, as the cell named it; action : the way out
+    """
+
+    def __init__(self, code: str, text: str, action: str = "") -> None:
+        super().__init__(text)
+        self.code, self.action = code, action
+
+
+class MachineFault(MeasurementEnded):
+    """Machine, tracker or link failed in a measurement; somebody has to look."""
+
+
+class Aborted(TruepathError):
+    """The job was told to stop. Not a failure."""
+
+
+class Interrupted(TruepathError):
+    """The service is ending and the job with it."""
+
+
+class WorkerDied(TruepathError):
+    """A computing process ended without an answer: killed, or out of memory."""
+
+
+class TaskFailed(TruepathError):
+    """A task in another process raised.
+
+    family : name of the class of its error; trace : for the log
+    """
+
+    def __init__(self, family: str, text: str, trace: str = "") -> None:
+        super().__init__(family, text, trace)  # all of them, to survive pickling
+        self.family, self.text, self.trace = family, text, trace
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class DiskFull(TruepathError):
+    """The disk of the data folder has no room left for this."""
+
+
+class SchemaTooNew(TruepathError):
+    """The catalogue was written by a newer version of the service."""
+
+
+class InUse(TruepathError):
+    """Another instance of the service works on the same data folder."""
+
+
+class StorageUnavailable(TruepathError):
+    """The catalogue stayed locked, or its server was away, for too long."""

@@ -1,0 +1,162 @@
+"""The Job record and the records it is made of. Frozen; the store replaces them."""
+
+from __future__ import annotations
+
+import os
+import time
+import uuid
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+from app.jobs.transitions import FINAL, State
+
+Json = Mapping[str, Any]
+
+
+class Kind(StrEnum):
+    """What a job does. The first two drive the machine and end with an analysis."""
+
+    MEASURE_OTF = "measure-otf"
+    MEASURE_STANDSTILL = "measure-standstill"
+    ANALYSE = "analyse"
+
+    @property
+    def measures(self) -> bool:
+        """Whether the job drives the machine."""
+        return self is not Kind.ANALYSE
+
+
+class Stage(StrEnum):
+    """Where in the pipeline a job works; progress, not a second state."""
+
+    WAITING = "waiting"
+    PLANNING = "planning"
+    MEASURING = "measuring"
+    ALIGNING = "aligning"
+    ESTIMATING = "estimating"
+    REPORTING = "reporting"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far the stage is. `eta_s` is None where nobody can say."""
+
+    done: float = 0.0
+    total: float = 0.0
+    unit: str = ""
+    eta_s: float | None = None
+    elapsed_s: float = 0.0
+    position: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What the tracker's link has seen during the measurement."""
+
+    samples: int = 0
+    lost_samples: int = 0
+    crc_errors: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a job did not succeed.
+
+    family : name of the error's class, by which `api.failures` finds the problem
+    code, action : as the machine named them; empty to take those of the family
+    """
+
+    family: str
+    detail: str
+    code: str = ""
+    action: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One job. `seq` orders jobs; wall-clock times are for people."""
+
+    seq: int
+    id: str
+    kind: Kind
+    state: State
+    desired_state: str
+    version: int
+    stage: Stage
+    created: str
+    started: str | None = None
+    ended: str | None = None
+    run_id: str | None = None
+    perpendicular_only: bool = False
+    progress: Progress = field(default_factory=Progress)
+    health: Health = field(default_factory=Health)
+    failure: Failure | None = None
+
+    @property
+    def is_final(self) -> bool:
+        """Whether the job has ended."""
+        return self.state in FINAL
+
+    @property
+    def has_result(self) -> bool:
+        """Whether error tables stand."""
+        return self.state is State.SUCCEEDED
+
+
+@dataclass(frozen=True, slots=True)
+class NewJob:
+    """What a job starts with; `plan` is what `plans.plan_json` makes."""
+
+    kind: Kind
+    run_id: str | None = None
+    perpendicular_only: bool = False
+    plan: Json | None = None
+
+
+def job_json(job: Job) -> dict[str, Any]:
+    """Return the record as events keep it."""
+    content = asdict(job)
+    content["progress"] = progress_json(job.progress)
+    return content
+
+
+def job_from_json(content: Json) -> Job:
+    """Return the record that `job_json` wrote."""
+    failure = content["failure"]
+    return Job(
+        **{
+            **content,
+            "kind": Kind(content["kind"]),
+            "state": State(content["state"]),
+            "stage": Stage(content["stage"]),
+            "progress": progress_from_json(content["progress"]),
+            "health": Health(**content["health"]),
+            "failure": Failure(**failure) if failure else None,
+        }
+    )
+
+
+def progress_json(progress: Progress) -> dict[str, Any]:
+    """Return the progress as a JSON column keeps it."""
+    return {**asdict(progress), "position": list(progress.position)}
+
+
+def progress_from_json(content: Json) -> Progress:
+    """Return the progress that a JSON column holds."""
+    return Progress(**{**content, "position": tuple(content["position"])})
+
+
+def new_id() -> str:
+    """Return an identifier that sorts by time: a UUID of version 7."""
+    stamp = (time.time_ns() // 1_000_000) << 80
+    noise = int.from_bytes(os.urandom(10)) & ~(0xF << 76) & ~(0x3 << 62)
+    return str(uuid.UUID(int=stamp | 0x7 << 76 | 0x2 << 62 | noise))
+
+
+def now_utc() -> str:
+    """Return the time in UTC as people and JSON read it, to the millisecond."""
+    text = datetime.now(UTC).isoformat(timespec="milliseconds")
+    return text.replace("+00:00", "Z")

@@ -1,0 +1,216 @@
+"""One measurement by the cell, followed from its beginning to its closed Run.
+
+Every answer of the cell has a deadline: where it confirms neither a hold, nor going on,
+nor an abort, its process is ended and the machine's own watchdog holds the feed.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import structlog
+
+from app.errors import MeasurementFailed
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.control import Control
+from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
+from app.jobs.job import Failure, Health, Progress, Stage
+from app.jobs.transitions import State
+from app.measurement.cell import CellEvent, Order
+
+log = structlog.get_logger(__name__)
+
+CONFIRM_S = {
+    State.PAUSING: 30.0,  # a standstill point may be finished first
+    State.RESUMING: 30.0,
+    State.ABORTING: 10.0,
+}
+CLOSE_RUN_S = 60.0
+_HEAR_S = 0.1
+
+_STATES = {
+    "running": State.RUNNING,
+    "pausing": State.PAUSING,
+    "paused": State.PAUSED,
+    "resuming": State.RESUMING,
+}
+_ENDS = frozenset({"finished", "aborted", "failed", "faulted"})
+_GO_AND_LOOK = (
+    "Make sure that the machine stands, look at the log for the cause, then measure "
+    "again; what was recorded is kept."
+)
+
+
+class Measuring:
+    """The events of one measurement, taken in order by the job's thread."""
+
+    def __init__(
+        self,
+        control: Control,
+        cell: CellSupervisor,
+        *,
+        confirm_s: Mapping[State, float] = CONFIRM_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._control, self._cell = control, cell
+        self._confirm_s, self._clock = confirm_s, clock
+        self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
+        self._fault: Mapping[str, Any] = {}
+        self._outcome = ""
+        self._close_by = float("inf")
+        self._given_up = False
+
+    def run(self, order: Order) -> None:
+        """Measure. Returns when the path has been driven and the Run is closed.
+
+        Raises Aborted, Interrupted, MeasurementEnded, or MachineFault where somebody
+        has to look. What was recorded is on disk in any case.
+        """
+        if not self._cell.begin(order, self._events.put, self._is_called_off):
+            self._control.checkpoint()
+        try:
+            self._follow()
+        except Exception:
+            self._cell.abort()
+            self._wait_for_the_end()
+            raise
+        finally:
+            self._cell.forget()
+        self._judge()
+
+    def _is_called_off(self) -> bool:
+        return self._control.called_off
+
+    def _follow(self) -> None:
+        while True:
+            self._watch_the_clock()
+            try:
+                event = self._events.get(timeout=_HEAR_S)
+            except queue.Empty:
+                continue
+            if event is None:
+                self._note_death()
+                return
+            if event.kind == "closed":
+                return
+            self._take(event)
+
+    def _wait_for_the_end(self) -> None:
+        """Let the cell close its Run when nothing can be written down any more."""
+        deadline = self._clock() + CLOSE_RUN_S
+        while (left_s := deadline - self._clock()) > 0:
+            try:
+                event = self._events.get(timeout=left_s)
+            except queue.Empty:
+                break
+            if event is None or event.kind == "closed":
+                return
+        self._cell.condemn()
+
+    def _take(self, event: CellEvent) -> None:
+        body = event.body
+        if event.kind == "progress":
+            self._control.report(
+                _progress(body), stage=Stage.MEASURING, health=_health(body)
+            )
+        elif event.kind == "live":
+            self._control.show(body)
+        elif event.kind == "fault":
+            self._take_fault(body)
+        elif event.kind == "state":
+            self._follow_state(str(body["state"]))
+
+    def _take_fault(self, body: Mapping[str, Any]) -> None:
+        """Show what is wrong. The cell says by its state whether this is the end."""
+        log.error("fault", job_id=self._control.job_id, **body)
+        self._fault = body
+        code, text, action = _fault_texts(body)
+        self._control.complain(Failure("MachineFault", text, code, action))
+
+    def _follow_state(self, name: str) -> None:
+        if name in _ENDS:
+            self._outcome = name
+            self._close_by = self._clock() + CLOSE_RUN_S
+            return
+        state = _STATES.get(name)
+        # What the cell said before a pause reached it must not undo the pause.
+        late = state is State.RUNNING and self._control.state is State.PAUSING
+        if state is not None and not late:
+            self._control.enter(state, Stage.MEASURING)
+        if state is State.RUNNING:
+            self._fault = {}
+            self._control.complain(None)
+
+    def _watch_the_clock(self) -> None:
+        state = self._control.state
+        limit_s = float("inf") if self._outcome else self._confirm_s.get(state)
+        overdue = limit_s is not None and self._control.state_lasts_s > limit_s
+        if overdue and not self._given_up:
+            self._give_up(f"not-{state}", f"the cell has not confirmed {state} in time")
+        if self._clock() > self._close_by:
+            self._close_by = float("inf")
+            self._give_up("run-not-closed", "the cell has not closed its Run in time")
+
+    def _give_up(self, code: str, text: str) -> None:
+        log.error("cell given up", job_id=self._control.job_id, code=code)
+        self._given_up = True
+        self._fault = {
+            "code": code,
+            "text": f"{text}; its process was ended and the machine's watchdog holds",
+            "action": _GO_AND_LOOK,
+        }
+        self._cell.condemn()
+
+    def _note_death(self) -> None:
+        self._outcome = "faulted"
+        if not self._fault:
+            self._fault = {
+                "code": "cell-died",
+                "text": "the cell process has died; the machine's watchdog holds",
+                "action": _GO_AND_LOOK,
+            }
+
+    def _judge(self) -> None:
+        """Return if all is well, else raise what the outcome means."""
+        code, text, action = _fault_texts(self._fault)
+        if self._outcome == "faulted":
+            raise MachineFault(code or "fault", text or "the machine faulted", action)
+        self._control.checkpoint()
+        if self._outcome == "finished":
+            return
+        if self._outcome == "aborted":
+            raise Aborted("aborted at the machine")
+        if self._outcome == "failed":
+            raise MeasurementEnded(code or "failed", text or "it failed", action)
+        raise MeasurementFailed("the cell closed its Run without saying why")
+
+
+def _fault_texts(body: Mapping[str, Any]) -> tuple[str, str, str]:
+    return (
+        str(body.get("code", "")),
+        str(body.get("text", "")),
+        str(body.get("action", "")),
+    )
+
+
+def _progress(body: Mapping[str, Any]) -> Progress:
+    remaining_s = body.get("remaining_s")
+    return Progress(
+        done=float(body.get("done") or 0),
+        total=float(body.get("total") or 0),
+        unit=str(body.get("unit") or ""),
+        eta_s=None if remaining_s is None else float(remaining_s),
+        elapsed_s=float(body.get("elapsed_s") or 0),
+        position=tuple(float(x) for x in body.get("position") or ()),
+    )
+
+
+def _health(body: Mapping[str, Any]) -> Health:
+    return Health(
+        samples=int(body.get("samples") or 0),
+        lost_samples=int(body.get("lost_samples") or 0),
+        crc_errors=int(body.get("crc_errors") or 0),
+    )

@@ -1,0 +1,151 @@
+"""What a measuring job commands: made and checked before anything moves, kept as JSON.
+
+A plan that names no rows is the room's default for the machine. Every row is inside the
+travel, or the job is refused before it exists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.errors import PlanningError
+from app.jobs.job import Kind
+from app.kinematics.machine import LinearAxis, Machine
+from app.planning.configurations import Configurations
+from app.planning.paths import (
+    DEFAULT_FEED_MM_MIN,
+    check_travel,
+    default_path,
+    default_points,
+)
+from drivers.interfaces.records import Path
+
+MAX_ROWS = 4096
+DEFAULT_DWELL_S = 1.0
+
+Row = Mapping[str, Any]
+"""One row with the column names of `path.csv` or `points.csv`."""
+Commanded = Path | Configurations
+
+
+def plan_motion(
+    machine: Machine,
+    kind: Kind,
+    rows: Sequence[Row] | None = None,
+    feed_mm_min: float | None = None,
+) -> Commanded:
+    """Return what the machine will do, checked against its travel.
+
+    rows : in order; None for the default path or points
+    feed_mm_min : feed of the default path, and of rows that state none
+
+    Raises PlanningError, OutOfTravel among them, naming the row.
+    """
+    feed = feed_mm_min or DEFAULT_FEED_MM_MIN
+    commanded: Commanded
+    if kind is Kind.MEASURE_OTF:
+        path = _path(machine, rows, feed) if rows else default_path(machine, feed)
+        _refuse_standing_lines(path)
+        commanded = path
+    else:
+        commanded = _points(machine, rows) if rows else default_points(machine)
+    if len(commanded) > MAX_ROWS:
+        raise PlanningError(
+            f"the plan has {len(commanded)} rows; a controller takes {MAX_ROWS}"
+        )
+    check_travel(machine, commanded)
+    return commanded
+
+
+def plan_json(commanded: Commanded) -> dict[str, Any]:
+    """Return the plan as JSON: mm and deg, one list a row in the order of `axes`."""
+    is_path = isinstance(commanded, Path)
+    return {
+        "kind": "path" if is_path else "points",
+        "axes": list(commanded.axes),
+        "position": np.round(commanded.position, 6).tolist(),
+        "feed_mm_min": commanded.feed_mm_min.tolist() if is_path else [],
+        "dwell_s": commanded.dwell_s.tolist(),
+        "target": list(commanded.target),
+    }
+
+
+def commanded_from_plan(plan: Mapping[str, Any]) -> Commanded:
+    """Return what a plan made by `plan_json` commands."""
+    axes, target = tuple(plan["axes"]), tuple(plan["target"])
+    position = np.array(plan["position"], float).reshape(-1, len(axes))
+    dwell_s = np.array(plan["dwell_s"], float)
+    if plan["kind"] == "points":
+        return Configurations(axes, position, dwell_s, target)
+    return Path(axes, position, np.array(plan["feed_mm_min"], float), dwell_s, target)
+
+
+def _path(machine: Machine, rows: Sequence[Row], feed_mm_min: float) -> Path:
+    feeds = [row.get("feed_mm_min") or feed_mm_min for row in rows]
+    return Path(
+        machine.axis_names,
+        _positions(machine, rows),
+        np.array(feeds, float),
+        _dwell_s(rows),
+        _targets(machine, rows),
+    )
+
+
+def _points(machine: Machine, rows: Sequence[Row]) -> Configurations:
+    return Configurations(
+        machine.axis_names,
+        _positions(machine, rows),
+        _dwell_s(rows),
+        _targets(machine, rows),
+    )
+
+
+def _positions(machine: Machine, rows: Sequence[Row]) -> NDArray[np.float64]:
+    columns = [
+        f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
+        for axis in machine.axes
+    ]
+    for number, row in enumerate(rows, 1):
+        given = {name for name in row if name.endswith(("_mm", "_deg"))}
+        _refuse_columns(number, sorted(given - set(columns)), "no axis of the machine")
+        _refuse_columns(number, sorted(set(columns) - given), "missing")
+    return np.array([[row[name] for name in columns] for row in rows], float)
+
+
+def _refuse_columns(number: int, names: Sequence[str], problem: str) -> None:
+    if names:
+        raise PlanningError(f"row {number}: {names[0]} is {problem}")
+
+
+def _dwell_s(rows: Sequence[Row]) -> NDArray[np.float64]:
+    return np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)
+
+
+def _targets(machine: Machine, rows: Sequence[Row]) -> tuple[str, ...]:
+    if not any(row.get("target") for row in rows):
+        return ()
+    names = tuple(str(row.get("target") or "") for row in rows)
+    known = sorted(target.name for target in machine.targets)
+    for number, name in enumerate(names, 1):
+        if name not in known:
+            raise PlanningError(
+                f"row {number}: target {name!r} is unknown; the machine has "
+                f"{', '.join(filter(None, known)) or 'one target without a name'}"
+            )
+    return names
+
+
+def _refuse_standing_lines(path: Path) -> None:
+    if len(path) < 2:
+        raise PlanningError("a path of one row has no line; give at least two rows")
+    for index in range(1, len(path)):
+        same_target = not path.target or path.target[index] == path.target[index - 1]
+        if same_target and (path.position[index] == path.position[index - 1]).all():
+            raise PlanningError(
+                f"row {index + 1}: the line starts where it ends; remove the row, or "
+                "give a longer dwell_s to stand still"
+            )

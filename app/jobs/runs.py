@@ -1,0 +1,246 @@
+"""The catalogue of Runs: what was recorded here and what was uploaded.
+
+A Run is one file in the folder of runs, `<id>.sqlite` as the cell recorded it or
+`<id>.zip` as it was uploaded, named in the catalogue by its SHA-256. The file is the
+truth; a row of the catalogue can be made from it again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import threading
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sqlalchemy import RowMapping, insert, select
+
+from app.errors import BundleError, NotFound
+from app.jobs.database import Database
+from app.jobs.job import new_id, now_utc
+from app.jobs.plans import plan_json
+from app.jobs.schema import runs
+from app.measurement.bundle import read_bundle, write_bundle
+from app.measurement.recording import open_run, settle
+from app.measurement.run import Run
+
+_NAME_LENGTH = 200
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """One Run of the catalogue.
+
+    origin : `measured` here or `uploaded`; complete : whether it got to its end
+    """
+
+    seq: int
+    id: str
+    name: str
+    origin: str
+    file: str
+    sha256: str
+    bytes: int
+    mode: str
+    machine: str
+    samples: int
+    lost_samples: int
+    complete: bool
+    plan: Mapping[str, Any]
+    created: str
+
+
+class RunCatalogue:
+    """Runs on disk and their rows. Any thread may call it.
+
+    folder : where the files are
+    """
+
+    def __init__(self, database: Database, folder: Path) -> None:
+        self._database, self._folder = database, folder
+        self._packing = threading.Lock()
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def measured_file(self, run_id: str) -> Path:
+        """Return where the cell records the Run."""
+        return self._folder / f"{run_id}.sqlite"
+
+    def add_measured(self, run_id: str) -> RunRecord | None:
+        """Catalogue what the cell has recorded; None if it never opened the file.
+
+        A file whose writer was killed is settled first: nobody may be writing to it.
+        Twice is once.
+        """
+        file = self.measured_file(run_id)
+        if not file.is_file():
+            return None
+        try:
+            return self.get(run_id)
+        except NotFound:
+            settle(file)
+            run = open_run(file)
+            complete = run.provenance.get("outcome") == "finished"
+            return self._insert(run_id, run, file, "measured", complete=complete)
+
+    def add_uploaded(self, bundle: Path, name: str) -> RunRecord:
+        """Check a zipped bundle, keep it and catalogue it. Raises BundleError.
+
+        bundle : a file of ours in the folder of runs; it is moved
+        """
+        run_id = new_id()
+        run = read_bundle(bundle)
+        file = self._folder / f"{run_id}.zip"
+        os.replace(bundle, file)
+        _sync_folder(self._folder)
+        return self._insert(run_id, run, file, "uploaded", complete=True, name=name)
+
+    def get(self, run_id: str) -> RunRecord:
+        """Return a Run's row. Raises NotFound."""
+        query = select(runs).where(runs.c.id == run_id)
+        with self._database.read() as connection:
+            row = connection.execute(query).mappings().first()
+        if row is None:
+            raise NotFound(f"there is no run {run_id}")
+        return _record(row)
+
+    def page(self, limit: int, *, before_seq: int | None = None) -> list[RunRecord]:
+        """Return Runs, the newest first, older than `before_seq`."""
+        query = select(runs).order_by(runs.c.seq.desc()).limit(limit)
+        if before_seq is not None:
+            query = query.where(runs.c.seq < before_seq)
+        with self._database.read() as connection:
+            return [_record(row) for row in connection.execute(query).mappings()]
+
+    def file(self, run_id: str) -> Path:
+        """Return the file of a Run. Raises NotFound, also if somebody removed it."""
+        file = self._folder / self.get(run_id).file
+        if not file.is_file():
+            raise NotFound(f"the file of run {run_id} has gone from the folder of runs")
+        return file
+
+    def bundle(self, run_id: str) -> Path:
+        """Return the Run as a zipped measurement bundle, packed once and kept."""
+        file = self.file(run_id)
+        if file.suffix == ".zip":
+            return file
+        packed = self._folder / "bundles" / f"{run_id}.zip"
+        with self._packing:
+            if not packed.is_file():
+                packed.parent.mkdir(exist_ok=True)
+                _pack(open_run(file), packed)
+        return packed
+
+    def upload_place(self) -> Path:
+        """Return a new empty file in the folder of runs, for an upload to fill."""
+        handle, name = tempfile.mkstemp(".upload", dir=self._folder)
+        os.close(handle)
+        return Path(name)
+
+    def remove_uploads(self) -> None:
+        """Remove what interrupted uploads have left."""
+        for left in self._folder.glob("*.upload"):
+            left.unlink(missing_ok=True)
+
+    def _insert(
+        self,
+        run_id: str,
+        run: Run,
+        file: Path,
+        origin: str,
+        *,
+        complete: bool,
+        name: str = "",
+    ) -> RunRecord:
+        record = RunRecord(
+            seq=0,
+            id=run_id,
+            name=(name or run.name)[:_NAME_LENGTH],
+            origin=origin,
+            file=file.name,
+            sha256=_sha256(file),
+            bytes=file.stat().st_size,
+            mode=run.mode,
+            machine=run.machine.name[:_NAME_LENGTH],
+            samples=len(run.tracker),
+            lost_samples=_lost(run),
+            complete=complete,
+            plan=plan_json(run.commanded),
+            created=now_utc(),
+        )
+        values = asdict(record)
+        del values["seq"]
+        self._database.write(
+            lambda c: c.execute(insert(runs).values(**values)).rowcount
+        )
+        return self.get(run_id)
+
+
+def open_recorded(file: Path) -> Run:
+    """Open the file of a Run, whichever form it has."""
+    return read_bundle(file) if file.suffix == ".zip" else open_run(file)
+
+
+def check_archive(file: Path, limit_bytes: int) -> None:
+    """Refuse an archive that would unpack to more than a limit. Raises BundleError."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            total = sum(info.file_size for info in archive.infolist())
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        raise BundleError(
+            "is truncated or not a zip archive",
+            file="bundle",
+            remedy="send the .zip of a measurement bundle",
+        ) from error
+    if total > limit_bytes:
+        raise BundleError(
+            f"unpacks to {total >> 20} MiB, more than {limit_bytes >> 20} MiB",
+            file="bundle",
+            remedy="use tracker.parquet, or raise max_upload_mb",
+        )
+
+
+def _record(row: RowMapping) -> RunRecord:
+    return RunRecord(**row)
+
+
+def _lost(run: Run) -> int:
+    return int(np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum())
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _pack(run: Run, packed: Path) -> None:
+    """Write the bundle beside its place, then rename: it is whole or not there."""
+    with tempfile.TemporaryDirectory(dir=packed.parent) as work:
+        folder = Path(work) / "bundle"
+        write_bundle(run, folder)
+        part = Path(work) / "bundle.zip"
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in sorted(folder.iterdir()):
+                archive.write(file, file.name)
+        with part.open("rb") as stream:
+            os.fsync(stream.fileno())
+        os.replace(part, packed)
+    _sync_folder(packed.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the room left on the disk of a folder."""
+    return shutil.disk_usage(folder).free

@@ -1,0 +1,47 @@
+"""The task of a science job: the file of a Run in, the files of its result out."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from app.jobs.runs import open_recorded
+
+
+def analyse_recorded(
+    run_file: str,
+    folder: str,
+    perpendicular_only: bool,
+    *,
+    progress: Callable[[float, str], None],
+) -> None:
+    """Analyse a Run and write its result into `folder`: whole, or not at all."""
+    # Imported where it computes: the service itself carries no science and no plots.
+    from app.jobs.analysis import analyse, write_analysis
+
+    run = open_recorded(Path(run_file))
+    analysis = analyse(run, perpendicular_only=perpendicular_only, progress=progress)
+    final = Path(folder)
+    part = final.with_name(f"{final.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    write_analysis(analysis, part)
+    _sync(part)
+    shutil.rmtree(final, ignore_errors=True)
+    os.replace(part, final)
+
+
+def prepare() -> None:
+    """Import what an analysis needs, so that the first one does not wait for it."""
+    import app.jobs.analysis  # noqa: F401
+
+
+def _sync(folder: Path) -> None:
+    for place in (*folder.iterdir(), folder):
+        handle = os.open(place, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,105 @@
+"""The states of a job and what may follow what: data, in one place."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from app.errors import IllegalTransition
+
+
+class State(StrEnum):
+    """Where a job is. The last five are final."""
+
+    QUEUED = "queued"  # waits for a lane of the executor, or for its thread
+    PREPARING = "preparing"  # devices are connected, the plan is checked
+    READY = "ready"  # waits to be armed; nothing has moved
+    RUNNING = "running"
+    PAUSING = "pausing"  # feed hold asked for, not yet confirmed
+    PAUSED = "paused"
+    RESUMING = "resuming"
+    ABORTING = "aborting"  # abort asked for, not yet confirmed
+    ABORTED = "aborted"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"  # it could not be done; the machine is as it was left
+    FAULTED = "faulted"  # machine, tracker or link failed: somebody has to look
+    INTERRUPTED = "interrupted"  # the service ended first
+
+
+class Verb(StrEnum):
+    """What a user may ask of a job."""
+
+    ARM = "arm"
+    PAUSE = "pause"
+    RESUME = "resume"
+    ABORT = "abort"
+
+
+_Q, _P, _R = State.QUEUED, State.PREPARING, State.READY
+_RUN, _PSG, _PSD, _RES = State.RUNNING, State.PAUSING, State.PAUSED, State.RESUMING
+_ABG = State.ABORTING
+
+_ENDS_BADLY = frozenset({State.FAILED, State.FAULTED, State.INTERRUPTED})
+
+TRANSITIONS: dict[State, frozenset[State]] = {
+    _Q: frozenset({_P, _RUN, _ABG}) | _ENDS_BADLY,
+    _P: frozenset({_R, _ABG}) | _ENDS_BADLY,
+    _R: frozenset({_RUN, _ABG}) | _ENDS_BADLY,
+    # A hold or a cycle start at the machine's own panel skips pausing and resuming.
+    _RUN: frozenset({_PSG, _PSD, _ABG, State.SUCCEEDED}) | _ENDS_BADLY,
+    # The path may end while the hold is on its way.
+    _PSG: frozenset({_PSD, _RUN, _ABG}) | _ENDS_BADLY,
+    _PSD: frozenset({_RES, _RUN, _ABG}) | _ENDS_BADLY,
+    _RES: frozenset({_RUN, _PSG, _PSD, _ABG}) | _ENDS_BADLY,
+    # An abort nobody confirms is a fault; one that loses its process is one as well.
+    _ABG: frozenset({State.ABORTED, State.FAULTED, State.INTERRUPTED}),
+    State.ABORTED: frozenset(),
+    State.SUCCEEDED: frozenset(),
+    State.FAILED: frozenset(),
+    State.FAULTED: frozenset(),
+    State.INTERRUPTED: frozenset(),
+}
+
+FINAL = frozenset(state for state, after in TRANSITIONS.items() if not after)
+HELD = frozenset({_PSG, _PSD})
+"""A pause is on its way or in force."""
+
+# verb -> states it acts in -> the state it leads to. In the states of `SETTLED` the
+# same verb has been obeyed already and changes nothing.
+ACTS: dict[Verb, dict[State, State]] = {
+    Verb.ARM: {_R: _RUN},
+    Verb.PAUSE: {_RUN: _PSG, _RES: _PSG},
+    Verb.RESUME: {_PSD: _RES},
+    Verb.ABORT: {
+        state: _ABG for state in State if state not in FINAL and state != _ABG
+    },
+}
+SETTLED: dict[Verb, frozenset[State]] = {
+    Verb.ARM: frozenset(),
+    Verb.PAUSE: HELD,
+    Verb.RESUME: frozenset({_RUN, _RES}),
+    Verb.ABORT: FINAL | {_ABG},
+}
+
+
+def may_follow(before: State, after: State) -> bool:
+    """Say whether the table allows the change."""
+    return after in TRANSITIONS[before]
+
+
+def after_verb(verb: Verb, state: State) -> State:
+    """Return the state a verb leads to; the same state where it is obeyed already.
+
+    Raises IllegalTransition naming the states in which the verb works; abort never.
+    """
+    if state in SETTLED[verb]:
+        return state
+    if state not in ACTS[verb]:
+        allowed = ", ".join(sorted(ACTS[verb]))
+        raise IllegalTransition(f"cannot {verb} a job that is {state}; only {allowed}")
+    return ACTS[verb][state]
+
+
+def check_follows(before: State, after: State) -> None:
+    """Raise IllegalTransition if the table does not allow the change."""
+    if not may_follow(before, after):
+        raise IllegalTransition(f"a job that is {before} cannot become {after}")

@@ -1,0 +1,176 @@
+"""What a job does, written once from top to bottom.
+
+Plan, measure, align, estimate, report. The job's thread runs it; at the checkpoints of
+its `Control` it ends early.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import structlog
+
+from app.errors import TruepathError
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.control import Control
+from app.jobs.errors import (
+    Aborted,
+    Interrupted,
+    MachineFault,
+    MeasurementEnded,
+    NoMachine,
+    StorageUnavailable,
+    TaskFailed,
+)
+from app.jobs.executor import Executor, Task
+from app.jobs.job import Failure, Job, Progress, Stage
+from app.jobs.measuring import CONFIRM_S, Measuring
+from app.jobs.plans import commanded_from_plan
+from app.jobs.runs import RunCatalogue
+from app.jobs.store import Store
+from app.jobs.transitions import State, Verb
+from app.kinematics.machine import Machine
+from app.measurement.cell import Order
+from app.planning.paths import check_travel
+from drivers.interfaces.errors import DeviceError
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Workshop:
+    """What every job works with.
+
+    machine, cell : None where the service drives no machine
+    science : task `(run_file, folder, perpendicular_only, *, progress)`
+    results : folder of results, one folder a job
+    """
+
+    store: Store
+    runs: RunCatalogue
+    results: Path
+    executor: Executor
+    science: Task
+    machine: Machine | None = None
+    cell: CellSupervisor | None = None
+    confirm_s: Mapping[State, float] | None = None
+
+
+def carry_out(job: Job, control: Control, shop: Workshop) -> None:
+    """Do a job to its end and put down how it ended. Raises nothing."""
+    with structlog.contextvars.bound_contextvars(job_id=job.id):
+        log.info("job begins", kind=str(job.kind))
+        try:
+            run_id = measure(job, control, shop) if job.kind.measures else job.run_id
+            analyse(job, run_id or "", control, shop)
+        except Exception as error:
+            _end(control, *_outcome(error))
+        else:
+            _end(control, State.SUCCEEDED)
+
+
+def measure(job: Job, control: Control, shop: Workshop) -> str:
+    """Drive the machine along the job's plan; return the Run that came of it."""
+    if shop.machine is None or shop.cell is None:
+        raise NoMachine("no machine is set up; give the service a machine_file")
+    control.enter(State.PREPARING, Stage.PLANNING)
+    commanded = commanded_from_plan(shop.store.plan(job.id) or {})
+    check_travel(shop.machine, commanded)
+    shop.cell.connect()
+    control.checkpoint()
+
+    control.enter(State.READY, Stage.MEASURING)
+    control.wait_until_armed()
+
+    order = Order(
+        run_name=f"{shop.machine.name} {job.created}",
+        run_file=str(shop.runs.measured_file(job.id)),
+        machine=shop.machine,
+        commanded=commanded,
+        rate_hz=shop.machine.tracker.rate_hz,
+    )
+    try:
+        Measuring(control, shop.cell, confirm_s=shop.confirm_s or CONFIRM_S).run(order)
+    finally:
+        _keep_run(job.id, control, shop)
+    return job.id
+
+
+def analyse(job: Job, run_id: str, control: Control, shop: Workshop) -> None:
+    """Turn a Run into error tables."""
+    file = shop.runs.file(run_id)
+    total = 1.0
+
+    def report(fraction: float, stage: str) -> None:
+        control.report(Progress(fraction, total), stage=_stage(stage))
+
+    def started() -> None:
+        control.enter(State.RUNNING, Stage.ALIGNING)
+
+    computation = shop.executor.submit(
+        shop.science,
+        str(file),
+        str(shop.results / job.id),
+        job.perpendicular_only,
+        report=report,
+        started=started,
+    )
+    control.compute(computation)
+    control.checkpoint()
+
+
+def _keep_run(run_id: str, control: Control, shop: Workshop) -> None:
+    """Catalogue what was recorded, whole or not."""
+    try:
+        record = shop.runs.add_measured(run_id)
+    except TruepathError:
+        log.exception("the Run cannot be read; its file is kept")
+        return
+    if record is not None:
+        control.link_run(record.id)
+
+
+def _stage(name: str) -> Stage | None:
+    try:
+        return Stage(name)
+    except ValueError:
+        return None
+
+
+def _end(control: Control, state: State, failure: Failure | None = None) -> None:
+    """Put down the end, as soon as the catalogue takes it."""
+    while True:
+        try:
+            if state is State.ABORTED:
+                control.obey(Verb.ABORT)
+            job = control.end(state, failure)
+        except StorageUnavailable:
+            log.exception("the end of the job cannot be put down yet")
+            if control.called_off:  # the next start of the service will find it
+                return
+        else:
+            log.info("job ended", state=str(job.state), reason=failure)
+            return
+
+
+def _outcome(error: Exception) -> tuple[State, Failure | None]:
+    """Return the final state that an error means, and what to tell about it."""
+    match error:
+        case Aborted():
+            return State.ABORTED, None
+        case Interrupted():
+            return State.INTERRUPTED, Failure("Interrupted", str(error))
+        case MeasurementEnded():
+            state = State.FAULTED if isinstance(error, MachineFault) else State.FAILED
+            family = type(error).__name__
+            return state, Failure(family, str(error), error.code, error.action)
+        case TaskFailed():
+            log.warning("task failed", trace=error.trace)
+            return State.FAILED, Failure(error.family, error.text)
+        case TruepathError() | DeviceError():
+            return State.FAILED, Failure(type(error).__name__, str(error))
+        case _:
+            log.error("job failed unexpectedly", exc_info=error)
+            return State.FAILED, Failure(type(error).__name__, str(error))

@@ -1,0 +1,356 @@
+"""Constructs the service and runs it; nothing else constructs anything.
+
+Processes: this one (HTTP, jobs, catalogue), the cell process (devices, recording), one
+process a lane of the executor (science); with `simulated`, the bench's devices.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import signal
+import socket
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import structlog
+import uvicorn
+from anyio.to_thread import run_sync
+from fastapi import FastAPI
+
+from app.api.application import create_application
+from app.api.service import Service
+from app.errors import BadInput
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.database import Database
+from app.jobs.dispatcher import Dispatcher
+from app.jobs.errors import InUse
+from app.jobs.executor import ProcessLanes, limit_threads
+from app.jobs.feed import Feed
+from app.jobs.runs import RunCatalogue
+from app.jobs.science import analyse_recorded, prepare
+from app.jobs.store import Store
+from app.jobs.workflow import Workshop
+from app.kinematics.machine import Machine
+from app.measurement.cell import Cell, CellConfig
+from app.measurement.machine_file import machine_from_json, read_machine
+from app.plugins import load
+from app.settings import Settings
+from app.web import pages
+
+GRACE_S = 3
+"""How long an answer under way may take once the service is told to end."""
+
+log = structlog.get_logger(__name__)
+
+
+def serve(
+    settings: Settings, *, listening: Callable[[str], None] | None = None
+) -> None:
+    """Run the service until SIGTERM or Ctrl+C; both hold the feed before all else.
+
+    listening : told the service's address once it answers, in a thread of its own
+
+    Raises BadInput for settings that cannot work, InUse if another instance runs on the
+    same data folder.
+    """
+    _configure_logging(settings)
+    with open_service(settings) as service, _bound_socket(settings) as listener:
+        address = _address(settings, listener)
+        _say_where(settings, address)
+        server = _Server(_application(settings, service), service, address, listening)
+        with _signals_end_quietly():
+            server.run(sockets=[listener])
+    log.info("service ended")
+
+
+@contextmanager
+def open_service(settings: Settings) -> Iterator[Service]:
+    """Construct everything behind the routes; undone in reverse at the end."""
+    limit_threads()
+    with ExitStack() as stack:
+        folder = _folder(settings.data_dir)
+        stack.enter_context(_only_instance(folder))
+        stack.enter_context(_temporary_files(folder / "tmp"))
+        database = Database(settings.database)
+        stack.callback(database.close)
+        database.migrate()
+        machine, config = _machine_and_devices(settings, stack)
+        shop, feed = _workshop(settings, folder, database, machine, config, stack)
+        dispatcher = Dispatcher(shop, feed)
+        stack.callback(dispatcher.close)
+        dispatcher.sweep()
+        if shop.cell is not None:
+            shop.cell.start()
+        service = Service(
+            version=version("truepath"),
+            simulated=settings.simulated,
+            database=database,
+            store=shop.store,
+            runs=shop.runs,
+            results=shop.results,
+            dispatcher=dispatcher,
+            feed=feed,
+            machine=machine,
+            cell=shop.cell,
+            max_upload_bytes=settings.max_upload_mb << 20,
+            max_streams=settings.max_streams,
+        )
+        stack.callback(service.end_streams)
+        yield service
+
+
+def _workshop(
+    settings: Settings,
+    folder: Path,
+    database: Database,
+    machine: Machine | None,
+    config: CellConfig | None,
+    stack: ExitStack,
+) -> tuple[Workshop, Feed]:
+    feed = Feed()
+    executor = ProcessLanes(settings.analysis_workers, prepare)
+    stack.callback(executor.close)
+    executor.warm()
+    cell = None
+    if config is not None:
+        cell = CellSupervisor(lambda: Cell(config))
+        stack.callback(cell.close)
+    results = folder / "results"
+    results.mkdir(exist_ok=True)
+    shop = Workshop(
+        store=Store(database, feed.tell_stored),
+        runs=RunCatalogue(database, folder / "runs"),
+        results=results,
+        executor=executor,
+        science=analyse_recorded,
+        machine=machine,
+        cell=cell,
+    )
+    return shop, feed
+
+
+def _machine_and_devices(
+    settings: Settings, stack: ExitStack
+) -> tuple[Machine | None, CellConfig | None]:
+    """Return the machine and how its devices are reached; nothing where none is set."""
+    if settings.simulated:
+        return _simulated(settings, stack)
+    if settings.machine_file is None:
+        log.warning("no machine_file: analyses only")
+        return None, None
+    config = CellConfig(
+        settings.tracker_driver,
+        settings.tracker_options,
+        settings.motion_driver,
+        settings.motion_options,
+    )
+    return read_machine(settings.machine_file), config
+
+
+def _simulated(settings: Settings, stack: ExitStack) -> tuple[Machine, CellConfig]:
+    content: Mapping[str, Any] | None = None
+    if settings.machine_file is not None:
+        read_machine(settings.machine_file)  # names what is wrong with it
+        content = json.loads(settings.machine_file.read_text(encoding="utf-8-sig"))
+    try:
+        bench = load("truepath.simulators", "bench")(
+            machine=content,
+            seed=settings.simulated_seed,
+            speed=settings.simulated_speed,
+            faults=settings.simulated_faults,
+        )
+    except ValueError as error:
+        raise BadInput(f"simulated devices: {error}") from error
+    stack.enter_context(bench)
+    log.info(
+        "simulated devices are up",
+        tracker=bench.tracker_options,
+        motion=bench.motion_options,
+    )
+    config = CellConfig(
+        "streaming", bench.tracker_options, "modbus", bench.motion_options
+    )
+    return machine_from_json(bench.machine), config
+
+
+def _application(settings: Settings, service: Service) -> FastAPI:
+    app = create_application(
+        service, trusted_hosts=settings.trusted_hosts, pages=pages.router
+    )
+    app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
+    return app
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn that stops motion before it waits for anybody.
+
+    Not in the application's own shut-down: an open stream delays that, and a forced
+    exit skips it.
+    """
+
+    def __init__(
+        self,
+        app: FastAPI,
+        service: Service,
+        address: str,
+        listening: Callable[[str], None] | None,
+    ) -> None:
+        config = uvicorn.Config(
+            app,
+            workers=1,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=GRACE_S,
+        )
+        super().__init__(config)
+        self._service, self._address, self._listening = service, address, listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started and self._listening is not None:
+            threading.Thread(
+                target=self._listening, args=(self._address,), daemon=True
+            ).start()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        log.info("ending: motion first")
+        await run_sync(self._service.dispatcher.close)
+        self._service.end_streams()
+        await super().shutdown(sockets)
+
+
+@contextmanager
+def _signals_end_quietly() -> Iterator[None]:
+    """Let uvicorn hand a signal back without the process dying of it half tidied."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signals = (signal.SIGTERM, signal.SIGINT)
+    before = {number: signal.signal(number, lambda *_: None) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"setting data_dir: {folder}: {error.strerror}") from error
+    return folder
+
+
+@contextmanager
+def _only_instance(folder: Path) -> Iterator[None]:
+    """Hold the data folder for this process alone."""
+    try:
+        lock = (folder / ".lock").open("w")
+    except OSError as error:
+        raise BadInput(f"setting data_dir: {folder}: {error.strerror}") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InUse(
+                f"another instance works on {folder}; stop it, or give another data_dir"
+            ) from error
+        yield
+
+
+@contextmanager
+def _temporary_files(folder: Path) -> Iterator[None]:
+    """Spool uploads on the disk of the data: the system's place may be memory."""
+    folder.mkdir(exist_ok=True)
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
+
+
+@contextmanager
+def _bound_socket(settings: Settings) -> Iterator[socket.socket]:
+    try:
+        family, _, _, _, place = socket.getaddrinfo(
+            settings.host, settings.port, type=socket.SOCK_STREAM
+        )[0]
+        listener = socket.create_server(place[:2], family=family, backlog=128)
+    except OSError as error:
+        raise BadInput(
+            f"cannot listen on {settings.host} port {settings.port}: {error.strerror}; "
+            "stop what listens there, or give another --port"
+        ) from error
+    with listener:
+        yield listener
+
+
+def _address(settings: Settings, listener: socket.socket) -> str:
+    host, port = listener.getsockname()[:2]
+    if not settings.is_loopback:
+        host = "127.0.0.1" if host in ("0.0.0.0", "::") else host  # noqa: S104 (read)
+    shown = f"[{host}]" if ":" in host else host
+    return f"http://{shown}:{port}"
+
+
+def _say_where(settings: Settings, address: str) -> None:
+    devices = "simulated" if settings.simulated else "as set up"
+    print(f"Truepath {version('truepath')}, devices {devices}", flush=True)
+    print(f"  page       {address}/", flush=True)
+    print(f"  interface  {address}/docs", flush=True)
+    print(f"  data       {settings.data_dir}", flush=True)
+
+
+def _configure_logging(settings: Settings) -> None:
+    """Send every line, ours and the libraries', through structlog to standard error."""
+    shared: list[structlog.typing.Processor] = [
+        structlog.contextvars.merge_contextvars,
+        structlog.stdlib.add_log_level,
+        structlog.stdlib.add_logger_name,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+        structlog.processors.StackInfoRenderer(),
+    ]
+    structlog.configure(
+        processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+        cache_logger_on_first_use=False,
+    )
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=shared, processors=_rendering(settings.log_format)
+        )
+    )
+    root = logging.getLogger()
+    root.handlers = [handler]
+    root.setLevel(settings.log_level.upper())
+    for name in ("uvicorn.error", "uvicorn", "alembic"):
+        quiet = max(logging.WARNING, root.level)
+        logging.getLogger(name).setLevel(quiet)
+
+
+def _rendering(log_format: str) -> list[structlog.typing.Processor]:
+    remove = structlog.stdlib.ProcessorFormatter.remove_processors_meta
+    if log_format == "json":
+        return [
+            remove,
+            structlog.processors.format_exc_info,
+            structlog.processors.JSONRenderer(),
+        ]
+    colors = sys.stderr.isatty() and "NO_COLOR" not in os.environ
+    # The fancy trace of the default takes seconds and thousands of lines.
+    plain = structlog.dev.plain_traceback
+    renderer = structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain)
+    return [remove, renderer]

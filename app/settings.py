@@ -1,0 +1,178 @@
+"""Settings of the service: environment (`TRUEPATH_…`) over a TOML file over defaults.
+
+A setting is spelled the same in both: `port = 8411` in the file is
+`TRUEPATH_PORT=8411`. Tables (`tracker_options`) are JSON in the environment. The file
+is the one named by `--config`, else by `TRUEPATH_CONFIG`, else `truepath.toml` in the
+user's configuration folder where that exists.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import platformdirs
+from pydantic import Field, ValidationError, model_validator
+from pydantic_settings import (
+    BaseSettings,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    TomlConfigSettingsSource,
+)
+from sqlalchemy import make_url
+from sqlalchemy.exc import ArgumentError
+
+from app.errors import BadInput
+
+Option = str | int | float | bool
+
+
+class Settings(BaseSettings):
+    """Everything that can be set. Built by `load_settings`, then never changed."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="TRUEPATH_", extra="forbid", frozen=True, str_max_length=4096
+    )
+
+    host: str = Field("127.0.0.1", min_length=1)
+    port: int = Field(8411, ge=0, le=65535)
+    """0 lets the system choose; the address is printed."""
+    allow_plain_http: bool = False
+    """Listen beyond this computer although nothing is encrypted and nobody logs in."""
+    trusted_hosts: tuple[str, ...] = ()
+    """Names browsers may call this computer by, beside localhost and IP addresses."""
+
+    data_dir: Path = Field(
+        default_factory=lambda: platformdirs.user_data_path("truepath", appauthor=False)
+    )
+    database_url: str = ""
+    """Empty: SQLite in `data_dir`. PostgreSQL: `postgresql+psycopg://user@host/name`."""
+    database_password_file: Path | None = None
+    """Where the password of `database_url` is, to keep it out of the environment."""
+
+    simulated: bool = False
+    simulated_speed: float = Field(1.0, gt=0, le=100)
+    simulated_seed: int = Field(1, ge=0)
+    simulated_faults: tuple[str, ...] = ()
+
+    machine_file: Path | None = None
+    tracker_driver: str = "streaming"
+    tracker_options: dict[str, Option] = Field(default_factory=dict)
+    motion_driver: str = "modbus"
+    motion_options: dict[str, Option] = Field(default_factory=dict)
+
+    analysis_workers: int = Field(1, ge=1, le=64)
+    max_upload_mb: int = Field(512, ge=1, le=65536)
+    max_streams: int = Field(64, ge=1, le=10_000)
+    """Event streams open at one time; each browser tab holds one."""
+
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["console", "json"] = "console"
+
+    @model_validator(mode="after")
+    def _stay_at_home(self) -> Self:
+        if not self.is_loopback and not self.allow_plain_http:
+            raise ValueError(
+                f"host {self.host} can be reached from other computers, without "
+                "encryption or log-in; listen on 127.0.0.1 behind a proxy that adds "
+                "both, or accept the risk with --allow-plain-http"
+            )
+        return self
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this computer can reach the service."""
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    @property
+    def database(self) -> str:
+        """The catalogue's address, with its password: not for logs."""
+        if not self.database_url:
+            return f"sqlite:///{self.data_dir / 'catalogue.sqlite'}"
+        if self.database_password_file is None:
+            return self.database_url
+        return _with_password(self.database_url, self.database_password_file)
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Order of precedence; `_stored` adds the file below."""
+        return init_settings, env_settings
+
+
+def load_settings(config: Path | None = None, **given: Any) -> Settings:
+    """Return the settings; `given` (command line) beats environment beats file.
+
+    A given value of None counts as not given. Raises BadInput naming the setting.
+    """
+    file = config or _default_file()
+    wanted = {key: value for key, value in given.items() if value is not None}
+    try:
+        return _stored(file)(**wanted)
+    except ValidationError as error:
+        raise BadInput(_text(error)) from error
+    except ValueError as error:  # a table in the environment that is not JSON, bad TOML
+        raise BadInput(f"settings{f' ({file})' if file else ''}: {error}") from error
+
+
+def _default_file() -> Path | None:
+    named = os.environ.get("TRUEPATH_CONFIG")
+    if named:
+        return Path(named)
+    usual = platformdirs.user_config_path("truepath", appauthor=False) / "truepath.toml"
+    return usual if usual.is_file() else None
+
+
+def _stored(file: Path | None) -> type[Settings]:
+    """Return Settings that read this file below the environment."""
+    if file is None:
+        return Settings
+    if not file.is_file():
+        raise BadInput(f"{file}: no such settings file; check --config")
+
+    class Stored(Settings):
+        model_config = SettingsConfigDict(toml_file=file)
+
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,
+            file_secret_settings: PydanticBaseSettingsSource,
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
+
+    return Stored
+
+
+def _with_password(url: str, file: Path) -> str:
+    try:
+        password = file.read_text(encoding="utf-8").strip()
+        address = make_url(url).set(password=password)
+    except (OSError, ArgumentError) as error:
+        raise BadInput(
+            f"setting database_password_file or database_url: {error}"
+        ) from error
+    return address.render_as_string(hide_password=False)
+
+
+def _text(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    name = ".".join(str(part) for part in first["loc"])
+    text = str(first["msg"]).removeprefix("Value error, ")
+    return f"setting {name}: {text}" if name else text

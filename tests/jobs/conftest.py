@@ -1,0 +1,96 @@
+"""A catalogue in a file, on SQLite and on PostgreSQL where its programs are there."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from app.jobs.database import Database
+from app.jobs.feed import Feed
+from app.jobs.store import Store
+
+
+def _postgres_programs() -> dict[str, str] | None:
+    found = {name: _program(name) for name in ("initdb", "pg_ctl")}
+    return {k: v for k, v in found.items() if v} if all(found.values()) else None
+
+
+def _program(name: str) -> str | None:
+    places = sorted(Path("/usr/lib/postgresql").glob(f"*/bin/{name}"))
+    return shutil.which(name) or (str(places[-1]) if places else None)
+
+
+def _unprivileged() -> str | None:
+    """PostgreSQL refuses to run as root: name the account its package has made."""
+    if os.geteuid() != 0:
+        return None
+    return pwd.getpwnam("postgres").pw_name
+
+
+@pytest.fixture(scope="session")
+def postgres_url():
+    """Address of a PostgreSQL server on a socket of its own, gone at the end."""
+    programs = _postgres_programs()
+    if programs is None:
+        pytest.skip("PostgreSQL is not installed")
+    folder = Path(tempfile.mkdtemp(prefix="pg"))
+    user = _unprivileged()
+    if user:
+        shutil.chown(folder, user)
+    data = folder / "data"
+
+    def run(*command):
+        subprocess.run(
+            command, check=True, user=user, cwd=folder, capture_output=True, timeout=60
+        )
+
+    try:
+        run(programs["initdb"], "-D", data, "-A", "trust", "-U", "truepath", "-N")
+        options = f"-k {folder} -c listen_addresses= -c fsync=off"
+        log = folder / "log"
+        run(programs["pg_ctl"], "-D", data, "-o", options, "-l", log, "-w", "start")
+        try:
+            yield f"postgresql+psycopg://truepath@/postgres?host={folder}"
+        finally:
+            run(programs["pg_ctl"], "-D", data, "-m", "immediate", "-w", "stop")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request, tmp_path):
+    """An empty catalogue of the newest schema."""
+    if request.param == "sqlite":
+        url = f"sqlite:///{tmp_path / 'catalogue.sqlite'}"
+    else:
+        url = request.getfixturevalue("postgres_url")
+    database = Database(url)
+    if request.param == "postgresql":
+        with database.engine.begin() as connection:
+            connection.exec_driver_sql("DROP SCHEMA public CASCADE")
+            connection.exec_driver_sql("CREATE SCHEMA public")
+    database.migrate()
+    yield database
+    database.close()
+
+
+@pytest.fixture
+def told():
+    """Every stored event that listeners were told of."""
+    return []
+
+
+@pytest.fixture
+def store(database, told):
+    return Store(database, told.append)
+
+
+@pytest.fixture
+def feed():
+    return Feed()

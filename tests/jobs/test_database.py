@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import sqlite3
+import threading
+import time
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import text
+
+from app.errors import BadInput
+from app.jobs.database import Database
+from app.jobs.errors import SchemaTooNew, StorageUnavailable
+from app.jobs.schema import metadata
+
+
+@pytest.fixture
+def sqlite_file(tmp_path):
+    return tmp_path / "catalogue.sqlite"
+
+
+@pytest.fixture
+def sqlite_database(sqlite_file):
+    database = Database(f"sqlite:///{sqlite_file}", patience_s=0.3)
+    database.migrate()
+    yield database
+    database.close()
+
+
+def test_migrations_make_the_tables_that_the_code_expects(database):
+    with database.engine.connect() as connection:
+        context = MigrationContext.configure(connection)
+        assert compare_metadata(context, metadata) == []
+
+
+def test_migrating_twice_is_migrating_once(database):
+    database.migrate()
+    assert database.ready()
+
+
+@pytest.mark.parametrize(
+    ("pragma", "value"),
+    [("journal_mode", "wal"), ("synchronous", 2), ("foreign_keys", 1)],
+)
+def test_sqlite_is_set_for_safety_on_each_connection(sqlite_database, pragma, value):
+    with sqlite_database.read() as one, sqlite_database.read() as two:
+        for connection in (one, two):
+            assert connection.execute(text(f"PRAGMA {pragma}")).scalar() == value
+
+
+def test_a_newer_schema_is_refused(sqlite_database):
+    sqlite_database.write(
+        lambda c: c.execute(text("UPDATE alembic_version SET version_num='9999'"))
+    )
+    with pytest.raises(SchemaTooNew, match="schema 9999, newer than this version"):
+        sqlite_database.migrate()
+
+
+def test_an_older_catalogue_is_copied_before_it_is_migrated(
+    sqlite_database, sqlite_file, monkeypatch
+):
+    from alembic import script
+
+    monkeypatch.setattr(script.ScriptDirectory, "get_current_head", lambda self: "0002")
+    sqlite_database.migrate()
+    copies = list(sqlite_file.parent.glob("catalogue.before-0001-*.sqlite"))
+    assert len(copies) == 1
+    with sqlite3.connect(copies[0]) as copy:
+        assert copy.execute("SELECT version_num FROM alembic_version").fetchall()
+    copy.close()
+
+
+def test_a_write_waits_for_another_program_and_then_succeeds(sqlite_file):
+    database = Database(f"sqlite:///{sqlite_file}")
+    database.migrate()
+    other = sqlite3.connect(sqlite_file, isolation_level=None, check_same_thread=False)
+    other.execute("BEGIN IMMEDIATE")
+    release = threading.Timer(0.3, lambda: other.execute("COMMIT"))
+    release.start()
+    begun = time.monotonic()
+    database.write(lambda c: c.execute(text("DELETE FROM events")).rowcount)
+    assert time.monotonic() - begun > 0.2
+    release.join()
+    other.close()
+    database.close()
+
+
+def test_a_catalogue_locked_for_too_long_says_so(sqlite_database, sqlite_file):
+    other = sqlite3.connect(sqlite_file, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    with sqlite_database.engine.connect() as connection:
+        connection.exec_driver_sql("PRAGMA busy_timeout=100")
+    with pytest.raises(StorageUnavailable, match=r"does not answer: .*locked"):
+        sqlite_database.write(lambda c: c.execute(text("DELETE FROM events")))
+    other.execute("ROLLBACK")
+    other.close()
+
+
+def test_a_change_that_fails_leaves_nothing_behind(database):
+    def half(connection):
+        connection.execute(text("DELETE FROM idempotency_keys"))
+        connection.execute(
+            text(
+                "INSERT INTO runs (id, name, origin, file, sha256, bytes, mode, "
+                "machine, samples, lost_samples, complete, plan, created) VALUES "
+                "('r', 'n', 'uploaded', 'f', 's', 1, 'otf', 'm', 1, 0, true, "
+                "'{}', 'now')"
+            )
+        )
+        raise KeyError("half way")
+
+    with pytest.raises(KeyError):
+        database.write(half)
+    with database.read() as connection:
+        assert connection.execute(text("SELECT count(*) FROM runs")).scalar() == 0
+
+
+@pytest.mark.parametrize("url", ["nonsense", "nosuchdatabase://here"])
+def test_an_address_that_is_none_is_bad_input(url):
+    with pytest.raises(BadInput, match="setting database_url"):
+        Database(url)
+
+
+def test_a_server_that_is_away_is_unavailable(tmp_path):
+    database = Database(
+        f"postgresql+psycopg://truepath@/postgres?host={tmp_path}", patience_s=0.1
+    )
+    assert not database.ready()
+    with pytest.raises(StorageUnavailable, match="does not answer"):
+        database.migrate()
+    database.close()

@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import text, update
+
+from app.errors import IllegalTransition, NotFound
+from app.jobs.errors import CellBusy, KeyReused, StaleVersion
+from app.jobs.job import (
+    Failure,
+    Health,
+    Kind,
+    NewJob,
+    Progress,
+    Stage,
+    job_from_json,
+    job_json,
+    new_id,
+)
+from app.jobs.schema import events, idempotency_keys
+from app.jobs.store import KEEP_KEYS_S, Key, Store
+from app.jobs.transitions import State
+
+ANALYSE = NewJob(Kind.ANALYSE)
+MEASURE = NewJob(Kind.MEASURE_OTF, plan={"kind": "path", "axes": ["X"]})
+
+
+def to(state):
+    return lambda job: replace(job, state=state)
+
+
+def test_a_new_job_is_queued_at_version_one(store):
+    job, is_new = store.create(ANALYSE)
+    assert is_new
+    assert (job.state, job.version, job.desired_state) == ("queued", 1, "succeeded")
+    assert store.get(job.id) == job
+
+
+def test_a_measuring_job_keeps_its_plan(store):
+    job, _ = store.create(MEASURE)
+    assert store.plan(job.id) == MEASURE.plan
+    assert store.get(job.id).desired_state == "ready"
+
+
+def test_an_unknown_job_is_not_found(store):
+    with pytest.raises(NotFound, match="no job nowhere"):
+        store.get("nowhere")
+    assert store.plan("nowhere") is None
+
+
+def test_a_second_measuring_job_is_refused_while_the_first_lasts(store):
+    first, _ = store.create(MEASURE)
+    with pytest.raises(CellBusy, match=first.id):
+        store.create(MEASURE)
+    store.create(ANALYSE)
+    store.change(first.id, to(State.FAILED))
+    store.create(MEASURE)
+
+
+def test_each_change_counts_the_version_and_keeps_an_event(store, told):
+    job, _ = store.create(ANALYSE)
+    job = store.change(job.id, to(State.RUNNING))
+    assert job.version == 2
+    assert job.started is not None
+    assert job.ended is None
+    job = store.change(job.id, to(State.SUCCEEDED))
+    assert job.ended is not None
+    kept = store.events_after(0)
+    assert kept == told
+    assert [event.body["state"] for event in kept] == ["queued", "running", "succeeded"]
+    assert [event.body["version"] for event in kept] == [1, 2, 3]
+    assert job_from_json(kept[-1].body) == replace(job, seq=job.seq)
+
+
+def test_a_change_that_changes_nothing_makes_no_version(store, told):
+    job, _ = store.create(ANALYSE)
+    assert store.change(job.id, lambda job: job).version == 1
+    assert len(told) == 1
+
+
+def test_a_stale_version_changes_nothing(store):
+    job, _ = store.create(ANALYSE)
+    store.change(job.id, to(State.RUNNING), version=1)
+    with pytest.raises(
+        StaleVersion, match=r"version 1 .* not the current one, 2"
+    ) as at:
+        store.change(job.id, to(State.SUCCEEDED), version=1)
+    assert at.value.current == 2
+    assert store.get(job.id).state is State.RUNNING
+
+
+def test_the_table_of_states_is_kept_by_the_store(store):
+    job, _ = store.create(ANALYSE)
+    with pytest.raises(IllegalTransition, match="queued cannot become paused"):
+        store.change(job.id, to(State.PAUSED))
+    assert store.get(job.id).version == 1
+
+
+def test_of_many_writers_with_one_version_one_wins(store):
+    job, _ = store.create(ANALYSE)
+    outcomes = []
+
+    def write():
+        try:
+            outcomes.append(store.change(job.id, to(State.RUNNING), version=1))
+        except StaleVersion:
+            outcomes.append(None)
+
+    threads = [threading.Thread(target=write) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len([o for o in outcomes if o is not None]) == 1
+    assert store.get(job.id).version == 2
+
+
+def test_a_change_behind_the_back_of_the_process_is_seen(store, database):
+    """Compare and set, for a writer that is not behind our own lock."""
+    job, _ = store.create(ANALYSE)
+
+    def meddled(job):
+        with database.engine.connect() as connection:
+            connection.exec_driver_sql("SELECT 1")
+        return replace(job, state=State.RUNNING, version=7)
+
+    # `version` is the store's own: what the change writes there does not count.
+    assert store.change(job.id, meddled).version == 2
+
+
+def test_the_same_key_and_body_make_one_job(store):
+    key = Key("k-1", b'{"kind": "analyse"}')
+    job, is_new = store.create(ANALYSE, key)
+    again, is_new_again = store.create(ANALYSE, key)
+    assert (is_new, is_new_again) == (True, False)
+    assert again.id == job.id
+    assert store.by_key(key) == job
+    assert store.by_key(Key("k-2", b"")) is None
+
+
+def test_the_same_key_with_another_body_is_refused(store):
+    store.create(ANALYSE, Key("k-1", b"one"))
+    with pytest.raises(KeyReused, match="'k-1' has made job"):
+        store.create(ANALYSE, Key("k-1", b"two"))
+    with pytest.raises(KeyReused):
+        store.by_key(Key("k-1", b"two"))
+
+
+def test_a_job_that_is_refused_leaves_no_key(store):
+    store.create(MEASURE)
+    key = Key("k-1", b"body")
+    with pytest.raises(CellBusy):
+        store.create(MEASURE, key)
+    assert store.by_key(key) is None
+
+
+def test_old_keys_and_events_are_forgotten(store, database):
+    job, _ = store.create(ANALYSE, Key("old", b""))
+    store.create(ANALYSE, Key("young", b""))
+    past = int(time.time()) - KEEP_KEYS_S - 5
+    query = update(idempotency_keys).where(idempotency_keys.c.key == "old")
+    database.write(lambda c: c.execute(query.values(created_s=past)).rowcount)
+    for _ in range(3):
+        store.change(job.id, lambda job: replace(job, perpendicular_only=True))
+    store.prune(keep_events=2)
+    assert store.by_key(Key("old", b"")) is None
+    assert store.by_key(Key("young", b"")) is not None
+    assert len(store.events_after(0)) == 2
+
+
+def test_progress_is_kept_without_a_new_version(store, told):
+    job, _ = store.create(MEASURE)
+    progress = Progress(3, 10, "lines", 12.5, 4.0, (1.0, 2.0, 3.0))
+    store.note(job.id, Stage.MEASURING, progress, Health(1000, 2, 1))
+    kept = store.get(job.id)
+    assert (kept.version, kept.stage) == (1, "measuring")
+    assert kept.progress == progress
+    assert kept.health == Health(1000, 2, 1)
+    assert len(told) == 1
+
+
+def test_jobs_come_newest_first_in_pages(store):
+    made = [store.create(ANALYSE)[0] for _ in range(5)]
+    first = store.page(3)
+    rest = store.page(3, before_seq=first[-1].seq)
+    assert [job.id for job in first + rest] == [job.id for job in reversed(made)]
+
+
+def test_jobs_can_be_asked_for_by_state(store):
+    jobs = [store.create(ANALYSE)[0] for _ in range(3)]
+    store.change(jobs[1].id, to(State.RUNNING))
+    found = store.page(10, states=[State.RUNNING])
+    assert [job.id for job in found] == [jobs[1].id]
+    assert [job.id for job in store.unfinished()] == [job.id for job in jobs]
+
+
+def test_events_can_be_caught_up_on_by_job(store):
+    one, other = store.create(ANALYSE)[0], store.create(ANALYSE)[0]
+    store.change(one.id, to(State.RUNNING))
+    mine = store.events_after(0, job_id=one.id)
+    assert [event.body["state"] for event in mine] == ["queued", "running"]
+    assert store.events_after(mine[0].id, job_id=one.id) == mine[1:]
+    assert [e.job_id for e in store.events_after(0)] == [one.id, other.id, one.id]
+    assert store.last_event_id() == mine[-1].id
+
+
+def test_event_identifiers_rise_in_the_order_they_are_told(store, told):
+    threads = [threading.Thread(target=lambda: store.create(ANALYSE)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    ids = [event.id for event in told]
+    assert ids == sorted(ids)
+    assert len(set(ids)) == 8
+
+
+def test_an_empty_catalogue_has_no_events(store):
+    assert store.last_event_id() == 0
+    assert store.events_after(0) == []
+
+
+def test_a_failure_survives_the_store_and_its_json(store):
+    job, _ = store.create(ANALYSE)
+    failure = Failure("BundleError", "tracker.csv, row 7: NaN", "c", "a")
+    job = store.change(
+        job.id, lambda job: replace(job, state=State.FAILED, failure=failure)
+    )
+    assert store.get(job.id).failure == failure
+    assert job_from_json(job_json(job)) == job
+
+
+def test_events_belong_to_a_job_that_exists(store, database):
+    query = events.insert().values(
+        job_id="nobody", type="job", body={}, created="2026-01-01T00:00:00.000Z"
+    )
+    with pytest.raises(Exception, match=r"(?i)foreign key"):
+        database.write(lambda c: c.execute(query).rowcount)
+
+
+def test_identifiers_sort_by_time_and_differ():
+    ids = []
+    for _ in range(3):
+        ids.append(new_id())
+        time.sleep(0.002)
+    assert ids == sorted(ids)
+    assert len({new_id() for _ in range(1000)}) == 1000
+    assert new_id()[14] == "7"
+
+
+def test_a_store_keeps_what_it_had_when_it_is_opened_again(store, database, told):
+    job, _ = store.create(ANALYSE)
+    with database.read() as connection:
+        connection.execute(text("SELECT 1"))
+    database.engine.dispose()
+    assert Store(database, told.append).get(job.id) == job
