@@ -1,6 +1,8 @@
 """What the tests of the project itself share: its files, as git sees them."""
 
+import socket
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,3 +27,26 @@ def project_files(root) -> list[Path]:
     )
     files = {root / name for name in listed.stdout.split("\0") if name}
     return sorted(path for path in files if path.is_file())
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory, project_files, root):
+    """Build the wheel from a copy of the files git knows, without the network."""
+    source = tmp_path_factory.mktemp("source")
+    for path in project_files:
+        if path.relative_to(root).parts[0] not in {"tests", "docs", "benchmarks"}:
+            copy = source / path.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(path.read_bytes())
+    target = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
+    command += ["--no-build-isolation", "--wheel-dir", str(target), str(source)]
+    built = subprocess.run(command, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return next(target.glob("truepath-*.whl"))
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return listener.getsockname()[1]

@@ -1,8 +1,6 @@
 """Constraints pin all that is installed; the wheel carries all that is served."""
 
 import re
-import subprocess
-import sys
 import zipfile
 from importlib.metadata import PackageNotFoundError, distribution
 
@@ -50,23 +48,6 @@ def test_what_is_installed_is_what_is_pinned(pins):
 
     differing = {n: (v, installed(n)) for n, v in pins.items() if installed(n) != v}
     assert not differing
-
-
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory, project_files, root):
-    """Build the wheel from a copy of the files git knows, without the network."""
-    source = tmp_path_factory.mktemp("source")
-    for path in project_files:
-        if path.relative_to(root).parts[0] not in {"tests", "docs", "benchmarks"}:
-            copy = source / path.relative_to(root)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            copy.write_bytes(path.read_bytes())
-    target = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
-    command += ["--no-build-isolation", "--wheel-dir", str(target), str(source)]
-    built = subprocess.run(command, capture_output=True, text=True)
-    assert built.returncode == 0, built.stderr
-    return next(target.glob("truepath-*.whl"))
 
 
 def test_the_wheel_holds_every_file_of_the_rooms(wheel, project_files, root):

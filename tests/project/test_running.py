@@ -1,0 +1,140 @@
+"""The service as it is delivered: from the wheel, and by the lines of the container."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.error import URLError
+from urllib.parse import urljoin
+from urllib.request import urlopen
+
+import pytest
+
+START_S = 30.0
+MAIN = "from app.cli.command import main; main()"
+
+
+@contextmanager
+def running(command, address, folder, **environment):
+    """Run a command until the service answers; end it with SIGTERM."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("TRUEPATH_")}
+    with (folder / "log").open("w+") as log:
+        service = subprocess.Popen(
+            command, env=kept | environment, cwd=folder, stdout=log, stderr=log
+        )
+        with service:
+            try:
+                wait_until_healthy(service, address, folder / "log")
+                yield
+            finally:
+                service.send_signal(signal.SIGTERM)
+    assert service.returncode == 0
+
+
+def wait_until_healthy(service, address, log):
+    end = time.monotonic() + START_S
+    while time.monotonic() < end and service.poll() is None:
+        try:
+            with urlopen(f"{address}/healthz", timeout=5) as answer:
+                assert answer.status == 200
+                return
+        except URLError:
+            time.sleep(0.05)
+    pytest.fail(f"the service did not start: {log.read_text()}")
+
+
+def fetched(address):
+    with urlopen(address, timeout=10) as answer:
+        return answer.read()
+
+
+def test_a_wheel_serves_every_asset(wheel, tmp_path, free_port):
+    unpacked, folder = tmp_path / "wheel", tmp_path / "elsewhere"
+    folder.mkdir()
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(unpacked)
+        names = archive.namelist()
+    address = f"http://127.0.0.1:{free_port}"
+    environment = {
+        "PYTHONPATH": str(unpacked),
+        "TRUEPATH_DATA_DIR": str(folder / "data"),
+        "TRUEPATH_PORT": str(free_port),
+    }
+    where = subprocess.run(
+        [sys.executable, "-c", "import app; print(app.__file__)"],
+        env=os.environ | environment,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert Path(where.stdout.strip()).is_relative_to(unpacked)
+    command = [sys.executable, "-c", MAIN, "serve"]
+    with running(command, address, folder, **environment):
+        page = fetched(f"{address}/").decode()
+        links = set(re.findall(r'(?:src|href)="([^"#:]+)"', page))
+        assert links
+        for link in links:
+            assert fetched(urljoin(f"{address}/", link)), link
+        assets = [name for name in names if name.startswith("app/web/static/")]
+        assert assets
+        for name in assets:
+            assert fetched(f"{address}/{name.removeprefix('app/web/')}"), name
+        assert b"swagger-ui" in fetched(f"{address}/docs")
+
+
+@pytest.fixture(scope="module")
+def instruction(root):
+    text = re.sub(r"\\\n\s*", " ", (root / "docker" / "Dockerfile").read_text())
+
+    def read(name):
+        return re.findall(rf"^{name} (.*)$", text, re.MULTILINE)[-1]
+
+    return read
+
+
+def test_the_lines_of_the_container_start_the_service_and_find_it_healthy(
+    instruction, tmp_path, free_port
+):
+    (tmp_path / "data").mkdir()
+    words = json.loads(instruction("ENTRYPOINT")) + json.loads(instruction("CMD"))
+    words[0] = str(Path(sys.executable).with_name(words[0]))
+    environment = dict(word.split("=", 1) for word in instruction("ENV").split())
+    del environment["PATH"]
+    environment |= {
+        "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
+        "TRUEPATH_PORT": str(free_port),
+        "TRUEPATH_ALLOW_PLAIN_HTTP": "true",  # as the compose file has it
+    }
+    check = json.loads(instruction("HEALTHCHECK").partition(" CMD ")[2])
+    check = [word.replace(":8411/", f":{free_port}/") for word in check]
+    check[0] = sys.executable
+    assert subprocess.run(check, capture_output=True).returncode != 0
+    address = f"http://127.0.0.1:{free_port}"
+    with running(words, address, tmp_path, **environment):
+        assert subprocess.run(check, capture_output=True).returncode == 0
+
+
+def test_make_lists_its_targets(root):
+    listed = subprocess.run(
+        [shutil.which("make"), "--no-print-directory", "help"],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for target in ("run", "test", "test-long", "check", "bench", "setup", "clean"):
+        assert re.search(rf"^  make {target} +\w", listed.stdout, re.MULTILINE), target
+
+
+def test_the_import_contracts_hold(root):
+    linter = Path(sys.executable).with_name("lint-imports")
+    linted = subprocess.run([linter], cwd=root, capture_output=True, text=True)
+    assert linted.returncode == 0, linted.stdout
