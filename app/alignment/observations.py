@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -54,3 +54,14 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.tracker_mm)
+
+    def taken(self, cells: Int64[np.ndarray, " m"]) -> Observations:
+        """Return some of the cells."""
+        return replace(
+            self,
+            at=self.at.taken(cells),
+            tracker_mm=self.tracker_mm[cells],
+            count=self.count[cells],
+            direction=self.direction[cells],
+            row=self.row[cells],
+        )

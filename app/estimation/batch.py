@@ -37,7 +37,7 @@ def estimate(
     machine_model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm)
     problem = pose_problem(seen, machine_model, seen.pose)
     noise = first_noise(seen, perpendicular_only=perpendicular_only)
-    prior, result = fitted(information(problem, noise), first_guess(problem.model))
+    prior, result = fitted(information(problem, noise), first_guess(machine_model))
     told(0.2)
     # The rough pose is off by the machine's errors: linearise about the better one.
     problem = pose_problem(seen, machine_model, _refined(problem, result))

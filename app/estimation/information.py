@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.lapack import dpotri
 
 from app.errors import Unidentifiable
 from app.estimation.noise import NoiseModel, whiten
@@ -76,7 +77,8 @@ def posterior(
             "lines in other directions"
         ) from error
     theta = scale * cho_solve((factor, True), scale * data.vector)
-    inverse = cho_solve((factor, True), np.eye(len(scale)))
+    lower, _ = dpotri(factor, lower=1)
+    inverse = np.tril(lower) + np.tril(lower, -1).T
     return Posterior(
         theta,
         inverse * scale[:, None] * scale,
@@ -85,11 +87,32 @@ def posterior(
     )
 
 
-def without(data: Information, kept: int) -> Float64[np.ndarray, "k k"]:
-    """Return the information on the first parameters, the others integrated out."""
+def without_rest(data: Information, kept: int) -> Information:
+    """Return the information on the first parameters, the others integrated out.
+
+    The others have no prior, so this loses nothing for the first.
+    Raises Unidentifiable if the data do not determine the others.
+    """
     A, B, D = (
         data.matrix[:kept, :kept],
         data.matrix[:kept, kept:],
         data.matrix[kept:, kept:],
     )
-    return A - B @ np.linalg.pinv(D, rcond=1e-13, hermitian=True) @ B.T
+    rest = data.vector[kept:]
+    scale = 1.0 / np.sqrt(np.diag(D))
+    try:
+        factor = np.linalg.cholesky(D * scale[:, None] * scale)
+    except np.linalg.LinAlgError as error:
+        raise Unidentifiable(
+            "the pose of the tracker or the timing of a line is not determined; use "
+            "longer lines in different directions"
+        ) from error
+    half = solve_triangular(factor, scale[:, None] * B.T, lower=True)
+    right = solve_triangular(factor, scale * rest, lower=True)
+    turned = 2.0 * float(np.log(np.diag(factor)).sum() - np.log(scale).sum())
+    return Information(
+        A - half.T @ half,
+        data.vector[:kept] - half.T @ right,
+        data.square - float(right @ right),
+        data.log_determinant + turned,
+    )

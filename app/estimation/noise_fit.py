@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import information, posterior
+from app.estimation.information import information, posterior, without_rest
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
 from app.estimation.problem import Problem, coarser, pose_problem
@@ -27,6 +27,8 @@ from app.numerics.rigid import RigidTransform
 _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
 # Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
 _COARSE_MM = 35.0
+_CELLS = 1500  # as many tell the noise to a few parts in a hundred
+_FEWEST_ROWS = 24
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [1e-6, 0.1]])
 
@@ -45,11 +47,22 @@ def fit_noise(
     model, _ = identifiable_model(
         seen.at.machine, seen.at.offset_mm, knot_spacing_mm=_COARSE_MM
     )
-    problem = pose_problem(seen, model, pose)
-    prior, result = fitted(information(problem, noise), first_guess(problem.model))
+    problem = pose_problem(_some_lines(seen), model, pose)
+    prior, result = fitted(information(problem, noise), first_guess(model))
     small = coarser(problem, _merge(seen))
     noise = _minimised(_residual_cost(small, result.theta), noise, step=0.7, calls=80)
     return _minimised(_evidence_cost(small, prior), noise, step=0.3, calls=40)
+
+
+def _some_lines(seen: Observations) -> Observations:
+    """Return whole lines or standstills, evenly spread, that make enough cells."""
+    rows = np.unique(seen.row)
+    cells = len(seen) / _merge(seen)
+    keep = max(_FEWEST_ROWS, int(len(rows) * min(1.0, _CELLS / cells)))
+    if keep >= len(rows):
+        return seen
+    kept = rows[np.linspace(0, len(rows) - 1, keep).round().astype(np.int64)]
+    return seen.taken(np.flatnonzero(np.isin(seen.row, kept)))
 
 
 def _merge(seen: Observations) -> int:
@@ -76,10 +89,11 @@ def _evidence_cost(
     problem: Problem, prior: BendingPrior
 ) -> Callable[[NoiseModel], float]:
     """Return −2 log p(data), the prior's strengths held."""
-    precision = prior.precision()
+    size = prior.model.size
+    precision = prior.precision(size)
 
     def cost(noise: NoiseModel) -> float:
-        data = information(problem, noise)
+        data = without_rest(information(problem, noise), size)
         return evidence_cost(data, prior, posterior(data, precision))
 
     return cost

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.estimation.estimate import Observability
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import information, without
+from app.estimation.information import information, without_rest
 from app.estimation.noise import NoiseModel
 from app.estimation.problem import pose_problem
 from app.kinematics.model import MachineModel
@@ -27,7 +27,7 @@ def observability(
         seen.at.machine, seen.at.offset_mm, intervals=_INTERVALS
     )
     data = information(pose_problem(seen, model, pose), noise)
-    told = without(data, model.size)
+    told = without_rest(data, model.size).matrix
     scale = 1.0 / np.sqrt(np.maximum(np.diag(data.matrix)[: model.size], 1e-300))
     value, vector = np.linalg.eigh(told * scale[:, None] * scale)
     blind = value < _UNSEEN**2 * value[-1] + 1e-13

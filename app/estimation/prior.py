@@ -13,27 +13,35 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.information import Information, Posterior, posterior
+from app.estimation.information import (
+    Information,
+    Posterior,
+    posterior,
+    without_rest,
+)
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import is_turn
 
 _ROUNDS = 40
-_SETTLED = 0.02
+_SETTLED = 0.05
 _TYPICAL_MM, _TYPICAL_RAD = 0.01, 2e-5
 _STRAIGHT = 1e-5  # of the usual bending energy: below it a motion counts as straight
 
 
 @dataclass(frozen=True)
 class BendingPrior:
-    """Roughness of every motion, and the strength with which each is charged."""
+    """Roughness of every motion, and the strength with which each is charged.
+
+    model : effects of the machine proper
+    """
 
     model: MachineModel
     strength: dict[str, float]
 
-    def precision(self) -> Float64[np.ndarray, "p p"]:
-        """Return the prior precision of θ."""
-        total = np.zeros((self.model.size, self.model.size))
+    def precision(self, size: int) -> Float64[np.ndarray, "p p"]:
+        """Return the prior precision of θ; what follows the machine's has none."""
+        total = np.zeros((size, size))
         for motion in _motions(self.model):
             part = self.model.slices[motion.name]
             total[part, part] = self.strength[motion.name] * motion.roughness()
@@ -63,8 +71,10 @@ def _typical_energy(motion: ErrorMotion) -> float:
 
 def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
     """Return the prior whose strengths fit the data, and the posterior under it."""
+    size = prior.model.size
+    machine = without_rest(data, size)
     for _ in range(_ROUNDS):
-        result = posterior(data, prior.precision())
+        result = posterior(machine, prior.precision(size))
         strength = _next_strength(prior, result)
         change = max(
             abs(float(np.log(strength[name] / old)))
@@ -73,7 +83,7 @@ def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Poster
         prior = BendingPrior(prior.model, strength)
         if change < _SETTLED:
             break
-    return prior, posterior(data, prior.precision())
+    return prior, posterior(data, prior.precision(len(data.vector)))
 
 
 def evidence_cost(data: Information, prior: BendingPrior, result: Posterior) -> float:

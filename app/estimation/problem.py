@@ -43,8 +43,9 @@ def pose_problem(
 ) -> Problem:
     """Return the problem of all effects, pose and timing laws about the given pose."""
     nuisances: list[TrackerPose | TimingLaw] = [TrackerPose(_centre(seen))]
-    if seen.passes:
-        nuisances.append(TimingLaw(tuple(range(len(seen.passes)))))
+    lines = np.unique(seen.at.line[seen.at.line >= 0])
+    if len(lines):
+        nuisances.append(TimingLaw(tuple(int(line) for line in lines)))
     model = machine_model.with_effects(*nuisances)
     frame = beam_frame(seen.tracker_mm) @ pose.rotation
     off = pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
@@ -72,24 +73,11 @@ def coarser(problem: Problem, merge: int) -> Problem:
         total = np.add.reduceat(values * seen.count.reshape(shape), starts, axis=0)
         return total / count.reshape(shape)
 
+    firsts = seen.taken(starts)
     at = replace(
-        seen.at,
-        position_mm=seen.at.position_mm[starts],
-        offset_mm=seen.at.offset_mm[starts],
-        time_s=mean(seen.at.time_s),
-        line=seen.at.line[starts],
-        line_time_s=seen.at.line_time_s[starts],
-        velocity_mm_s=seen.at.velocity_mm_s[starts],
-        approach=seen.at.approach[starts],
+        firsts.at, time_s=mean(seen.at.time_s), line_time_s=mean(seen.at.line_time_s)
     )
-    merged = replace(
-        seen,
-        at=at,
-        tracker_mm=mean(seen.tracker_mm),
-        count=count,
-        direction=seen.direction[starts],
-        row=seen.row[starts],
-    )
+    merged = replace(firsts, at=at, tracker_mm=mean(seen.tracker_mm), count=count)
     # Averaged in the workpiece frame, where a line keeps its direction.
     local = mean(np.matmul(np.swapaxes(problem.frame, 1, 2), problem.rows))
     frame = beam_frame(merged.tracker_mm) @ problem.pose.rotation

@@ -43,6 +43,19 @@ class Conditions:
         """Nominal target point in the workpiece frame, (n, 3)."""
         return nominal_point_mm(self.machine, self.position_mm, self.offset_mm)
 
+    def taken(self, rows: Int64[np.ndarray, " m"]) -> Conditions:
+        """Return the conditions at some of the moments."""
+        return Conditions(
+            self.machine,
+            self.position_mm[rows],
+            self.offset_mm[rows],
+            self.time_s[rows],
+            self.line[rows],
+            self.line_time_s[rows],
+            self.velocity_mm_s[rows],
+            self.approach[rows],
+        )
+
     def axis_mm(self, axis: str) -> Float64[np.ndarray, " n"]:
         """Return the positions of one axis."""
         return self.position_mm[:, self.machine.axis_names.index(axis)]
