@@ -29,6 +29,7 @@ log = logging.getLogger(__name__)
 
 CONNECT_S = 20.0
 CLOSE_S = 30.0
+FORCE_S = 5.0
 # A BLAS that fills the cores would stop the reader of the port.
 _ONE_THREAD: dict[str, str] = {
     "OMP_NUM_THREADS": "1",
@@ -139,7 +140,7 @@ class Cell:
             if self._process.is_alive():
                 log.error("the cell process does not end; it is ended by force")
                 force()
-                self._process.join(5.0)
+                self._process.join(FORCE_S)
         self._process.close()
 
     def _send(self, command: Command) -> None:

@@ -202,7 +202,8 @@ class Session:
         if self._watch.verdict(self._clock()) is not Verdict.GOOD and self._pump:
             self._tell(_NO_BEAM)
             return
-        self._control.release(*HoldReason, text="resume")
+        if self._control.release(*HoldReason, text="resume"):
+            self.motion.resume()
 
     # The watch.
 
@@ -230,7 +231,7 @@ class Session:
         if self._recorder.strained:
             self._hold_for(HoldReason.DISK, _SLOW_DISK)
         elif self._recorder.relaxed and self._control.holds(HoldReason.DISK):
-            self._control.release(HoldReason.DISK, text="the disk has caught up")
+            self._go_on_after(HoldReason.DISK, "the disk has caught up")
 
     def _check_stream(self) -> None:
         if self._pump is None:
@@ -246,13 +247,22 @@ class Session:
             self._hold_for(HoldReason.BEAM, _BEAM_LOST)
         elif self._control.holds(HoldReason.SILENCE):
             # Too short for anybody to have walked up to the machine: go on by itself.
-            self._note("stream", "the stream is back")
-            self._control.release(HoldReason.SILENCE, text="the stream is back")
+            self._go_on_after(HoldReason.SILENCE, "the stream is back")
 
     def _hold_for(self, reason: HoldReason, fault: Fault) -> None:
         if self._control.hold(reason, fault.text):
             self._tell(fault)
-            self.motion.hold()
+            self._command(self.motion.hold)
+
+    def _go_on_after(self, reason: HoldReason, text: str) -> None:
+        self._note("stream" if reason is HoldReason.SILENCE else "storage", text)
+        if self._control.release(reason, text=text):
+            self._command(self.motion.resume)
+
+    def _command(self, verb: Callable[[], None]) -> None:
+        """Tell the controller. If it is out of reach, `tick` asks again and notices."""
+        with contextlib.suppress(ConnectionLost, DeviceTimeout):
+            verb()
 
     def _read_motion(self) -> MotionStatus | None:
         try:
@@ -289,7 +299,7 @@ class Session:
         self._insist_on_resume(status)
 
     def _insist_on_hold(self) -> None:
-        self.motion.hold()
+        self._command(self.motion.hold)
         self._hold_by_s = self._hold_by_s or self._clock() + self.limits.confirm_s
         if self._clock() > self._hold_by_s:
             raise Fault(
@@ -303,7 +313,7 @@ class Session:
         if self._control.state is not CellState.RESUMING:
             self._resume_by_s = None
             return
-        self.motion.resume()
+        self._command(self.motion.resume)
         self._resume_by_s = self._resume_by_s or self._clock() + self.limits.confirm_s
         if self._clock() > self._resume_by_s:
             self._tell(_STILL_HELD)

@@ -18,6 +18,7 @@ import psutil
 import pytest
 
 from app.errors import MeasurementFailed, OutOfTravel, TruepathError
+from app.measurement import cell as cell_module
 from app.measurement.bundle import read_bundle, write_bundle
 from app.measurement.cell import Cell, CellConfig, CellEvent, Order
 from app.measurement.cell_process import Command, serve
@@ -34,9 +35,11 @@ from simulators.bench import Bench
 SPEED = 10.0
 
 
-@pytest.fixture
-def bench(tmp_path) -> Iterator[Bench]:
-    with Bench(seed=3, speed=SPEED, workdir=tmp_path / "bench", rtu=False) as started:
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Iterator[Bench]:
+    """One bench for all: every fault that is injected ends by itself."""
+    folder = tmp_path_factory.mktemp("bench")
+    with Bench(seed=3, speed=SPEED, workdir=folder) as started:
         yield started
 
 
@@ -183,21 +186,16 @@ def test_one_cell_measures_again_and_again(connected, order, tmp_path):
     assert [c["lost_samples"] for c in connected.of("closed")] == [0, 0]
 
 
-def test_a_run_over_modbus_rtu(tmp_path):
-    with Bench(seed=3, speed=SPEED, workdir=tmp_path / "bench") as bench:
-        driven = Driven(
-            replace(config_of(bench), motion_options=bench.motion_options_rtu)
-        )
-        driven.cell.start()
-        machine = machine_from_json(bench.machine)
-        try:
-            driven.cell.connect()
-            path = default_path(machine, lines=2)
-            file = str(tmp_path / "rtu.sqlite")
-            driven.cell.begin(Order("rtu", file, machine, path))
-            assert driven.until_closed()["outcome"] == "finished"
-        finally:
-            driven.cell.close()
+def test_a_run_over_modbus_rtu(bench, order):
+    config = replace(config_of(bench), motion_options=bench.motion_options_rtu)
+    driven = Driven(config)
+    driven.cell.start()
+    try:
+        driven.cell.connect()
+        driven.cell.begin(order)
+        assert driven.until_closed()["outcome"] == "finished"
+    finally:
+        driven.cell.close()
 
 
 def test_connect_tells_who_answers(driven):
@@ -362,7 +360,7 @@ def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
 ):
     connected.cell.begin(order)
     connected.until_line(1)
-    bench.inject("tracker:silence")
+    bench.inject(f"tracker:silence+{5.6 * SPEED}s")
     connected.until_state("paused")
     assert machine_state().hold_reason == "command"
     assert connected.until_closed()["outcome"] == "faulted"
@@ -393,12 +391,18 @@ def test_a_broken_beam_waits_for_somebody(bench, connected, order):
     assert (open_run(order.run_file).tracker.status != 0).any()
 
 
-def test_an_alarm_of_the_machine_ends_the_run(bench, connected, order):
-    connected.cell.begin(order)
-    connected.until_line(1)
-    bench.inject("cnc:alarm")
-    assert connected.until_closed()["outcome"] == "faulted"
-    assert connected.faults == ["motion-alarm"]
+def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
+    faults = ["cnc:alarm@row2"]
+    with Bench(speed=SPEED, faults=faults, workdir=tmp_path / "b", rtu=False) as bench:
+        driven = Driven(config_of(bench))
+        driven.cell.start()
+        try:
+            driven.cell.connect()
+            driven.cell.begin(order)
+            assert driven.until_closed()["outcome"] == "faulted"
+            assert driven.faults == ["motion-alarm"]
+        finally:
+            driven.cell.close()
     assert len(open_run(order.run_file).tracker) > 0
 
 
@@ -431,6 +435,28 @@ def test_a_port_that_is_not_there_is_a_lost_connection(bench):
             driven.cell.connect()
     finally:
         driven.cell.close()
+
+
+def test_a_cell_that_hangs_is_ended_by_force(driven, monkeypatch):
+    monkeypatch.setattr(cell_module, "CLOSE_S", 0.2)
+    monkeypatch.setattr(cell_module, "FORCE_S", 0.2)
+    monkeypatch.setattr(cell_module, "CONNECT_S", 0.2)
+    process = psutil.Process(driven.cell.process_id)
+    process.suspend()
+    with pytest.raises(MeasurementFailed, match=r"did not answer in 0\.2 s"):
+        driven.cell.connect()
+    driven.cell.close()
+    assert not process.is_running()
+
+
+def test_a_cell_that_dies_while_it_connects_says_so(driven):
+    process = psutil.Process(driven.cell.process_id)
+    process.suspend()
+    killer = threading.Timer(0.3, process.kill)
+    killer.start()
+    with pytest.raises(MeasurementFailed, match="died"):
+        driven.cell.connect()
+    killer.join()
 
 
 def test_an_order_before_connecting_fails_and_opens_no_file(driven, order):
@@ -475,8 +501,8 @@ def test_a_cell_that_was_never_started_can_be_closed():
     cell.close()
 
 
-def test_the_cell_uses_one_thread_for_linear_algebra(driven):
-    environment = psutil.Process(driven.cell.process_id).environ()
+def test_the_cell_uses_one_thread_for_linear_algebra(connected):
+    environment = psutil.Process(connected.cell.process_id).environ()
     assert environment["OMP_NUM_THREADS"] == "1"
     assert environment["OPENBLAS_NUM_THREADS"] == "1"
 
