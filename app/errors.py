@@ -1,4 +1,4 @@
-"""Families of errors of the service. Each text says what is wrong, where, and the remedy."""
+"""Families of errors of the service; each says what is wrong, where, the remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class TruepathError(Exception):
 
 
 class BadInput(TruepathError):
-    """Something a user gave cannot be used: exit status 2 on the command line, 4xx over HTTP."""
+    """Something a user gave cannot be used: exit status 2, or 4xx over HTTP."""
 
 
 class BundleError(BadInput):

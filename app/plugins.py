@@ -14,7 +14,7 @@ def installed(group: str) -> dict[str, EntryPoint]:
 
 
 def load(group: str, name: str) -> Any:
-    """Return the factory called `name` of a group; names what is installed when it is unknown."""
+    """Return the factory called `name`; an unknown name tells what is installed."""
     known = installed(group)
     if name not in known:
         raise BadInput(

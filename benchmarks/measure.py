@@ -1,9 +1,9 @@
 """Measures a function in a process of its own: wall time, processor time, peak memory.
 
-A process each, because peak memory never falls again, and what one candidate has warmed
-up (imports, BLAS threads, caches of the allocator) must not help the next. Compare
-candidates of one run only, and as ratios: machines differ, and so does this one from hour
-to hour.
+A process each, because peak memory never falls again, and what one candidate has
+warmed up (imports, BLAS threads, caches of the allocator) must not help the next.
+Compare candidates of one run only, and as ratios: machines differ, and so does this one
+from hour to hour.
 """
 
 from __future__ import annotations

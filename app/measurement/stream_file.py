@@ -28,8 +28,10 @@ def decode_stream(data: bytes, *, file: str = "tracker.parquet") -> TrackerSampl
         raise BundleError(
             "holds no samples", file=file, remedy="record the stream again"
         )
-    time_s = clock(table)
     status = _status(table)
+    position_mm = _valid_positions(table, status)
+    repeats = _repeats(table.numbers("t_s"), position_mm)
+    time_s = clock(table, repeats)[~repeats]
     if (status != 0).all():
         raise BundleError(
             "holds no valid sample: no status is 0",
@@ -38,7 +40,7 @@ def decode_stream(data: bytes, *, file: str = "tracker.parquet") -> TrackerSampl
             remedy="check that the beam was locked",
         )
     return TrackerSamples(
-        counter_of(time_s), time_s, _valid_positions(table, status), status
+        counter_of(time_s), time_s, position_mm[~repeats], status[~repeats]
     )
 
 
@@ -57,10 +59,14 @@ def encode_stream(samples: TrackerSamples) -> bytes:
     return sink.getvalue()
 
 
-def clock(table: Table) -> NDArray[np.float64]:
-    """Return the column `t_s`, which must increase from row to row."""
+def clock(
+    table: Table, repeats: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Return the column `t_s`, which must increase from row to row but at repeats."""
     time_s = table.numbers("t_s")
     back = np.diff(time_s) <= 0
+    if repeats is not None:
+        back &= ~repeats[1:]
     if back.any():
         index = int(np.argmax(back)) + 1
         raise table.error(
@@ -79,6 +85,16 @@ def counter_of(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.zeros(1, np.int64)
     steps = np.maximum(np.rint(step_s / np.median(step_s)), 1.0)
     return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+
+
+def _repeats(
+    time_s: NDArray[np.float64], position_mm: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Tell which rows are the row before once more: a frame that came twice."""
+    repeats = np.zeros(len(time_s), bool)
+    same = np.diff(time_s) == 0
+    repeats[1:] = same & (np.diff(position_mm, axis=0) == 0).all(axis=1)
+    return repeats
 
 
 def _valid_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -166,6 +166,20 @@ def test_a_pause_in_the_stream_counts_as_lost_samples(bundle, run):
     np.testing.assert_array_equal(read_bundle(bundle).tracker.sequence, keep)
 
 
+def test_a_frame_that_came_twice_counts_once(bundle, run):
+    whole = run.tracker
+    twice = np.repeat(np.arange(len(whole)), np.arange(len(whole)) % 7 == 3) + 1
+    keep = np.sort(np.concatenate([np.arange(len(whole)), twice]))
+    double = TrackerSamples(
+        whole.sequence[keep],
+        whole.device_time_s[keep],
+        whole.position_mm[keep],
+        whole.status[keep],
+    )
+    write_bundle(replace(run, tracker=double), bundle)
+    assert_same(read_bundle(bundle), run)
+
+
 def test_a_stream_of_one_sample_has_a_counter(bundle, run):
     one = TrackerSamples(
         np.array([9]), np.array([5.0]), np.zeros((1, 3)), np.array([0])
