@@ -92,7 +92,7 @@ def result() -> dict[str, Any]:
                 f"value_{unit}": waves.round(3).tolist(),
                 f"uncertainty_{unit}": u.round(3).tolist(),
             }
-    tables["ECZ"]["value_urad"] = [None] * 21
+    del tables["ECZ"]
     return {
         "schema": "result/1",
         "machine": MACHINE,
@@ -108,7 +108,9 @@ def result() -> dict[str, Any]:
         "observability": {
             "rank": 161,
             "parameters": 165,
-            "unobservable": ["ECZ: roll of Z merges with the straightness of Z"],
+            "unobservable": [
+                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+            ],
         },
         "provenance": {},
     }

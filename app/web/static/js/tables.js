@@ -4,23 +4,24 @@ import { t } from "./texts.js";
 const TRANSLATIONS = "XYZ";
 const ROTATIONS = "ABC";
 
-/** Error motions of a result by axis: [{axis, tables: [table, …]}, …].
+/** Error motions of a result by axis: [{axis, tables: [table, …]}, …], known or not.
  *
- * table: {symbol, axis, name, kind, positionKind, positions, values, uncertainties}
+ * table: {symbol, axis, name, kind, positionKind, positions, values, uncertainties, known,
+ *         why: what the result says of an error motion that it does not hold}
  */
 export function tablesByAxis(result) {
-  const groups = new Map();
-  for (const [symbol, entry] of Object.entries(result.error_tables ?? {})) {
-    const table = read(symbol, entry);
-    if (!groups.has(table.axis)) groups.set(table.axis, []);
-    groups.get(table.axis).push(table);
-  }
-  return [...groups.keys()].sort(byLetter("XYZABC"))
-    .map((axis) => ({ axis, tables: groups.get(axis).sort(byMotion(axis)) }));
+  const entries = result.error_tables ?? {};
+  const unseen = result.observability?.unobservable ?? [];
+  const axes = Object.keys(result.machine?.axes ?? {}).sort(byLetter("XYZABC"));
+  return axes.map((axis) => ({
+    axis,
+    tables: [...TRANSLATIONS + ROTATIONS].map((motion) => `E${motion}${axis}`)
+      .map((symbol) => read(symbol, entries[symbol] ?? {}, unseen)).sort(byMotion(axis)),
+  }));
 }
 
-function read(symbol, entry) {
-  const kind = entry.value_um ? "error" : "angle";
+function read(symbol, entry, unseen) {
+  const kind = TRANSLATIONS.includes(symbol[1]) ? "error" : "angle";
   const rotary = Boolean(entry.position_deg);
   const values = entry.value_um ?? entry.value_urad ?? [];
   return {
@@ -30,6 +31,7 @@ function read(symbol, entry) {
     values,
     uncertainties: entry.uncertainty_um ?? entry.uncertainty_urad ?? [],
     known: values.length > 0 && values.every((v) => v !== null),
+    why: unseen.find((text) => text.startsWith(symbol)) ?? "",
   };
 }
 

@@ -1,7 +1,7 @@
 /* Step 5: error tables with their uncertainty, squareness, and what can be taken away. */
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
-import { card, head, kindOf, linkButton, notice, segments, tile } from "../parts.js";
+import { card, head, kindOf, linkButton, segments, tile } from "../parts.js";
 import { COVERAGE, drawErrors, reachOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
 import { squarenessName, tablesByAxis } from "../tables.js";
@@ -28,7 +28,7 @@ export function mount(root) {
   function draw(job, result) {
     close();
     const body = h("div", { class: "stack" });
-    root.replaceChildren(heading(job, result), verdict(job, result), ...warnings(result), body);
+    root.replaceChildren(heading(job, result), verdict(job, result), body);
     charts = drawTables(body, result);
   }
 
@@ -60,12 +60,12 @@ function downloads({ id, run_id }) {
 }
 
 function verdict(job, result) {
-  const tables = tablesByAxis(result).flatMap((group) => group.tables).filter((table) => table.known);
+  const all = tablesByAxis(result).flatMap((group) => group.tables);
+  const tables = all.filter((table) => table.known);
   const worst = (kind) => tables.filter((table) => table.kind === kind)
     .map((table) => [Math.max(...table.values.map(Math.abs)), table.symbol])
     .sort((a, b) => b[0] - a[0])[0];
   const [error, angle] = [worst("error"), worst("angle")];
-  const { rank, parameters } = result.observability ?? {};
   const figures = [
     error && [t("result.worst", { symbol: error[1] }), error[0], "error"],
     angle && [t("result.worst", { symbol: angle[1] }), angle[0], "angle"],
@@ -78,23 +78,24 @@ function verdict(job, result) {
   const counts = [
     [t("run.samples"), number(job.health?.samples)],
     [t("run.lost"), number(job.health?.lost_samples)],
-    rank !== undefined && [t("result.rank"), `${number(rank)} / ${number(parameters)}`],
-  ].filter(Boolean).filter(([, value]) => value !== "–").map(([name, value]) => tile(name, value).element);
+    [t("result.determined"), `${number(tables.length)} / ${number(all.length)}`],
+  ].filter(([, value]) => value !== "–").map(([name, value]) => tile(name, value).element);
   return h("section", { class: "card verdict", "aria-label": t("result.summary") },
     h("dl", { class: "tiles" }, figures, counts));
 }
 
-function warnings(result) {
-  const unseen = result.observability?.unobservable ?? [];
-  if (!unseen.length) return [];
-  return [notice(null, t("result.unobservable"), unseen.join(" · "), t("result.unobservable_note"))];
+function unseen(result) {
+  const texts = result.observability?.unobservable ?? [];
+  if (!texts.length) return null;
+  return card(t("result.unobservable"), h("ul", { class: "lines" }, texts.map((text) => h("li", {}, text))),
+    h("p", { class: "quiet" }, t("result.unobservable_note")));
 }
 
 function drawTables(body, result) {
   const groups = tablesByAxis(result);
   const charts = [];
   const grid = h("div");
-  body.append(toolbar(() => fill()), grid, squareness(result));
+  body.append(...[toolbar(() => fill()), grid, squareness(result), unseen(result)].filter(Boolean));
   fill();
   return charts;
 
@@ -141,8 +142,10 @@ function chartCard(table) {
   const open = h("button", { class: "button is-plain", type: "button",
     "aria-label": t("result.enlarge", { symbol: table.symbol }), onclick: () => showTable(table) }, icon("expand"));
   if (!table.known) {
-    const missing = h("p", { class: "chart-missing" }, t("result.unknown"));
-    return [h("article", { class: "chart", "data-symbol": table.symbol }, h("header", {}, title), missing), null];
+    const missing = h("div", { class: "chart-missing" }, h("p", {}, t("result.unknown")),
+      h("p", { class: "chart-why" }, table.why));
+    return [h("article", { class: "chart is-missing", "data-symbol": table.symbol },
+      h("header", {}, title), missing), null];
   }
   const plot = h("div", { class: "chart-plot", role: "img", "aria-label": summary(table) });
   const element = h("article", { class: "chart", "data-symbol": table.symbol },

@@ -60,7 +60,7 @@ function mountMeasuring(root, { actions }) {
       position.update(state);
       health.update(state);
       buttons.update(state);
-      path.progress(reached(state), state.live?.axes ?? null);
+      path.progress(reached(state), positionOf(state));
       const stale = isActive(job) && link.stale;
       for (const element of [position.element, health.element, path.element]) {
         element.classList.toggle("is-stale-data", stale);
@@ -105,6 +105,11 @@ function reached({ job, plan }) {
   if (isComputing(job) || job.state === "succeeded") return plan.position.length;
   const { done, total } = job.progress ?? {};
   return total ? Math.floor((done / total) * (plan.position.length - 1)) + 1 : 0;
+}
+
+/** Axis positions now: of the live stream, else as last kept with the job. */
+function positionOf({ job, live }) {
+  return live?.axes ?? (job.progress?.position?.length ? job.progress.position : null);
 }
 
 /** Blocks carry no time of single samples; they are spread over the time since the last. */
@@ -165,10 +170,12 @@ function positionCard() {
   let outputs = [];
   return { element, update };
 
-  function update({ live, plan, machine }) {
+  function update(state) {
+    const { plan, machine } = state;
+    const position = positionOf(state);
     const axes = plan?.axes ?? Object.keys(machine?.axes ?? {});
     if (names !== axes.join()) build(axes, machine);
-    outputs.forEach(({ output, kind }, i) => write(output, figure(live?.axes?.[i], kind)));
+    outputs.forEach(({ output, kind }, i) => write(output, figure(position?.[i], kind)));
   }
 
   function build(axes, machine) {
