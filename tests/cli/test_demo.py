@@ -15,7 +15,7 @@ from app.measurement.machine_file import machine_from_json
 from app.planning.paths import travel_time_s
 from simulators.scenario import load_machine
 
-FAST = ["--speed", "10", "--feed", "15000"]
+FAST = ["--speed", "4", "--feed", "15000"]
 
 
 @pytest.fixture

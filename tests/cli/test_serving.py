@@ -111,11 +111,11 @@ class Lines:
 @pytest.mark.timeout(180)
 @pytest.mark.xdist_group("devices")
 def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
-    """The command of `make run`, its device clocks ten times faster."""
+    """The command of `make run`, its device clocks three times faster."""
     service = subprocess.Popen(
         [TRUEPATH, "serve", "--simulated", "--measure", "--port", "0"],
         env=os.environ
-        | {"TRUEPATH_DATA_DIR": str(tmp_path), "TRUEPATH_SIMULATED_SPEED": "10"},
+        | {"TRUEPATH_DATA_DIR": str(tmp_path), "TRUEPATH_SIMULATED_SPEED": "3"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
