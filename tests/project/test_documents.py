@@ -6,6 +6,8 @@ import subprocess
 
 import pytest
 
+from app.api.application import create_application
+
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#+\s+(.*)$", re.MULTILINE)
@@ -99,3 +101,18 @@ def test_every_truepath_command_of_the_documents_exists(documents, root):
         offered = help_of(words[1])
         for option in (w.partition("=")[0] for w in words[2:] if w.startswith("-")):
             assert re.search(rf"(?<![\w-]){re.escape(option)}(?![\w-])", offered), words
+
+
+def test_every_route_of_the_documents_exists_and_none_is_left_out(root):
+    routes = {
+        (method.upper(), path)
+        for path, methods in create_application(None).openapi()["paths"].items()
+        for method in methods
+    }
+    text = (root / "docs" / "rest-api.md").read_text()
+    named = set(re.findall(r"`(GET|POST|DELETE|PUT|PATCH) (/[^` ]*)`", text))
+    assert named <= routes, f"not there: {sorted(named - routes)}"
+    results = {
+        route for route in routes if route[1].startswith("/api/v1/jobs/{job_id}/result")
+    }
+    assert routes - named <= results, f"left out: {sorted(routes - named - results)}"
