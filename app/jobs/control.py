@@ -126,15 +126,16 @@ class Control:
             with self._changed:
                 self._computation = None
 
-    def enter(self, state: State, stage: Stage) -> Job:
+    def enter(self, state: State, stage: Stage, *, unless: State | None = None) -> Job:
         """Go on to a state or a stage; what the table does not allow changes nothing.
 
-        An abort under way is never left like this.
+        An abort under way is never left like this, nor the state `unless`.
         """
 
         def change(job: Job) -> Job:
             allowed = job.state is state or may_follow(job.state, state)
-            if not allowed or (job.state, job.stage) == (state, stage):
+            unchanged = (job.state, job.stage) == (state, stage)
+            if not allowed or unchanged or job.state is unless:
                 return job
             return replace(
                 job,
@@ -155,7 +156,7 @@ class Control:
         """
 
         def change(job: Job) -> Job:
-            if job.failure == failure:
+            if job.failure == failure or job.is_final:
                 return job
             held = failure is not None and job.state is State.RESUMING
             if not held:
@@ -168,9 +169,14 @@ class Control:
         self._noted(self._store.change(self.job_id, change))
 
     def end(self, state: State, failure: Failure | None = None) -> Job:
-        """Enter a final state; an abort under way wins over success and failure."""
+        """Enter a final state, unless the job is in one.
+
+        An abort under way wins over success and failure.
+        """
 
         def change(job: Job) -> Job:
+            if job.is_final:
+                return job
             aborting = job.state is State.ABORTING
             final = state if may_follow(job.state, state) else State.ABORTED
             kept = None if aborting and final is State.ABORTED else failure
@@ -187,7 +193,11 @@ class Control:
 
     def link_run(self, run_id: str) -> None:
         """Note which Run the job has made."""
-        self._store.change(self.job_id, lambda job: replace(job, run_id=run_id))
+
+        def change(job: Job) -> Job:
+            return job if job.is_final else replace(job, run_id=run_id)
+
+        self._store.change(self.job_id, change)
 
     def report(
         self,

@@ -29,6 +29,7 @@ CONFIRM_S = {
     State.ABORTING: 10.0,
 }
 CLOSE_RUN_S = 60.0
+INSIST_S = 1.0
 _HEAR_S = 0.1
 
 _STATES = {
@@ -61,6 +62,7 @@ class Measuring:
         self._fault: Mapping[str, Any] = {}
         self._outcome = ""
         self._close_by = float("inf")
+        self._insist_at = clock() + INSIST_S
         self._given_up = False
 
     def run(self, order: Order) -> None:
@@ -86,6 +88,7 @@ class Measuring:
 
     def _follow(self) -> None:
         while True:
+            self._insist()
             self._watch_the_clock()
             try:
                 event = self._events.get(timeout=_HEAR_S)
@@ -136,13 +139,25 @@ class Measuring:
             self._close_by = self._clock() + CLOSE_RUN_S
             return
         state = _STATES.get(name)
+        if state is None:
+            return
         # What the cell said before a pause reached it must not undo the pause.
-        late = state is State.RUNNING and self._control.state is State.PAUSING
-        if state is not None and not late:
-            self._control.enter(state, Stage.MEASURING)
-        if state is State.RUNNING:
+        late = State.PAUSING if state is State.RUNNING else None
+        job = self._control.enter(state, Stage.MEASURING, unless=late)
+        if job.state is State.RUNNING:
             self._fault = {}
             self._control.complain(None)
+
+    def _insist(self) -> None:
+        """Repeat what has not been confirmed: it may have come before it could act."""
+        now = self._clock()
+        if self._outcome or now < self._insist_at:
+            return
+        self._insist_at = now + INSIST_S
+        if self._control.called_off:
+            self._cell.abort()
+        elif self._control.state is State.PAUSING:
+            self._cell.pause()
 
     def _watch_the_clock(self) -> None:
         state = self._control.state

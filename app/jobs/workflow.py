@@ -6,6 +6,7 @@ its `Control` it ends early.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,8 @@ from app.kinematics.machine import Machine
 from app.measurement.cell import Order
 from app.planning.paths import check_travel
 from drivers.interfaces.errors import DeviceError
+
+TRY_AGAIN_S = 0.5
 
 log = structlog.get_logger(__name__)
 
@@ -125,7 +128,8 @@ def _keep_run(run_id: str, control: Control, shop: Workshop) -> None:
     """Catalogue what was recorded, whole or not."""
     try:
         record = shop.runs.add_measured(run_id)
-    except TruepathError:
+    except Exception:
+        # How the measurement ended is more than what became of its file.
         log.exception("the Run cannot be read; its file is kept")
         return
     if record is not None:
@@ -150,6 +154,7 @@ def _end(control: Control, state: State, failure: Failure | None = None) -> None
             log.exception("the end of the job cannot be put down yet")
             if control.called_off:  # the next start of the service will find it
                 return
+            time.sleep(TRY_AGAIN_S)
         else:
             log.info("job ended", state=str(job.state), reason=failure)
             return

@@ -6,14 +6,26 @@ import os
 import pwd
 import shutil
 import subprocess
+import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import pytest
 
+from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
+from app.jobs.dispatcher import Dispatcher
 from app.jobs.feed import Feed
+from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
+from app.jobs.transitions import State
+from app.jobs.workflow import Workshop
+from app.measurement.machine_file import machine_from_json
+from simulators.scenario import load_machine
+
+sys.path.append(str(Path(__file__).parent))
+from scripted_cell import CellMaker, Inline, Science
 
 
 def _postgres_programs() -> dict[str, str] | None:
@@ -94,3 +106,67 @@ def store(database, told):
 @pytest.fixture
 def feed():
     return Feed()
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left_over():
+    before = set(threading.enumerate())
+    yield
+    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
+    assert not left
+
+
+@pytest.fixture
+def machine():
+    return machine_from_json(load_machine("demo"))
+
+
+@pytest.fixture
+def sqlite_catalogue(tmp_path):
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+    database.migrate()
+    yield database
+    database.close()
+
+
+@pytest.fixture
+def make_cell():
+    """Makes the cells of the service under test."""
+    return CellMaker()
+
+
+@pytest.fixture
+def science():
+    return Science()
+
+
+@pytest.fixture
+def shop(sqlite_catalogue, feed, make_cell, science, machine, tmp_path):
+    """Everything a job works with; the cell is not started yet."""
+    cell = CellSupervisor(make_cell, first_pause_s=0.02)
+    results = tmp_path / "results"
+    results.mkdir()
+    yield Workshop(
+        store=Store(sqlite_catalogue, feed.tell_stored),
+        runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
+        results=results,
+        executor=Inline(),
+        science=science,
+        machine=machine,
+        cell=cell,
+        confirm_s={
+            State.PAUSING: 0.3,
+            State.RESUMING: 0.3,
+            State.ABORTING: 0.3,
+        },
+    )
+    cell.close()
+
+
+@pytest.fixture
+def dispatcher(shop, feed):
+    """Jobs can be given; the cell runs."""
+    shop.cell.start()
+    dispatcher = Dispatcher(shop, feed)
+    yield dispatcher
+    dispatcher.close()

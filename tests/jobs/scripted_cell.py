@@ -1,0 +1,292 @@
+"""Doubles that a test steps through: a cell without devices, science without sums."""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from app.jobs.errors import Aborted
+from app.jobs.executor import Computation, Executor
+from app.measurement.cell import CellEvent, Order
+from app.measurement.recorder import Recorder
+from app.measurement.run_file import RunHeader
+from drivers.interfaces.records import Identity, TrackerSamples
+
+DEADLINE_S = 8.0
+DEVICES = {
+    "tracker": Identity("Maker", "Tracker", "T-1", "1.0"),
+    "motion": Identity("Maker", "Controller", "C-1", "2.0"),
+}
+
+
+def wait_until(reached: Callable[[], object], what: str = "") -> object:
+    """Return what `reached` gives once it is true; fail after a deadline."""
+    end = time.monotonic() + DEADLINE_S
+    while not (found := reached()):
+        assert time.monotonic() < end, f"waited in vain for {what or reached}"
+        time.sleep(0.005)
+    return found
+
+
+class ScriptedCell:
+    """Answers verbs as a cell does, measures nothing, ends when the test says so.
+
+    deaf : verbs that are heard and not obeyed
+    refuses : what `connect` raises
+    """
+
+    def __init__(self, deaf=(), refuses=None, process_id=None):
+        self.deaf, self.refuses = set(deaf), refuses
+        self.process_id = process_id
+        self.heard: list[str] = []
+        self.order: Order | None = None
+        self.started, self.begun = threading.Event(), threading.Event()
+        self.committed = 0
+        self.closed = False
+        self._alive = True
+        self._events: queue.SimpleQueue[CellEvent] = queue.SimpleQueue()
+        self._recorder: Recorder | None = None
+        self._samples = 0
+
+    # What the supervisor calls.
+
+    @property
+    def alive(self):
+        return self._alive and not self.closed
+
+    def start(self):
+        self.started.set()
+
+    def connect(self):
+        self.heard.append("connect")
+        if self.refuses is not None:
+            raise self.refuses
+        self.say_state("connecting")
+        self.say_state("ready")
+        return DEVICES
+
+    def begin(self, order):
+        self.heard.append("begin")
+        self.order = order
+        if "begin" in self.deaf:
+            return
+        header = RunHeader(
+            order.run_name,
+            order.machine,
+            order.commanded,
+            order.rate_hz,
+            DEVICES,
+            order.machine.axis_names,
+        )
+        self._recorder = Recorder(
+            FilePath(order.run_file),
+            header,
+            committed=self._note_committed,
+            reserve_bytes=0,
+        )
+        self._samples = 0
+        self.say_state("running")
+        self.record(50)
+        self.begun.set()
+
+    def pause(self):
+        self._verb("pause", "pausing", "paused")
+
+    def resume(self):
+        self._verb("resume", "resuming", "running")
+
+    def abort(self):
+        self.heard.append("abort")
+        if "abort" not in self.deaf and self._recorder is not None:
+            self.end("aborted")
+
+    def poll(self, timeout_s):
+        found = []
+        try:
+            found.append(self._events.get(timeout=timeout_s))
+            while True:
+                found.append(self._events.get_nowait())
+        except queue.Empty:
+            return found
+
+    def close(self):
+        if self._recorder is not None:
+            self._recorder.close("aborted")
+            self._recorder = None
+        self.closed = True
+
+    # What the test does.
+
+    def say(self, kind, **body):
+        self._events.put(CellEvent(kind, body, time.monotonic_ns()))
+
+    def say_state(self, state):
+        self.say("state", state=state, text="")
+
+    def fault(self, code="beam-lost", text="the beam is lost", action="lock it"):
+        self.say("fault", code=code, text=text, action=action)
+
+    def record(self, n):
+        """Record some samples and tell of them."""
+        sequence = np.arange(self._samples, self._samples + n)
+        samples = TrackerSamples(
+            sequence, sequence / 500.0, np.zeros((n, 3)), np.zeros(n, np.int64)
+        )
+        self._recorder.put_tracker(samples)
+        self._samples += n
+        self.say(
+            "progress",
+            done=self._samples // 50,
+            total=10,
+            unit="lines",
+            stage="measuring",
+            position=[1.0, 2.0, 3.0],
+            samples=self._samples,
+            lost_samples=0,
+            crc_errors=0,
+            elapsed_s=self._samples / 500.0,
+            remaining_s=1.5,
+        )
+        self.say(
+            "live",
+            tracker_mm=[[1.0, 2.0, 3.0]],
+            axes=[1.0, 2.0, 3.0],
+            device_time_s=0.1,
+        )
+
+    def end(self, state="finished", spoil=None):
+        """Close the Run, let `spoil` have its file, say how it ended."""
+        recorder, self._recorder = self._recorder, None
+        closed = recorder.close(state)
+        if spoil is not None:
+            closed.file.chmod(0o644)
+            closed.file.write_bytes(spoil)
+        self.say_state(state)
+        self.say(
+            "closed",
+            run_file=str(closed.file),
+            samples=closed.samples,
+            lost_samples=closed.lost_samples,
+            sha256=closed.sha256,
+            outcome=state,
+        )
+
+    def die(self):
+        """End as a killed process does: without a word, the Run torn."""
+        if self._recorder is not None:
+            self.tear()
+        self._alive = False
+
+    def tear(self):
+        """Leave the Run's file as a killed writer leaves it, its log beside it."""
+        recorder, self._recorder = self._recorder, None
+        wait_until(lambda: self.committed == self._samples, "the writer")
+        log = recorder.file.with_name(recorder.file.name + "-wal")
+        torn = {file: file.read_bytes() for file in (recorder.file, log)}
+        recorder.close("never written")
+        for file, content in torn.items():
+            file.unlink(missing_ok=True)
+            file.write_bytes(content)
+
+    def _note_committed(self, samples):
+        self.committed += len(samples)
+
+    def _verb(self, verb, first, then):
+        self.heard.append(verb)
+        if verb not in self.deaf:
+            self.say_state(first)
+            self.say_state(then)
+
+
+@dataclass
+class CellMaker:
+    """Makes scripted cells; `cells` holds them, the newest last."""
+
+    options: dict = field(default_factory=dict)
+    cells: list[ScriptedCell] = field(default_factory=list)
+    fails: int = 0
+
+    def __call__(self):
+        if self.fails:
+            self.fails -= 1
+            raise OSError("no more processes")
+        self.cells.append(ScriptedCell(**self.options))
+        return self.cells[-1]
+
+    @property
+    def cell(self):
+        return wait_until(lambda: self.cells and self.cells[-1], "a cell")
+
+
+class Inline(Executor):
+    """Computes in the thread that waits for the result."""
+
+    def __init__(self):
+        self.closed = False
+
+    def submit(self, task, *arguments, report, started):
+        return _InlineComputation(task, arguments, report, started)
+
+    def close(self):
+        self.closed = True
+
+
+class _InlineComputation(Computation):
+    def __init__(self, task, arguments, report, started):
+        self._task, self._arguments = task, arguments
+        self._report, self._started = report, started
+        self._cancelled = threading.Event()
+
+    def result(self):
+        self._started()
+
+        def progress(fraction, stage):
+            if self._cancelled.is_set():
+                raise Aborted("cancelled")
+            self._report(fraction, stage)
+
+        return self._task(*self._arguments, progress=progress)
+
+    def cancel(self):
+        self._cancelled.set()
+
+
+class Science:
+    """A task that writes the files of a result.
+
+    hold : set it to let the task wait at its first report until it is released
+    raises : what the task ends with instead
+    """
+
+    def __init__(self):
+        self.hold: threading.Event | None = None
+        self.raises: Exception | None = None
+        self.calls: list[tuple] = []
+
+    def __call__(self, run_file, folder, perpendicular_only, *, progress):
+        self.calls.append((run_file, folder, perpendicular_only))
+        progress(0.0, "aligning")
+        while self.hold is not None and not self.hold.wait(0.01):
+            progress(0.1, "aligning")
+        if self.raises is not None:
+            raise self.raises
+        progress(0.5, "estimating")
+        place = FilePath(folder)
+        place.mkdir(parents=True)
+        result = {
+            "schema": "result/1",
+            "machine": {"name": "demo"},
+            "error_tables": {"EXX": {"position_mm": [0.0], "value_um": [1.0]}},
+            "squareness_urad": {"C0Y": {"value": 1.0, "uncertainty": 0.1}},
+        }
+        (place / "result.json").write_text(json.dumps(result))
+        (place / "error_tables.csv").write_text("error,position_mm\nEXX,0.0\n")
+        (place / "report.html").write_text("<!DOCTYPE html><title>Report</title>")
+        progress(1.0, "reporting")

@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import threading
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scripted_cell import wait_until
+
+from app.errors import BundleError, NotFound
+from app.jobs import dispatcher as dispatching
+from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.errors import Aborted, QueueFull
+from app.jobs.job import Kind
+from app.jobs.runs import check_archive, free_bytes, open_recorded
+from app.measurement.bundle import write_bundle
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import TrackerSamples
+
+
+@pytest.fixture
+def bundle(machine, tmp_path):
+    """A zipped bundle of a Run that has lost three samples."""
+    sequence = np.array([0, 1, 2, 3, 7, 8, 9, 10, 11, 12])
+    samples = TrackerSamples(
+        sequence, sequence / 500.0, np.ones((10, 3)), np.zeros(10, np.int64)
+    )
+    points = Configurations(
+        machine.axis_names, np.array([[1.0, 2.0, 3.0]]), np.array([1.0])
+    )
+    write_bundle(Run("b", machine, points, samples), tmp_path / "bundle")
+    packed = tmp_path / "bundle.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for file in (tmp_path / "bundle").iterdir():
+            archive.write(file, file.name)
+    return packed
+
+
+@pytest.fixture
+def run(shop, bundle):
+    return shop.runs.add_uploaded(bundle, "from the shop floor")
+
+
+@pytest.fixture
+def analysing(shop, feed):
+    """A dispatcher of a service without a machine."""
+    dispatcher = Dispatcher(replace(shop, machine=None, cell=None), feed)
+    yield dispatcher
+    dispatcher.close()
+
+
+def test_an_uploaded_run_is_catalogued_with_what_it_holds(shop, run, bundle):
+    assert (run.name, run.origin, run.mode) == (
+        "from the shop floor",
+        "uploaded",
+        "standstill",
+    )
+    assert (run.samples, run.lost_samples, run.complete) == (10, 3, True)
+    assert run.plan["kind"] == "points"
+    assert not bundle.exists()
+    assert shop.runs.bundle(run.id) == shop.runs.file(run.id)
+    assert len(open_recorded(shop.runs.file(run.id)).tracker) == 10
+
+
+def test_runs_come_newest_first_in_pages(shop, bundle, tmp_path):
+    kept = bundle.read_bytes()
+    made = []
+    for number in range(3):
+        copy = tmp_path / f"copy{number}.zip"
+        copy.write_bytes(kept)
+        made.append(shop.runs.add_uploaded(copy, str(number)))
+    first = shop.runs.page(2)
+    rest = shop.runs.page(2, before_seq=first[-1].seq)
+    assert [run.id for run in first + rest] == [run.id for run in reversed(made)]
+
+
+def test_a_run_whose_file_was_removed_is_not_found(shop, run):
+    shop.runs.file(run.id).unlink()
+    with pytest.raises(NotFound, match="has gone from the folder"):
+        shop.runs.file(run.id)
+
+
+def test_an_uploaded_run_is_analysed(analysing, shop, run, science):
+    wish = Wish(Kind.ANALYSE, run_id=run.id, perpendicular_only=True)
+    job, _ = analysing.create(wish)
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    ended = shop.store.get(job.id)
+    assert (ended.state, ended.run_id) == ("succeeded", run.id)
+    assert science.calls == [
+        (str(shop.runs.file(run.id)), str(shop.results / job.id), True)
+    ]
+
+
+def test_an_analysis_of_an_unknown_run_is_refused(analysing):
+    with pytest.raises(NotFound, match="no run nowhere"):
+        analysing.create(Wish(Kind.ANALYSE, run_id="nowhere"))
+
+
+def test_an_analysis_reports_its_stages(analysing, shop, run, feed):
+    heard = []
+    feed.listen(heard.append)
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    stages = [n.body["stage"] for n in heard if n.type == "progress"]
+    assert set(stages) == {"aligning", "estimating", "reporting"}
+
+
+def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(shop, run, feed):
+    def dreaming(run_file, folder, perpendicular_only, *, progress):
+        progress(0.5, "dreaming")
+
+    alone = replace(shop, science=dreaming, machine=None, cell=None)
+    dispatcher = Dispatcher(alone, feed)
+    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_id=run.id))
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    assert shop.store.get(job.id).stage == "aligning"
+    dispatcher.close()
+
+
+def test_a_bad_bundle_fails_the_analysis_with_its_place(analysing, shop, run, science):
+    science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    failure = shop.store.get(job.id).failure
+    assert failure.family == "BundleError"
+    assert failure.detail == "tracker.csv, row 7, column x_mm: is NaN"
+
+
+def test_closing_interrupts_an_analysis(analysing, shop, run, science):
+    science.hold = threading.Event()
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    wait_until(lambda: science.calls)
+    analysing.close()
+    assert shop.store.get(job.id).state == "interrupted"
+
+
+def test_an_executor_that_ends_ends_the_job(analysing, shop, run, science):
+    science.raises = Aborted("the service is ending")
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    assert shop.store.get(job.id).state == "aborted"
+
+
+def test_more_jobs_than_can_wait_are_refused(
+    analysing, run, science, monkeypatch, shop
+):
+    monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
+    science.hold = threading.Event()
+    jobs = [analysing.create(Wish(Kind.ANALYSE, run_id=run.id))[0] for _ in range(2)]
+    with pytest.raises(QueueFull, match="2 jobs are under way"):
+        analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    for job in jobs:
+        analysing.abort(job.id)
+    wait_until(lambda: all(shop.store.get(job.id).is_final for job in jobs))
+
+
+def test_a_measured_run_is_packed_once_as_a_bundle(shop, run, dispatcher, make_cell):
+    rows = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}]
+    job, _ = dispatcher.create(Wish(Kind.MEASURE_STANDSTILL, rows=rows))
+    ready = wait_until(lambda: (now := shop.store.get(job.id)).state == "ready" and now)
+    dispatcher.arm(job.id, ready.version)
+    assert make_cell.cell.begun.wait(5)
+    make_cell.cell.end()
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    packed = shop.runs.bundle(job.id)
+    again = open_recorded(packed)
+    assert len(again.tracker) == 50
+    assert again.commanded.position.tolist() == [[1.0, 2.0, 3.0]]
+    before = packed.stat().st_mtime_ns
+    assert shop.runs.bundle(job.id).stat().st_mtime_ns == before
+
+
+def test_what_interrupted_uploads_left_is_swept_away(shop, analysing):
+    left = shop.runs.upload_place()
+    assert left.is_file()
+    analysing.sweep()
+    assert not left.exists()
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path):
+    bomb = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tracker.csv", b"0" * (3 << 20))
+    check_archive(bomb, 4 << 20)
+    with pytest.raises(BundleError, match="unpacks to 3 MiB, more than 2 MiB"):
+        check_archive(bomb, 2 << 20)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no archive"])
+def test_what_is_no_archive_is_refused(tmp_path, content):
+    file = tmp_path / "bundle.zip"
+    file.write_bytes(content)
+    with pytest.raises(BundleError, match="not a zip archive"):
+        check_archive(file, 1 << 20)
+
+
+def test_free_space_is_that_of_the_disk(tmp_path):
+    assert free_bytes(tmp_path) > 0

@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import threading
+
+import pytest
+from scripted_cell import CellMaker, wait_until
+
+from app.errors import MeasurementFailed, TruepathError
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.errors import CellDown, DeviceSettings
+from drivers.interfaces.errors import WrongDevice
+
+
+@pytest.fixture
+def maker():
+    return CellMaker()
+
+
+@pytest.fixture
+def supervisor(maker):
+    supervisor = CellSupervisor(maker, first_pause_s=0.02)
+    yield supervisor
+    supervisor.close()
+
+
+@pytest.fixture
+def running(supervisor, maker):
+    supervisor.start()
+    wait_until(lambda: supervisor.status.state == "disconnected")
+    return supervisor
+
+
+def test_a_new_cell_opens_no_port(running, maker):
+    assert maker.cell.heard == []
+    assert not running.status.connected
+
+
+def test_connecting_names_the_devices(running):
+    devices = running.connect()
+    assert devices["tracker"]["serial_number"] == "T-1"
+    assert running.status.connected
+    assert running.status.state == "ready"
+
+
+def test_connecting_again_asks_the_devices_again(running, maker):
+    running.connect()
+    running.connect()
+    assert maker.cell.heard == ["connect", "connect"]
+
+
+@pytest.mark.parametrize(
+    ("refusal", "family"),
+    [
+        (WrongDevice("a printer answers"), WrongDevice),
+        (TruepathError("no tracker called x is installed"), DeviceSettings),
+        (MeasurementFailed("the cell process did not answer"), CellDown),
+    ],
+)
+def test_a_device_that_refuses_is_named_and_not_connected(
+    running, maker, refusal, family
+):
+    running.connect()
+    maker.cell.refuses = refusal
+    with pytest.raises(family, match=str(refusal)):
+        running.connect()
+    assert not running.status.connected
+
+
+def test_a_fault_of_the_machine_makes_connecting_necessary(running, maker):
+    running.connect()
+    maker.cell.fault("link-lost", "the cable is out", "plug it in")
+    maker.cell.say_state("faulted")
+    wait_until(lambda: running.status.state == "faulted")
+    assert running.status.text == "the cable is out"
+    assert not running.status.connected
+
+
+def test_a_cell_that_dies_is_made_anew_and_connects_to_nothing(running, maker):
+    first = maker.cell
+    running.connect()
+    first.die()
+    wait_until(lambda: maker.cell is not first)
+    wait_until(lambda: running.status.state == "disconnected")
+    assert running.status.restarts == 1
+    assert first.closed
+    assert maker.cell.heard == []
+    running.connect()
+
+
+def test_a_cell_that_does_not_start_is_tried_again_with_growing_pauses(
+    supervisor, maker
+):
+    maker.fails = 2
+    supervisor.start()
+    wait_until(lambda: supervisor.status.state == "disconnected")
+    assert supervisor.status.restarts == 2
+
+
+def test_while_there_is_no_cell_verbs_are_refused_at_once(maker):
+    supervisor = CellSupervisor(maker, first_pause_s=30.0)
+    maker.fails = 1
+    supervisor.start()
+    wait_until(lambda: supervisor.status.state == "down")
+    with pytest.raises(CellDown, match="no more processes"):
+        supervisor.connect()
+    assert isinstance(supervisor.abort().exception(5), CellDown)
+    supervisor.close()
+
+
+def test_after_the_end_verbs_are_refused(running):
+    running.close()
+    with pytest.raises(CellDown, match="ending"):
+        running.connect()
+
+
+def test_closing_a_supervisor_that_never_started_is_harmless(supervisor):
+    supervisor.close()
+
+
+def test_a_condemned_cell_is_killed_and_replaced(maker, monkeypatch, running):
+    killed = []
+    monkeypatch.setattr("os.kill", lambda pid, number: killed.append((pid, number)))
+    first = maker.cell
+    first.process_id = 4711
+    running.condemn()
+    wait_until(lambda: maker.cell is not first)
+    assert killed == [(4711, 9)]
+    assert first.closed
+
+
+def test_a_cell_that_hangs_when_asked_to_begin_is_condemned(
+    running, maker, monkeypatch
+):
+    monkeypatch.setattr("app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    first, hold = maker.cell, threading.Event()
+    first.begin = lambda order: hold.wait(5)
+    with pytest.raises(CellDown, match="does not answer"):
+        running.begin(None, lambda event: None, lambda: False)
+    hold.set()
+    wait_until(lambda: maker.cell is not first)
+
+
+def test_a_cell_that_hangs_when_asked_to_connect_is_reported(
+    running, maker, monkeypatch
+):
+    monkeypatch.setattr("app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
+    hold = threading.Event()
+    maker.cell.connect = lambda: hold.wait(5) and {}
+    with pytest.raises(CellDown, match="does not answer"):
+        running.connect()
+    hold.set()
+
+
+def test_in_a_measurement_connecting_disturbs_nothing(running, maker):
+    running.connect()
+    maker.cell.deaf.add("begin")
+    assert running.begin(None, lambda event: None, lambda: False)
+    assert running.connect()["motion"]["serial_number"] == "C-1"
+    assert maker.cell.heard == ["connect", "begin"]
+    running.forget()

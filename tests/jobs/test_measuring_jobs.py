@@ -1,0 +1,684 @@
+"""A measuring job from its creation to its end, over a cell that the test plays."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import pytest
+from scripted_cell import wait_until
+from sqlalchemy import text
+
+from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
+from app.jobs import measuring
+from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.errors import (
+    CellBusy,
+    CellDown,
+    NoMachine,
+    StaleVersion,
+    StorageUnavailable,
+)
+from app.jobs.job import Kind, NewJob
+from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
+from app.jobs.store import Key
+from app.jobs.transitions import FINAL, State
+from app.kinematics.machine import Target
+from drivers.interfaces.errors import ConnectionLost
+
+ROWS = (
+    {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
+    {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
+)
+OTF = Wish(Kind.MEASURE_OTF, rows=ROWS)
+STANDSTILL = Wish(Kind.MEASURE_STANDSTILL)
+
+
+@pytest.fixture
+def until(shop):
+    """Wait until a job is in a state; return it."""
+
+    def wait(job, *states):
+        def reached():
+            now = shop.store.get(job.id)
+            return now if now.state in states else None
+
+        return wait_until(reached, f"{states}, is {shop.store.get(job.id)}")
+
+    return wait
+
+
+@pytest.fixture
+def ready(dispatcher, until):
+    """A job that waits to be armed."""
+    job, _ = dispatcher.create(OTF)
+    return until(job, "ready")
+
+
+@pytest.fixture
+def running(dispatcher, ready, make_cell):
+    """A job whose machine moves."""
+    job = dispatcher.arm(ready.id, ready.version)
+    assert make_cell.cell.begun.wait(5)
+    return job
+
+
+def test_a_job_is_planned_armed_measured_and_analysed(
+    dispatcher, shop, running, make_cell, until, science
+):
+    make_cell.cell.end()
+    job = until(running, "succeeded")
+    assert make_cell.cell.heard == ["connect", "begin"]
+    assert (job.stage, job.failure, job.desired_state) == ("reporting", None, "running")
+    assert job.health.samples == 50
+    run = shop.runs.get(job.run_id)
+    assert (run.samples, run.lost_samples, run.complete) == (50, 0, True)
+    assert science.calls == [
+        (str(shop.runs.file(run.id)), str(shop.results / job.id), False)
+    ]
+    assert (shop.results / job.id / "result.json").is_file()
+
+
+def test_a_standstill_job_steps_through_its_points(dispatcher, shop, make_cell, until):
+    points = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "dwell_s": 0.5}]
+    job, _ = dispatcher.create(replace(STANDSTILL, rows=points))
+    ready = until(job, "ready")
+    dispatcher.arm(job.id, ready.version)
+    order = wait_until(lambda: make_cell.cell.order)
+    assert order.commanded.position.tolist() == [[1.0, 2.0, 3.0]]
+    assert order.commanded.dwell_s.tolist() == [0.5]
+    assert make_cell.cell.begun.wait(5)
+    make_cell.cell.end()
+    assert until(job, "succeeded").kind == "measure-standstill"
+    assert shop.runs.get(job.id).mode == "standstill"
+
+
+def test_nothing_moves_before_the_job_is_armed(ready, make_cell):
+    assert make_cell.cell.heard == ["connect"]
+
+
+def test_arming_needs_the_version_that_was_read(dispatcher, ready, make_cell):
+    with pytest.raises(StaleVersion):
+        dispatcher.arm(ready.id, ready.version - 1)
+    assert "begin" not in make_cell.cell.heard
+
+
+def test_arming_twice_is_refused(dispatcher, running):
+    with pytest.raises(IllegalTransition, match="cannot arm a job that is running"):
+        dispatcher.arm(running.id, running.version)
+
+
+def test_the_cell_drives_what_was_planned(dispatcher, running, make_cell):
+    path = make_cell.cell.order.commanded
+    assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 300.0, 200.0]]
+    assert path.feed_mm_min.tolist()[1] == 1000.0
+
+
+def test_a_second_measuring_job_is_refused_with_the_first_ones_name(dispatcher, ready):
+    with pytest.raises(CellBusy, match=ready.id):
+        dispatcher.create(OTF)
+
+
+def test_a_pause_holds_and_a_resume_goes_on(dispatcher, running, make_cell, until):
+    assert dispatcher.pause(running.id).state == "pausing"
+    paused = until(running, "paused")
+    assert paused.desired_state == "paused"
+    assert dispatcher.pause(running.id).version == paused.version
+    assert dispatcher.resume(running.id, paused.version).state == "resuming"
+    until(running, "running")
+    assert make_cell.cell.heard == ["connect", "begin", "pause", "resume"]
+    make_cell.cell.end()
+    until(running, "succeeded")
+
+
+def test_a_resume_with_a_stale_version_moves_nothing(
+    dispatcher, running, make_cell, until
+):
+    dispatcher.pause(running.id)
+    paused = until(running, "paused")
+    with pytest.raises(StaleVersion):
+        dispatcher.resume(running.id, paused.version - 1)
+    assert "resume" not in make_cell.cell.heard
+
+
+def test_a_hold_at_the_machines_panel_is_a_pause(running, make_cell, until):
+    make_cell.cell.say_state("paused")
+    until(running, "paused")
+    make_cell.cell.say_state("running")
+    until(running, "running")
+
+
+def test_what_the_cell_said_before_a_pause_does_not_undo_it(
+    dispatcher, running, make_cell, until, shop
+):
+    make_cell.cell.deaf.add("pause")
+    dispatcher.pause(running.id)
+    make_cell.cell.say_state("running")
+    make_cell.cell.say_state("paused")
+    until(running, "paused")
+    states = [event.body["state"] for event in shop.store.events_after(0)]
+    after = states[states.index("pausing") :]
+    assert "running" not in after
+
+
+def test_a_pause_that_came_too_early_is_repeated(dispatcher, shop, until, make_cell):
+    shop.confirm_s["pausing"] = 8.0
+    job, _ = dispatcher.create(OTF)
+    ready = until(job, "ready")
+    make_cell.cell.deaf.add("pause")
+    dispatcher.arm(job.id, ready.version)
+    assert make_cell.cell.begun.wait(5)
+    dispatcher.pause(job.id)
+    wait_until(lambda: make_cell.cell.heard.count("pause") > 1, "a second pause")
+    make_cell.cell.deaf.clear()
+    until(job, "paused")
+
+
+def test_a_pause_nobody_confirms_ends_the_cell_and_is_a_fault(
+    dispatcher, running, make_cell, until, shop
+):
+    first = make_cell.cell
+    first.deaf.add("pause")
+    dispatcher.pause(running.id)
+    job = until(running, "faulted")
+    assert job.failure.code == "not-pausing"
+    assert "watchdog" in job.failure.detail
+    assert first.closed
+    assert shop.runs.get(job.run_id).samples == 50
+    wait_until(lambda: make_cell.cell is not first, "another cell")
+
+
+def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason(
+    dispatcher, running, make_cell, until, shop
+):
+    dispatcher.pause(running.id)
+    paused = until(running, "paused")
+    make_cell.cell.deaf.add("resume")
+    dispatcher.resume(running.id, paused.version)
+    make_cell.cell.fault("not-resumed", "no valid samples", "lock the beam")
+    held = wait_until(
+        lambda: (job := shop.store.get(running.id)).failure and job, "the reason"
+    )
+    assert (held.state, held.desired_state) == ("paused", "paused")
+    assert (held.failure.code, held.failure.action) == ("not-resumed", "lock the beam")
+    make_cell.cell.deaf.clear()
+    dispatcher.resume(running.id, held.version)
+    job = until(running, "running")
+    wait_until(lambda: shop.store.get(running.id).failure is None, "all well again")
+    make_cell.cell.end()
+    assert until(job, "succeeded").failure is None
+
+
+def test_a_lost_beam_pauses_and_says_why(running, make_cell, until, shop):
+    make_cell.cell.fault()
+    make_cell.cell.say_state("pausing")
+    make_cell.cell.say_state("paused")
+    job = until(running, "paused")
+    assert job.failure.code == "beam-lost"
+
+
+@pytest.mark.parametrize("moment", ["ready", "running", "paused"])
+def test_abort_works_at_any_moment_and_keeps_what_was_recorded(
+    dispatcher, ready, make_cell, until, shop, moment
+):
+    if moment != "ready":
+        dispatcher.arm(ready.id, ready.version)
+        assert make_cell.cell.begun.wait(5)
+    if moment == "paused":
+        dispatcher.pause(ready.id)
+        until(ready, "paused")
+    assert dispatcher.abort(ready.id).state == "aborting"
+    job = until(ready, "aborted")
+    assert (job.desired_state, job.failure) == ("aborted", None)
+    assert dispatcher.abort(ready.id).version == job.version
+    if moment == "ready":
+        assert "begin" not in make_cell.cell.heard
+        assert job.run_id is None
+    else:
+        run = shop.runs.get(job.run_id)
+        assert (run.samples, run.complete) == (50, False)
+
+
+def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, shop):
+    hold = threading.Event()
+    connect = make_cell.cell.connect
+    make_cell.cell.connect = lambda: hold.wait(5) and connect()
+    job, _ = dispatcher.create(OTF)
+    until(job, "preparing")
+    dispatcher.abort(job.id)
+    hold.set()
+    until(job, "aborted")
+    states = [event.body["state"] for event in shop.store.events_after(0)]
+    assert "ready" not in states
+
+
+def test_an_abort_on_the_heels_of_arming_begins_nothing_or_ends_it(
+    dispatcher, ready, make_cell, until
+):
+    dispatcher.arm(ready.id, ready.version)
+    dispatcher.abort(ready.id)
+    until(ready, "aborted")
+    heard = make_cell.cell.heard
+    assert "begin" not in heard or heard.index("abort") > heard.index("begin")
+
+
+def test_an_abort_nobody_confirms_ends_the_cell_and_is_a_fault(
+    dispatcher, running, make_cell, until
+):
+    make_cell.cell.deaf.add("abort")
+    dispatcher.abort(running.id)
+    job = until(running, "faulted")
+    assert job.failure.code == "not-aborting"
+    assert make_cell.cells[0].closed
+
+
+def test_an_abort_during_the_analysis_ends_it(
+    dispatcher, running, make_cell, until, science, shop
+):
+    science.hold = threading.Event()
+    make_cell.cell.end()
+    wait_until(lambda: science.calls, "the analysis")
+    dispatcher.abort(running.id)
+    job = until(running, "aborted")
+    assert shop.runs.get(job.run_id).complete
+    assert not (shop.results / job.id).exists()
+
+
+def test_a_job_that_computes_cannot_be_paused(
+    dispatcher, running, make_cell, until, science
+):
+    science.hold = threading.Event()
+    make_cell.cell.end()
+    wait_until(lambda: science.calls, "the analysis")
+    with pytest.raises(IllegalTransition, match="nothing moves any more"):
+        dispatcher.pause(running.id)
+    science.hold.set()
+    until(running, "succeeded")
+
+
+def test_stop_ends_every_motion_and_leaves_computing_alone(
+    dispatcher, running, make_cell, until, science, shop
+):
+    make_cell.cell.end()
+    first = until(running, "succeeded")
+    science.hold = threading.Event()
+    computing, _ = dispatcher.create(Wish(Kind.ANALYSE, run_id=first.run_id))
+    wait_until(lambda: len(science.calls) == 2)
+    moving, _ = dispatcher.create(OTF)
+    ready = until(moving, "ready")
+    stopped = dispatcher.stop()
+    assert [job.id for job in stopped] == [moving.id]
+    until(ready, "aborted")
+    assert shop.store.get(computing.id).state == "running"
+    science.hold.set()
+    until(computing, "succeeded")
+
+
+def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, make_cell):
+    assert dispatcher.stop() == []
+    wait_until(lambda: make_cell.cell.heard == ["abort"], "the abort")
+
+
+def test_stop_without_a_machine_is_harmless(shop, feed):
+    dispatcher = Dispatcher(replace(shop, machine=None, cell=None), feed)
+    assert dispatcher.stop() == []
+    dispatcher.close()
+
+
+def test_an_abort_at_the_machine_aborts_the_job(running, make_cell, until):
+    make_cell.cell.end("aborted")
+    job = until(running, "aborted")
+    assert job.failure is None
+
+
+def test_a_measurement_that_fails_fails_the_job_with_the_cells_reason(
+    running, make_cell, until
+):
+    make_cell.cell.fault("storage", "the disk is full", "free some space")
+    make_cell.cell.end("failed")
+    job = until(running, "failed")
+    failure = job.failure
+    assert (failure.code, failure.detail) == ("storage", "the disk is full")
+    assert failure.action == "free some space"
+
+
+def test_a_fault_of_the_machine_is_a_fault_of_the_job_and_the_run_is_kept(
+    running, make_cell, until, shop
+):
+    make_cell.cell.fault("motion-alarm", "servo alarm", "clear it")
+    make_cell.cell.end("faulted")
+    job = until(running, "faulted")
+    assert job.failure.code == "motion-alarm"
+    assert not shop.runs.get(job.run_id).complete
+
+
+def test_a_cell_that_closes_without_a_word_fails_the_job(running, make_cell, until):
+    recorder, make_cell.cell._recorder = make_cell.cell._recorder, None
+    recorder.close("finished")
+    make_cell.cell.say("closed", run_file="", samples=0, lost_samples=0)
+    assert "without saying why" in until(running, "failed").failure.detail
+
+
+def test_a_cell_that_dies_faults_the_job_and_its_run_is_salvaged(
+    running, make_cell, until, shop, dispatcher
+):
+    first = make_cell.cell
+    first.die()
+    job = until(running, "faulted")
+    assert job.failure.code == "cell-died"
+    run = shop.runs.get(job.run_id)
+    assert (run.samples, run.complete) == (50, False)
+    wait_until(lambda: make_cell.cell is not first, "another cell")
+    again, _ = dispatcher.create(OTF)
+    until(again, "ready")
+
+
+def test_a_device_that_cannot_be_reached_fails_the_job_before_it_is_ready(
+    dispatcher, make_cell, until
+):
+    make_cell.cell.refuses = ConnectionLost("no such port")
+    job, _ = dispatcher.create(OTF)
+    failed = until(job, "failed")
+    assert (failed.failure.family, failed.failure.detail) == (
+        "ConnectionLost",
+        "no such port",
+    )
+
+
+def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
+    running, make_cell, until, shop
+):
+    make_cell.cell.end(spoil=b"no database at all")
+    file = shop.runs.measured_file(running.id)
+    job = until(running, "failed")
+    assert job.run_id is None
+    assert job.failure.family == "NotFound"
+    assert file.is_file()
+
+
+def test_science_that_fails_fails_the_job_and_the_run_is_kept(
+    running, make_cell, until, science, shop
+):
+    science.raises = ValueError("matrix")
+    make_cell.cell.end()
+    job = until(running, "failed")
+    assert (job.failure.family, job.failure.detail) == ("ValueError", "matrix")
+    assert shop.runs.get(job.run_id).complete
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ([{"x_mm": 1.0, "y_mm": 2.0}], "row 1: z_mm is missing"),
+        ([ROWS[0], {**ROWS[1], "a_deg": 3.0}], "row 2: a_deg is no axis"),
+        ([ROWS[0]], "at least two rows"),
+        ([ROWS[0], ROWS[0]], "row 2: the line starts where it ends"),
+        ([{**row, "target": "T9"} for row in ROWS], "row 1: target 'T9' is unknown"),
+    ],
+)
+def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
+    dispatcher, shop, rows, problem
+):
+    with pytest.raises(PlanningError, match=problem):
+        dispatcher.create(replace(OTF, rows=rows))
+    assert shop.store.page(10) == []
+
+
+def test_a_path_out_of_travel_is_refused_before_there_is_a_job(dispatcher, shop):
+    rows = [ROWS[0], {**ROWS[1], "x_mm": 9999.0}]
+    with pytest.raises(OutOfTravel, match="row 2: X = 9999 mm exceeds 500 mm"):
+        dispatcher.create(replace(OTF, rows=rows))
+    assert shop.store.page(10) == []
+
+
+def test_without_rows_the_default_path_is_driven(dispatcher, shop, until):
+    job, _ = dispatcher.create(Wish(Kind.MEASURE_OTF, feed_mm_min=1234.0))
+    plan = shop.store.plan(job.id)
+    assert plan["kind"] == "path"
+    assert len(plan["position"]) > 10
+    assert set(plan["feed_mm_min"]) == {1234.0}
+    until(job, "ready")
+
+
+def test_a_repeated_request_makes_one_job_even_while_the_machine_is_busy(
+    dispatcher, ready
+):
+    key = Key("twice", b"body")
+    with pytest.raises(CellBusy):
+        dispatcher.create(OTF, key)
+    dispatcher.abort(ready.id)
+
+
+def test_the_same_key_finds_its_job_again(dispatcher, until):
+    key = Key("once", b"body")
+    job, is_new = dispatcher.create(OTF, key)
+    until(job, "ready")
+    again, is_new_again = dispatcher.create(OTF, key)
+    assert (again.id, is_new, is_new_again) == (job.id, True, False)
+
+
+def test_a_service_without_a_machine_measures_nothing(shop, feed):
+    dispatcher = Dispatcher(replace(shop, machine=None, cell=None), feed)
+    with pytest.raises(NoMachine, match="machine_file"):
+        dispatcher.create(OTF)
+    dispatcher.close()
+
+
+def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
+    dispatcher, running, make_cell, shop
+):
+    dispatcher.close()
+    assert "abort" in make_cell.cell.heard
+    job = shop.store.get(running.id)
+    assert job.state == "interrupted"
+    assert shop.runs.get(job.run_id).samples == 50
+    with pytest.raises(CellDown, match="ending"):
+        dispatcher.create(OTF)
+
+
+def test_after_a_restart_what_had_not_ended_is_interrupted_and_nothing_moves(
+    dispatcher, running, make_cell, shop, feed
+):
+    """The catalogue as a killed service leaves it: the job runs, the Run is torn."""
+    make_cell.cell.tear()
+    heard = list(make_cell.cell.heard)
+    after = Dispatcher(shop, feed)
+    after.sweep()
+    job = shop.store.get(running.id)
+    assert job.state == "interrupted"
+    assert job.failure.family == "Interrupted"
+    assert "was running" in job.failure.detail
+    assert shop.runs.get(job.run_id).samples == 50
+    assert make_cell.cell.heard == heard
+    after.sweep()
+    assert shop.store.get(running.id).version == job.version
+    make_cell.cell.die()
+
+
+def test_progress_and_live_views_are_told_but_not_kept(
+    dispatcher, feed, running, make_cell, shop, until
+):
+    heard = []
+    forget = feed.listen(heard.append)
+
+    def told():
+        # At most ten a second are passed on.
+        make_cell.cell.record(10)
+        found = [n for n in heard if n.type == "progress"]
+        return [n for n in found if n.body["health"]["samples"] > 50]
+
+    notice = wait_until(told)[-1]
+    forget()
+    assert {n.type for n in heard} == {"progress", "live"}
+    assert notice.job_id == running.id
+    assert notice.body["progress"]["position"] == [1.0, 2.0, 3.0]
+    assert {e.type for e in shop.store.events_after(0)} == {"job"}
+    count = len(heard)
+    make_cell.cell.end()
+    assert until(running, "succeeded").health.samples > 50
+    assert len(heard) == count
+
+
+def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
+    dispatcher, running, make_cell, shop, until
+):
+    """The machine is told first; the books follow when they can."""
+    with shop.store._database.engine.connect() as raw:
+        connection = raw.execution_options(truepath_writes=True)
+        with connection.begin():
+            connection.execute(text("SELECT 1"))
+            thread = threading.Thread(target=dispatcher.abort, args=(running.id,))
+            thread.start()
+            wait_until(lambda: "abort" in make_cell.cell.heard, "the abort")
+    thread.join()
+    until(running, *FINAL)
+    assert shop.store.get(running.id).state == "aborted"
+
+
+@pytest.fixture
+def failing(shop):
+    """While it is set, nothing can be written down."""
+    failing, change = threading.Event(), shop.store.change
+
+    def may_fail(*arguments, **options):
+        if failing.is_set():
+            raise StorageUnavailable("the disk is full")
+        return change(*arguments, **options)
+
+    shop.store.change = may_fail
+    yield failing
+    failing.clear()
+
+
+def test_a_catalogue_that_fails_while_the_machine_moves_stops_it(
+    running, make_cell, until, failing, shop
+):
+    failing.set()
+    make_cell.cell.say_state("paused")
+    wait_until(lambda: make_cell.cell.heard[-1] == "abort", "the abort")
+    failing.clear()
+    job = until(running, "failed")
+    assert job.failure.family == "StorageUnavailable"
+    assert shop.runs.get(running.id).samples == 50
+
+
+def test_a_cell_that_does_not_stop_when_the_catalogue_fails_is_ended(
+    running, make_cell, until, failing, monkeypatch
+):
+    monkeypatch.setattr(measuring, "CLOSE_RUN_S", 0.2)
+    first = make_cell.cell
+    first.deaf.add("abort")
+    failing.set()
+    first.say_state("paused")
+    wait_until(lambda: first.closed, "the end of the cell")
+    failing.clear()
+    until(running, "failed")
+
+
+def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
+    dispatcher, running, failing, shop
+):
+    failing.set()
+    dispatcher.close()
+    assert shop.store.get(running.id).state == "running"
+    failing.clear()
+    dispatcher.sweep()
+    assert shop.store.get(running.id).state == "interrupted"
+
+
+def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(
+    running, make_cell, until, shop
+):
+    def full(*_):
+        raise StorageUnavailable("the disk is full")
+
+    note, shop.store.note = shop.store.note, full
+    make_cell.cell.record(10)
+    make_cell.cell.end()
+    assert until(running, "succeeded").health.samples == 60
+    shop.store.note = note
+
+
+def test_a_run_that_is_not_closed_in_time_is_a_fault(
+    running, make_cell, until, monkeypatch
+):
+    monkeypatch.setattr(measuring, "CLOSE_RUN_S", 0.2)
+    make_cell.cell.say_state("finished")
+    assert until(running, "faulted").failure.code == "run-not-closed"
+
+
+def test_a_job_that_ended_can_only_be_looked_at(
+    dispatcher, running, make_cell, until, shop
+):
+    make_cell.cell.end()
+    job = until(running, "succeeded")
+    wait_until(lambda: job.id not in dispatcher._controls)
+    assert dispatcher.abort(job.id) == job
+    for verb in (
+        dispatcher.pause,
+        lambda id: dispatcher.arm(id, job.version),
+        lambda id: dispatcher.resume(id, job.version),
+    ):
+        with pytest.raises(IllegalTransition, match="a job that is succeeded"):
+            verb(job.id)
+    with pytest.raises(NotFound):
+        dispatcher.abort("nobody")
+
+
+def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, shop):
+    job, _ = shop.store.create(NewJob(Kind.MEASURE_OTF, plan={}))
+    shop.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
+    ready = shop.store.change(job.id, lambda job: replace(job, state=State.READY))
+    with pytest.raises(IllegalTransition, match="not under way any more"):
+        dispatcher.arm(job.id, ready.version)
+
+
+def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, shop):
+    job, _ = shop.store.create(NewJob(Kind.MEASURE_OTF, plan={}))
+    shop.runs.measured_file(job.id).write_bytes(b"no database at all")
+    dispatcher.sweep()
+    job = shop.store.get(job.id)
+    assert (job.state, job.run_id) == ("interrupted", None)
+
+
+def test_a_job_that_is_created_as_the_service_ends_never_begins(
+    dispatcher, shop, make_cell
+):
+    create = shop.store.create
+
+    def late(*arguments):
+        dispatcher.close()
+        return create(*arguments)
+
+    shop.store.create = late
+    job, _ = dispatcher.create(OTF)
+    assert shop.store.get(job.id).state == "queued"
+    dispatcher.sweep()
+    assert shop.store.get(job.id).state == "interrupted"
+
+
+def test_a_standstill_job_without_rows_measures_the_default_points(
+    dispatcher, shop, until
+):
+    job, _ = dispatcher.create(STANDSTILL)
+    assert shop.store.plan(job.id)["kind"] == "points"
+    until(job, "ready")
+
+
+def test_more_rows_than_a_controller_takes_are_refused(dispatcher):
+    rows = [{**ROWS[0], "x_mm": float(n % 2)} for n in range(4097)]
+    with pytest.raises(PlanningError, match="4097 rows; a controller takes 4096"):
+        dispatcher.create(replace(OTF, rows=rows))
+
+
+def test_the_targets_of_rows_are_the_machines(shop, machine):
+    two = replace(
+        machine,
+        targets=(Target("T1", "tool", (0, 0, 0)), Target("T2", "tool", (0, 0, 50))),
+    )
+    rows = [{**ROWS[0], "target": "T1"}, {**ROWS[0], "target": "T2"}]
+    path = plan_motion(two, Kind.MEASURE_OTF, rows)
+    assert path.target == ("T1", "T2")
+    assert commanded_from_plan(plan_json(path)).target == ("T1", "T2")
+    with pytest.raises(PlanningError, match="row 1: target '' is unknown"):
+        plan_motion(two, Kind.MEASURE_OTF, [ROWS[0], rows[1]])
