@@ -94,8 +94,10 @@ class Measurement:
                 log.exception("run %s: defect while measuring", self._order.run_name)
             state = CellState.FAULTED if fault.latched else CellState.FAILED
             text = str(fault)
-            self._stop(self._motion.hold)
+            with contextlib.suppress(DeviceError):
+                self._hold_if_ours()
             self._tell(fault)
+            self._stop(self._motion.hold)
         closed = self._close(state, text)
         self._control.end(state, text)
         self._report(
@@ -152,6 +154,10 @@ class Measurement:
             stream_path(self._session, commanded, rate_hz=rate_hz, feed=feed)
         else:
             step_through(self._session, commanded, rate_hz=rate_hz, feed=feed)
+
+    def _hold_if_ours(self) -> None:
+        if self._session is not None:
+            self._motion.hold()
 
     def _stop(self, verb: Callable[[], None]) -> None:
         """Bring the machine to a stand if it moves by our order; wait a little."""

@@ -366,7 +366,7 @@ class Journal:
     def faults(self) -> list[str]:
         return [body["code"] for body in self.of("fault")]
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float = 8.0) -> None:
+    def wait(self, condition: Callable[[], bool], timeout_s: float = 25.0) -> None:
         with self._changed:
             assert self._changed.wait_for(condition, timeout_s), self.events[-8:]
 
