@@ -61,7 +61,8 @@ def measure(client: Client) -> str:
 
 def followed(client: Client, job_id: str, pid: int) -> tuple[dict[str, int], float]:
     """Follow a measurement to its end; return its health and the cell's share of a
-    core since it was started."""
+    core since it was started.
+    """
     share = 0.0
     for job in client.follow(job_id, period_s=0.2):
         if job["stage"] == "measuring" and job["state"] == "running":
