@@ -38,14 +38,26 @@ def whiten(
 
     frame : (n, 3, 3) workpiece to beam frame, rows beam, azimuth, elevation
     """
+    precision, slow = cell_noise(seen, noise, frame)
+    return whitener(seen.at.time_s, precision, slow, noise.slow_time_s)
+
+
+def cell_noise(
+    seen: Observations,
+    noise: NoiseModel,
+    frame: Float64[np.ndarray, "n 3 3"],
+) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
+    """Return precision of the cells' white noise and standard deviation of the slow.
+
+    frame : (n, 3, 3) workpiece to beam frame, rows beam, azimuth, elevation
+    """
     tracker = seen.at.machine.tracker
     stated = tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[:, [0, 1, 1]]
     white = stated * np.array([noise.white[0], noise.white[1], noise.white[1]])
     slow = stated * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
     precision = seen.count[:, None] / white**2
     along = np.einsum("nij,nj->ni", frame, seen.direction)
-    matrices = _with_jitter(precision, along, noise.along_sigma_mm)
-    return whitener(seen.at.time_s, matrices, slow, noise.slow_time_s)
+    return _with_jitter(precision, along, noise.along_sigma_mm), slow
 
 
 def _with_jitter(

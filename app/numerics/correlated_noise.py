@@ -8,6 +8,9 @@ coordinate. The slow part's precision is tridiagonal in time, so with V = D + C,
 
 and D⁻¹ + C⁻¹ is a band of width three when coordinates are interleaved. D⁻¹ may be
 singular: a direction of no information (along the travel, say) has precision 0.
+
+Points may also come a few at a time (`extended`). What follows tells more about the
+slow part of the last point, so that one waits; all before it are accounted for.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import cholesky_banded
+from scipy.linalg import cholesky_banded, solve_triangular
 from scipy.linalg.lapack import dtbtrs
 
 _BAND = 3
@@ -44,10 +47,7 @@ class Whitener:
         if not self.factor.size:
             return flat, np.zeros((0, rows.shape[2]))
         pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
-        solved, info = dtbtrs(self.factor, np.asfortranarray(pulled), uplo="L")
-        if info:
-            raise np.linalg.LinAlgError(f"banded solve failed ({info})")
-        return flat, solved
+        return flat, _solved(self.factor, pulled)
 
 
 def whitener(
@@ -60,11 +60,7 @@ def whitener(
 
     time_s : increasing; slow_sigma : standard deviation of the slow part, 0 for none
     """
-    eigenvalue, vector = np.linalg.eigh(white_precision)
-    eigenvalue = np.maximum(eigenvalue, 0.0)
-    root = np.sqrt(eigenvalue)[:, :, None] * np.swapaxes(vector, 1, 2)
-    known = eigenvalue > 1e-12 * eigenvalue.max(axis=1, keepdims=True)
-    log_white = -float(np.log(eigenvalue[known]).sum())
+    root, log_white = _white_root(white_precision)
     if not slow_sigma.any():
         return Whitener(root, np.empty((0, 0)), log_white)
     diagonal, below, log_slow = _slow_precision(time_s, slow_sigma, slow_time_s)
@@ -72,6 +68,96 @@ def whitener(
     factor = cholesky_banded(band, lower=True, check_finite=False)
     log_sum = 2.0 * float(np.log(factor[0]).sum())
     return Whitener(root, factor, log_white + log_slow + log_sum)
+
+
+@dataclass(frozen=True, slots=True)
+class Tail:
+    """The last point so far: its slow part given all points, itself included.
+
+    sigma : (3,) of the slow part
+    precision : (3, 3) of the slow part, what follows not yet counted
+    pulled : (3, p), precision times the slow part's mean, as a function of the columns
+    """
+
+    time_s: float
+    sigma: Float64[np.ndarray, "3"]
+    precision: Float64[np.ndarray, "3 3"]
+    pulled: Float64[np.ndarray, "3 p"]
+
+    def taken(self) -> tuple[Float64[np.ndarray, "p p"], float]:
+        """Return what the tail takes from rowsᵀ V⁻¹ rows, and its share of log det V.
+
+        Valid as long as nothing follows.
+        """
+        factor = np.linalg.cholesky(self.precision)
+        solved = solve_triangular(factor, self.pulled, lower=True)
+        return solved.T @ solved, 2.0 * float(np.log(np.diag(factor)).sum())
+
+
+def extended(
+    tail: Tail | None,
+    time_s: Float64[np.ndarray, " n"],
+    white_precision: Float64[np.ndarray, "n 3 3"],
+    slow_sigma: Float64[np.ndarray, "n 3"],
+    slow_time_s: float,
+    rows: Float64[np.ndarray, "n 3 p"],
+) -> tuple[Float64[np.ndarray, "p p"], float, Tail | None]:
+    """Return what further points add to rowsᵀ V⁻¹ rows and log det V, and their tail.
+
+    tail : of the points before; None if these are the first, or the noise is white
+    The sums are those of `whitener` once the last tail's share is taken.
+    """
+    root, log_white = _white_root(white_precision)
+    white = root @ rows
+    flat = white.reshape(-1, rows.shape[2])
+    if not slow_sigma.any():
+        return flat.T @ flat, log_white, None
+    pulled = (np.swapaxes(root, 1, 2) @ white).reshape(flat.shape)
+    if tail is not None:
+        time_s = np.concatenate([[tail.time_s], time_s])
+        slow_sigma = np.concatenate([tail.sigma[None], slow_sigma])
+        white_precision = np.concatenate([tail.precision[None], white_precision])
+        pulled = np.concatenate([tail.pulled, pulled])
+    diagonal, below, log_slow = _slow_precision(time_s, slow_sigma, slow_time_s)
+    if tail is not None:  # counted when the tail was the newest point
+        diagonal[0] -= 1.0 / tail.sigma**2
+        log_slow -= 2.0 * float(np.log(tail.sigma).sum())
+    band = _interleaved(white_precision, diagonal, below)
+    factor = cholesky_banded(band, lower=True, check_finite=False)
+    solved = _solved(factor, pulled)
+    settled = solved[:-3]
+    log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
+    last = _last_block(factor)
+    left = Tail(float(time_s[-1]), slow_sigma[-1], last @ last.T, last @ solved[-3:])
+    gain = flat.T @ flat - settled.T @ settled
+    return gain, log_white + log_slow + log_sum, left
+
+
+def _white_root(
+    white_precision: Float64[np.ndarray, "n 3 3"],
+) -> tuple[Float64[np.ndarray, "n 3 3"], float]:
+    """Return W with WᵀW = D⁻¹, and log det D over the directions with information."""
+    eigenvalue, vector = np.linalg.eigh(white_precision)
+    eigenvalue = np.maximum(eigenvalue, 0.0)
+    root = np.sqrt(eigenvalue)[:, :, None] * np.swapaxes(vector, 1, 2)
+    known = eigenvalue > 1e-12 * eigenvalue.max(axis=1, keepdims=True)
+    return root, -float(np.log(eigenvalue[known]).sum())
+
+
+def _solved(
+    factor: Float64[np.ndarray, "b m"], right: Float64[np.ndarray, "m p"]
+) -> Float64[np.ndarray, "m p"]:
+    solved, info = dtbtrs(factor, np.asfortranarray(right), uplo="L")
+    if info:
+        raise np.linalg.LinAlgError(f"banded solve failed ({info})")
+    return solved
+
+
+def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:
+    """Return the lower triangle that belongs to the last point."""
+    block = np.diag(factor[0, -3:])
+    block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
+    return block
 
 
 def _slow_precision(

@@ -2,15 +2,20 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from app.numerics.correlated_noise import whitener
+from app.numerics.correlated_noise import extended, whitener
 
 TAU_S = 0.8
 
 
 @pytest.fixture
 def case(rng):
-    n = 30
+    return make_case(rng)
+
+
+def make_case(rng, n=30):
     time_s = np.cumsum(rng.uniform(0.02, 0.6, n))
     root = rng.normal(size=(n, 3, 3))
     white = np.linalg.inv(root @ np.swapaxes(root, 1, 2) + np.eye(3))
@@ -64,3 +69,29 @@ def test_one_point_in_correlated_noise_tells_less_than_many_white_ones(case):
     free_a, _ = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
     gained = free_a.T @ free_a - (slow_a.T @ slow_a - slow_z.T @ slow_z)
     assert np.linalg.eigvalsh(gained).min() > 0.0
+
+
+@given(cuts=st.sets(st.integers(1, 29), max_size=8))
+@settings(deadline=None, max_examples=30)
+def test_points_a_few_at_a_time_add_up_to_all_at_once(cuts):
+    rng = np.random.default_rng(5)
+    time_s, white, sigma, rows = make_case(rng)
+    built = whitener(time_s, white, sigma, TAU_S)
+    a, z = built.halves(rows)
+    total, log_determinant, tail = np.zeros((4, 4)), 0.0, None
+    for k in np.split(np.arange(30), sorted(cuts)):
+        gain, log_gain, tail = extended(
+            tail, time_s[k], white[k], sigma[k], TAU_S, rows[k]
+        )
+        total, log_determinant = total + gain, log_determinant + log_gain
+    taken, log_taken = tail.taken()
+    assert np.allclose(total - taken, a.T @ a - z.T @ z, rtol=1e-10, atol=1e-10)
+    assert log_determinant + log_taken == pytest.approx(built.log_determinant)
+
+
+def test_points_of_white_noise_leave_no_tail(case):
+    time_s, white, sigma, rows = case
+    total, _, tail = extended(None, time_s, white, 0.0 * sigma, TAU_S, rows)
+    a, _ = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
+    assert tail is None
+    assert np.allclose(total, a.T @ a)

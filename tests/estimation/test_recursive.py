@@ -1,0 +1,128 @@
+"""Adding cells while they come is the same as taking all of them at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.alignment.align import align
+from app.errors import EstimationError
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import information, without_rest
+from app.estimation.noise import NoiseModel
+from app.estimation.problem import pose_problem
+from app.estimation.recursive import Linearisation, begun
+
+NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
+DIGITS = 1e-9
+
+
+def about_of(seen, noise=NOISE):
+    model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
+    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
+    return Linearisation(model, seen.pose, (x, y, z), noise)
+
+
+def all_at_once(about, seen):
+    problem = pose_problem(seen, about.machine_model, about.pose)
+    return without_rest(information(problem, about.noise), about.size)
+
+
+def added_in_parts(about, seen, cuts):
+    sums = begun(about)
+    for part in np.split(np.arange(len(seen)), sorted(cuts)):
+        sums = sums.added(seen.taken(part))
+    return sums
+
+
+def assert_same(found, expected):
+    scale = 1.0 / np.sqrt(np.diag(expected.matrix))
+    off = (found.matrix - expected.matrix) * scale[:, None] * scale
+    assert np.abs(off).max() < DIGITS
+    pull = (found.vector - expected.vector) * scale
+    assert np.abs(pull).max() < DIGITS * np.sqrt(expected.square)
+    assert found.square == pytest.approx(expected.square, rel=DIGITS)
+    assert found.log_determinant == pytest.approx(expected.log_determinant, rel=DIGITS)
+
+
+@pytest.fixture(scope="module")
+def moving(record):
+    return align(record(3)[0])
+
+
+@pytest.fixture(scope="module")
+def expected(moving):
+    return all_at_once(about_of(moving), moving)
+
+
+@given(share=st.sets(st.floats(0.001, 0.999), max_size=12))
+@settings(deadline=None, max_examples=25)
+def test_any_split_into_additions_gives_the_batch(moving, expected, share):
+    cuts = {1 + int(s * (len(moving) - 1)) for s in share}
+    sums = added_in_parts(about_of(moving), moving, cuts)
+    assert sums.cells == len(moving)
+    assert_same(sums.information(), expected)
+
+
+def test_a_line_at_a_time_gives_the_batch(moving, expected):
+    ends = np.flatnonzero(np.diff(moving.at.line)) + 1
+    sums = added_in_parts(about_of(moving), moving, ends.tolist())
+    assert_same(sums.information(), expected)
+
+
+def test_the_sums_do_not_grow_with_the_number_of_lines(moving):
+    about = about_of(moving)
+    one = begun(about).added(moving.taken(np.flatnonzero(moving.at.line == 0)))
+    every = begun(about).added(moving)
+    assert one.total.shape == every.total.shape == (about.size + 3, about.size + 3)
+
+
+def test_asking_on_the_way_changes_nothing(moving, expected):
+    sums = begun(about_of(moving))
+    for part in np.array_split(np.arange(len(moving)), 7):
+        sums = sums.added(moving.taken(part))
+        sums.information()
+    assert_same(sums.information(), expected)
+
+
+def test_standstills_add_up_to_the_batch(record):
+    seen = align(record(4, "standstill", rows=30)[0])
+    about = about_of(seen)
+    problem = pose_problem(seen, about.machine_model, about.pose)
+    sums = added_in_parts(about, seen, [3, 4, 50])
+    assert_same(sums.information(), information(problem, about.noise))
+
+
+def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
+    # Every third line is taken for a standstill: what it says does not matter here.
+    still = moving.at.line % 3 == 0
+    at = replace(moving.at, line=np.where(still, -1, moving.at.line))
+    seen = replace(
+        moving, at=replace(at, velocity_mm_s=at.velocity_mm_s * ~still[:, None])
+    )
+    about = about_of(seen)
+    assert_same(begun(about).added(seen).information(), all_at_once(about, seen))
+
+
+def test_white_noise_needs_no_tail(moving):
+    about = about_of(moving, NoiseModel((1.0, 1.0), (0.0, 0.0), 1.0, 2e-4))
+    sums = added_in_parts(about, moving, [10, 11, 200])
+    assert sums.tail is None
+    assert_same(sums.information(), all_at_once(about, moving))
+
+
+def test_across_the_travel_alone_timing_is_no_unknown(moving):
+    about = about_of(moving, replace(NOISE, along_sigma_mm=np.inf))
+    machine = about.machine_model.size
+    a = without_rest(added_in_parts(about, moving, [40]).information(), machine)
+    b = without_rest(begun(about).added(moving).information(), machine)
+    assert np.allclose(a.matrix, b.matrix, rtol=1e-7)
+    assert np.linalg.eigvalsh(a.matrix).min() > -1e-6 * np.linalg.norm(a.matrix)
+
+
+def test_cells_out_of_order_are_refused(moving):
+    sums = begun(about_of(moving)).added(moving.taken(np.arange(20, 30)))
+    with pytest.raises(EstimationError, match="order of time"):
+        sums.added(moving.taken(np.arange(10)))
