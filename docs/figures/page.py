@@ -27,9 +27,10 @@ from playwright.sync_api import Page, sync_playwright
 
 LOOPBACK = "127.0.0.1"
 PICTURE = Path(__file__).with_name("page.png")
-SIZE = {"width": 1280, "height": 1000}
+SIZE = {"width": 1280, "height": 1190}
 SPEED = "4"
 START_S = 60
+STEP_MS = 30_000
 JOB_MS = 240_000
 NEXT = "#next button:not(:disabled)"
 LARGEST_BYTES = 400_000
@@ -43,7 +44,7 @@ def main() -> None:
             sys.exit("Chromium is missing: apt-get install chromium, or set CHROMIUM")
         browser = playwright.chromium.launch(executable_path=found)
         page = browser.new_page(viewport=SIZE, color_scheme="light", locale="en-GB")
-        page.set_default_timeout(JOB_MS)
+        page.set_default_timeout(STEP_MS)
         page.goto(address)
         _calibrate(page)
         picture = page.screenshot()
@@ -68,7 +69,7 @@ def _calibrate(page: Page) -> None:
     page.mouse.down()
     page.wait_for_url("**/#/run/*")
     page.mouse.up()
-    page.wait_for_url("**/#/result/*")
+    page.wait_for_url("**/#/result/*", timeout=JOB_MS)
     page.locator(".chart canvas").first.wait_for()
     page.mouse.move(4, 400)
     page.evaluate("document.activeElement.blur()")

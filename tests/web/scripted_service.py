@@ -227,6 +227,7 @@ class ScriptedService:
             "id": run_id,
             "name": f"VMC 500 {run_id}",
             "samples": 61600,
+            "lost_samples": 0,
             "created": "2026-03-14T08:05:00.000Z",
         }
         self.runs.append(run)

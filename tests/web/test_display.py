@@ -28,6 +28,7 @@ def test_data_older_than_2_5_s_are_stamped_stale(panel, service):
         time.monotonic() - begun > STALE_S - 0.6
     )  # the last tick was up to 0.25 s ago
     expect(page.locator(".is-stale-data .readout")).to_be_visible()
+    expect(page.locator("#reason")).to_contain_text("No data from the service")
     service.silent = False
     expect(page.locator("#stamp")).to_have_text("Live data")
     expect(page.locator(".is-stale-data")).to_have_count(0)

@@ -65,6 +65,7 @@ export function createActions(store, go) {
   async function fetchResult() {
     const { job, result } = store.get();
     if (job?.state !== "succeeded" || result) return;
+    await keep("runs", job, api.runs);
     await keep("result", job, api.result);
   }
 

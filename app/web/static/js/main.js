@@ -94,9 +94,9 @@ function hear(type, data) {
 let linked = {};
 
 function age(link) {
-  const changed = link.stale !== linked.stale;
+  const changed = link.stale !== linked.stale || Boolean(link.last) !== Boolean(linked.last);
   const regained = linked.stale && !link.stale;
-  if (changed || !link.stale) store.set({ link });
+  if (changed) store.set({ link });
   linked = link;
   if (regained) load().catch(actions.refuse);
 }

@@ -8,6 +8,9 @@ export const languages = document.body.dataset.languages.split(" ");
 /** The language in use. */
 export const currentLanguage = () => language;
 
+/** How numbers and dates are written: as in the browser's region, if it speaks the language. */
+const region = () => navigator.languages.find((tag) => tag.split("-")[0] === language) ?? language;
+
 /** Text of a key; `{name}` is replaced by values.name. */
 export function t(key, values = {}) {
   const text = texts[key];
@@ -51,7 +54,7 @@ function translateShell() {
 export function number(value, decimals = 0) {
   if (value === null || value === undefined || !Number.isFinite(Number(value))) return "–";
   const format = { minimumFractionDigits: decimals, maximumFractionDigits: decimals };
-  const text = new Intl.NumberFormat(language, format).format(value);
+  const text = new Intl.NumberFormat(region(), format).format(value);
   return text.replace(/^-(?=[0.,]*$)/, "").replace("-", "−");
 }
 
@@ -59,7 +62,7 @@ export function number(value, decimals = 0) {
 export function plain(value, decimals = 0) {
   if (!Number.isFinite(value)) return "";
   const format = { maximumFractionDigits: decimals, useGrouping: false };
-  return new Intl.NumberFormat(language, format).format(value);
+  return new Intl.NumberFormat(region(), format).format(value);
 }
 
 /** Seconds as m:ss or h:mm:ss. */
@@ -73,12 +76,12 @@ export function duration(seconds) {
 
 /** Time of day of a moment. */
 export function clock(moment) {
-  return new Intl.DateTimeFormat(language, { timeStyle: "medium" }).format(moment);
+  return new Intl.DateTimeFormat(region(), { timeStyle: "medium" }).format(moment);
 }
 
 /** Date and time of an ISO stamp. */
 export function dateTime(stamp) {
   if (!stamp) return "–";
   const style = { dateStyle: "medium", timeStyle: "short" };
-  return new Intl.DateTimeFormat(language, style).format(new Date(stamp));
+  return new Intl.DateTimeFormat(region(), style).format(new Date(stamp));
 }

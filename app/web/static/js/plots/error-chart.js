@@ -45,7 +45,8 @@ const sizeOf = (element) => ({ width: element.clientWidth, height: element.clien
 function options(element, table, data, reach, read) {
   const accent = colour("accent");
   const range = () => scale(reach ?? reachOf(table));
-  const edge = { stroke: "transparent", points: { show: false } };
+  // Not aligned to whole pixels: a smooth error must not look like a staircase.
+  const edge = { stroke: "transparent", points: { show: false }, pxAlign: 0 };
   return {
     ...sizeOf(element),
     legend: { show: false },
@@ -55,7 +56,7 @@ function options(element, table, data, reach, read) {
     axes: axes(table),
     series: [
       {},
-      { stroke: accent, width: 2.25, points: { show: false } },
+      { stroke: accent, width: 2.25, points: { show: false }, pxAlign: 0 },
       edge,
       edge,
     ],

@@ -51,7 +51,7 @@ export function drawStrip(element) {
 const sizeOf = (element) => ({ width: element.clientWidth, height: element.clientHeight });
 
 function options(element) {
-  const line = (name) => ({ stroke: colour(name), width: 2, points: { show: false } });
+  const line = (name) => ({ stroke: colour(name), width: 2, points: { show: false }, pxAlign: 0 });
   const common = { stroke: colour("quiet"), font: font(12), ticks: { show: false } };
   return {
     ...sizeOf(element),

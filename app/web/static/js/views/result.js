@@ -25,19 +25,19 @@ export function mount(root) {
     charts = [];
   }
 
-  function draw(job, result) {
+  function draw(job, result, run) {
     close();
     const body = h("div", { class: "stack" });
-    root.replaceChildren(heading(job, result), verdict(job, result), body);
+    root.replaceChildren(heading(job, result), verdict(run ?? job.health, result), body);
     charts = drawTables(body, result);
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));
   return {
-    update({ job, result }) {
+    update({ job, result, runs }) {
       if (!result || result === drawn) return;
       drawn = result;
-      draw(job, result);
+      draw(job, result, runs.find((run) => run.id === job.run_id));
     },
     close,
   };
@@ -59,7 +59,8 @@ function downloads({ id, run_id }) {
     run_id && linkButton(links.bundle(run_id), "download", t("result.bundle"), { download: `${run_id}.zip` }));
 }
 
-function verdict(job, result) {
+/** The few numbers that matter; `stream` counts the samples. */
+function verdict(stream, result) {
   const all = tablesByAxis(result).flatMap((group) => group.tables);
   const tables = all.filter((table) => table.known);
   const worst = (kind) => tables.filter((table) => table.kind === kind)
@@ -76,8 +77,8 @@ function verdict(job, result) {
     return shown.element;
   });
   const counts = [
-    [t("run.samples"), number(job.health?.samples)],
-    [t("run.lost"), number(job.health?.lost_samples)],
+    [t("run.samples"), number(stream?.samples)],
+    [t("run.lost"), number(stream?.lost_samples)],
     [t("result.determined"), `${number(tables.length)} / ${number(all.length)}`],
   ].filter(([, value]) => value !== "–").map(([name, value]) => tile(name, value).element);
   return h("section", { class: "card verdict", "aria-label": t("result.summary") },

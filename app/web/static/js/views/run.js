@@ -14,7 +14,7 @@ const STAGES = {
 };
 
 /** Button that leads on. */
-export function lead({ job }, { actions, go }) {
+export function lead({ job, link }, { actions, go }) {
   if (!job) return { next: null };
   if (job.state === "succeeded") {
     return { next: { key: "result", label: t("run.next"), run: () => go(`#/result/${job.id}`) } };
@@ -23,7 +23,8 @@ export function lead({ job }, { actions, go }) {
     return { next: { key: "again", label: t("run.again"), run: () => go("#/plan") } };
   }
   const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.abort };
-  return { back: cancel, reason: t(isMeasuring(job) ? "run.wait" : "run.wait_analysis"),
+  const wait = t(isMeasuring(job) ? "run.wait" : "run.wait_analysis");
+  return { back: cancel, reason: link.stale ? t("run.stale") : wait,
     next: { key: "result", label: t("run.next"), disabled: true } };
 }
 
@@ -62,7 +63,7 @@ function mountMeasuring(root, { actions }) {
       buttons.update(state);
       path.progress(reached(state), positionOf(state));
       const stale = isActive(job) && link.stale;
-      for (const element of [position.element, health.element, path.element]) {
+      for (const element of [progress.element, position.element, health.element, path.element]) {
         element.classList.toggle("is-stale-data", stale);
       }
       if (state.live && state.live !== live) {
@@ -149,7 +150,7 @@ function progressCard(stages) {
     meter.classList.toggle("is-held", ["pausing", "paused", "aborting"].includes(job.state));
     mark(meter, "aria-valuenow", share === null ? null : Math.floor(100 * share));
     write(remaining, isActive(job) ? duration(now.eta_s) : "–");
-    write(count, now.total && isActive(job)
+    write(count, now.unit && now.total && isActive(job)
       ? t("run.count", { done: number(now.done), total: number(now.total),
         unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");
   }
