@@ -60,3 +60,45 @@ def fault_of(error: Exception) -> Fault:
         "this is a defect of the service; the log has the details",
         latched=True,
     )
+
+
+SILENT = Fault(
+    "tracker-silent",
+    "no sample has come for half a second; the feed is held",
+    "nothing: it goes on by itself when the stream is back within seconds",
+    latched=False,
+)
+SLOW_DISK = Fault(
+    "slow-disk",
+    "the disk cannot keep up; the feed is held until it has",
+    "nothing: it goes on by itself; use a local disk",
+    latched=False,
+)
+BEAM_LOST = Fault(
+    "beam-lost",
+    "the tracker has lost the reflector; the feed is held",
+    "lock the beam on the reflector, then press Resume",
+    latched=False,
+)
+NO_BEAM = Fault(
+    "not-resumed",
+    "the tracker sends no valid samples, the machine stays held",
+    "lock the beam on the reflector, then press Resume",
+    latched=False,
+)
+STILL_HELD = Fault(
+    "resume-unconfirmed",
+    "the controller keeps holding",
+    "release feed hold and door at the machine, then press Resume",
+    latched=False,
+)
+
+
+def tracker_dead(after_s: float) -> Fault:
+    """Return the fault of a stream that has been silent for too long."""
+    return Fault(
+        "tracker-silent",
+        f"no sample has come for {after_s:g} s",
+        "check the tracker and its cable, then measure again",
+        latched=True,
+    )

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from app.errors import MeasurementFailed
 from app.measurement.control import Control
 from app.measurement.faults import Aborted, Fault, fault_of
+from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
 from app.measurement.on_the_fly import stream_path
 from app.measurement.orders import CellState, Order, Report
 from app.measurement.progress import schedule_of
 from app.measurement.recorder import ClosedRun, Recorder
 from app.measurement.run_file import RunHeader
-from app.measurement.session import Limits, Session
+from app.measurement.session import Session
 from app.measurement.step_through import step_through
 from app.planning.configurations import Configurations
 from app.planning.paths import check_travel

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,3 +56,61 @@ def schedule_of(commanded: Path | Configurations, feed_mm_min: float) -> Schedul
         commanded.axes, commanded.position, np.full(n, feed_mm_min), commanded.dwell_s
     )
     return Schedule("points", line_times_s(path))
+
+
+class Course:
+    """Where a measurement is on its schedule.
+
+    stage : `preparing`, `measuring`, `closing`
+    row : the machine moves towards it or stands there
+    """
+
+    def __init__(
+        self, schedule: Schedule, period_s: float, clock: Callable[[], float]
+    ) -> None:
+        self.stage = "preparing"
+        self.row = 0
+        self._schedule, self._period_s, self._clock = schedule, period_s, clock
+        self._begun_s = self._seen_s = clock()
+        self._active_s = 0.0
+        self._told_s = -np.inf
+
+    def begin(self, row: int = 0) -> None:
+        """Move towards a row from now on; the first call starts the clock."""
+        if self.stage == "preparing":
+            self._begun_s = self._seen_s = self._clock()
+            self._active_s = 0.0
+        self.stage, self.row = "measuring", row
+
+    def follow(self, line: int) -> None:
+        """Take note of the line that a controller says it is on."""
+        if self._schedule.unit == "lines" and self.stage == "measuring":
+            self.row = min(max(self.row, line), self._schedule.total)
+
+    def end(self) -> None:
+        """All rows are done; tell so at once."""
+        self.stage, self._told_s = "closing", -np.inf
+
+    def pass_time(self, *, active: bool) -> None:
+        """Keep the time without pauses, which the pace is reckoned from."""
+        now_s = self._clock()
+        if active:
+            self._active_s += now_s - self._seen_s
+        self._seen_s = now_s
+
+    def news(self) -> dict[str, Any] | None:
+        """Return what there is to tell, None if it was told a moment ago."""
+        now_s = self._clock()
+        if now_s - self._told_s < self._period_s:
+            return None
+        self._told_s = now_s
+        finished = self.stage == "closing"
+        left_s = self._schedule.remaining_s(self.row, self._active_s)
+        return {
+            "done": self._schedule.done(self.row, finished=finished),
+            "total": self._schedule.total,
+            "unit": self._schedule.unit,
+            "stage": self.stage,
+            "elapsed_s": round(now_s - self._begun_s, 3),
+            "remaining_s": 0.0 if finished else round(left_s, 3),
+        }

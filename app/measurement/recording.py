@@ -20,8 +20,9 @@ import numpy as np
 
 from app.errors import BundleError
 from app.measurement.bundle_files import sync_folder
-from app.measurement.recorder import (
-    ClosedRun,
+from app.measurement.recorder import ClosedRun
+from app.measurement.run import Run, RunEvent
+from app.measurement.run_database import (
     connect,
     insert_batches,
     insert_manifest,
@@ -29,7 +30,6 @@ from app.measurement.recorder import (
     sha256_of,
     transaction,
 )
-from app.measurement.run import Run, RunEvent
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,

@@ -10,23 +10,34 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import MeasurementFailed
 from app.measurement.control import Control, HoldReason
-from app.measurement.faults import Aborted, Fault, fault_of
+from app.measurement.faults import (
+    BEAM_LOST,
+    NO_BEAM,
+    SILENT,
+    SLOW_DISK,
+    STILL_HELD,
+    Aborted,
+    Fault,
+    fault_of,
+    tracker_dead,
+)
+from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
+from app.measurement.motion_watch import MotionWatch
 from app.measurement.orders import CellState, Report
-from app.measurement.progress import Schedule
+from app.measurement.progress import Course, Schedule
 from app.measurement.pump import Pump
 from app.measurement.recorder import Recorder
-from app.measurement.stream_watch import Patience, StreamWatch, Verdict
-from drivers.interfaces.errors import ConnectionLost, DeviceError, DeviceTimeout
+from app.measurement.stream_watch import StreamWatch, Verdict
+from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import AxisSamples, MotionState, MotionStatus, Path
+from drivers.interfaces.records import MotionState, MotionStatus, Path
 from drivers.interfaces.tracker import Tracker
 
 _STANDS = frozenset(
@@ -37,29 +48,6 @@ _STANDS = frozenset(
         MotionState.ABORTED,
     }
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Times of the host in seconds where nothing else is said.
-
-    confirm_s : a hold, a cycle start or a resume is confirmed by then
-    link_s : the controller may be out of reach for so long
-    lead_s : stream before the first and after the last motion, tracker's clock
-    settle_s : between the end of a move and the dwell at a point, tracker's clock
-    arrival : how far from a commanded position an axis may stand, mm or deg
-    """
-
-    poll_s: float = 0.1
-    confirm_s: float = 5.0
-    link_s: float = 2.0
-    first_sample_s: float = 5.0
-    lead_s: float = 1.0
-    settle_s: float = 0.3
-    arrival: float = 0.02
-    progress_s: float = 0.2
-    axes_rows: int = 10
-    patience: Patience = field(default_factory=Patience)
 
 
 class Session:
@@ -82,20 +70,13 @@ class Session:
         limits: Limits | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.motion, self.limits, self.stage = motion, limits or Limits(), "preparing"
+        self.motion, self.limits = motion, limits or Limits()
         self._tracker, self._recorder, self._control = tracker, recorder, control
-        self._view, self._report, self._schedule = view, report, schedule
-        self._clock = clock
+        self._view, self._report, self._clock = view, report, clock
+        self._course = Course(schedule, self.limits.progress_s, clock)
+        self._machine = MotionWatch(motion, recorder, self.limits, clock)
         self._watch = StreamWatch(self.limits.patience, clock())
         self._pump: Pump | None = None
-        self._row = 0
-        self._finished = False
-        self._position: tuple[float, ...] = ()
-        self._axis_rows: list[tuple[float, ...]] = []
-        self._begun_s = self._active_since_s = clock()
-        self._active_s = 0.0
-        self._told_s = -np.inf
-        self._unreached_s: float | None = None
         self._resume_by_s: float | None = None
         self._hold_by_s: float | None = None
 
@@ -122,9 +103,7 @@ class Session:
     def run_path(self, path: Path) -> None:
         """Start the loaded path and follow it to its end."""
         self.checkpoint()
-        self.stage = "measuring"
-        self._begun_s = self._active_since_s = self._clock()
-        self._active_s = 0.0
+        self._course.begin()
         self._recorder.event("start", "cycle start")
         self.motion.start()
         self.wait_motion(path.position[-1])
@@ -167,7 +146,7 @@ class Session:
 
     def begin_row(self, row: int) -> None:
         """Note that the machine is sent to this row now."""
-        self.stage, self._row = "measuring", row
+        self._course.begin(row)
 
     def point_done(self, row: int) -> None:
         """Write down that a standstill point has been measured."""
@@ -175,7 +154,7 @@ class Session:
 
     def finish(self) -> None:
         """Record `lead_s` after the last motion."""
-        self.stage, self._finished, self._told_s = "closing", True, -np.inf
+        self._course.end()
         begin_s = self._device_s()
         while self._device_s() - begin_s < self.limits.lead_s:
             self.tick()
@@ -187,8 +166,7 @@ class Session:
                 self._pump.stop()
             except DeviceError as error:
                 self._note("tracker", str(error))
-        with contextlib.suppress(MeasurementFailed):
-            self._flush_axes()
+        self._machine.flush()
 
     # What anybody may wish.
 
@@ -200,7 +178,7 @@ class Session:
     def resume(self) -> None:
         """Go on after a pause, a lost beam or a hold at the machine."""
         if self._watch.verdict(self._clock()) is not Verdict.GOOD and self._pump:
-            self._tell(_NO_BEAM)
+            self._tell(NO_BEAM)
             return
         if self._control.release(*HoldReason, text="resume"):
             self.motion.resume()
@@ -217,7 +195,7 @@ class Session:
             raise Aborted("aborted on request")
         self._check_disk()
         self._check_stream()
-        status = self._read_motion()
+        status = self._machine.look()
         if status is not None:
             self._follow(status)
         self._tell_progress()
@@ -229,7 +207,7 @@ class Session:
             action = "free some space, then measure again"
             raise Fault("storage", text, action, latched=False)
         if self._recorder.strained:
-            self._hold_for(HoldReason.DISK, _SLOW_DISK)
+            self._hold_for(HoldReason.DISK, SLOW_DISK)
         elif self._recorder.relaxed and self._control.holds(HoldReason.DISK):
             self._go_on_after(HoldReason.DISK, "the disk has caught up")
 
@@ -240,11 +218,11 @@ class Session:
             raise fault_of(self._pump.failure)
         verdict = self._watch.verdict(self._clock())
         if verdict is Verdict.DEAD:
-            raise _silent(self.limits.patience.dead_s)
+            raise tracker_dead(self.limits.patience.dead_s)
         if verdict is Verdict.SILENT:
-            self._hold_for(HoldReason.SILENCE, _SILENT)
+            self._hold_for(HoldReason.SILENCE, SILENT)
         elif verdict is Verdict.BEAM_LOST:
-            self._hold_for(HoldReason.BEAM, _BEAM_LOST)
+            self._hold_for(HoldReason.BEAM, BEAM_LOST)
         elif self._control.holds(HoldReason.SILENCE):
             # Too short for anybody to have walked up to the machine: go on by itself.
             self._go_on_after(HoldReason.SILENCE, "the stream is back")
@@ -252,46 +230,22 @@ class Session:
     def _hold_for(self, reason: HoldReason, fault: Fault) -> None:
         if self._control.hold(reason, fault.text):
             self._tell(fault)
-            self._command(self.motion.hold)
+            self._machine.command(self.motion.hold)
 
     def _go_on_after(self, reason: HoldReason, text: str) -> None:
         self._note("stream" if reason is HoldReason.SILENCE else "storage", text)
         if self._control.release(reason, text=text):
-            self._command(self.motion.resume)
-
-    def _command(self, verb: Callable[[], None]) -> None:
-        """Tell the controller. If it is out of reach, `tick` asks again and notices."""
-        with contextlib.suppress(ConnectionLost, DeviceTimeout):
-            verb()
-
-    def _read_motion(self) -> MotionStatus | None:
-        try:
-            self.motion.beat()
-            status = self.motion.status()
-        except (ConnectionLost, DeviceTimeout) as error:
-            now_s = self._clock()
-            self._unreached_s = self._unreached_s or now_s
-            if now_s - self._unreached_s > self.limits.link_s:
-                raise fault_of(error) from error
-            return None
-        self._unreached_s = None
-        self._position = self._view.axes = status.position
-        self._axis_rows.append((self._clock(), *status.position))
-        if len(self._axis_rows) >= self.limits.axes_rows:
-            self._flush_axes()
-        return status
+            self._machine.command(self.motion.resume)
 
     def _follow(self, status: MotionStatus) -> None:
         if status.state is MotionState.ALARM:
             action = "clear the alarm at the machine, then measure again"
             text = f"the controller is in alarm: {status.alarm or 'no text'}"
             raise Fault("motion-alarm", text, action, latched=True)
-        if self._schedule.unit == "lines" and self.stage == "measuring":
-            last = self._schedule.total
-            self._row = min(max(self._row, status.line), last)
-        before = self._control.state
+        self._view.axes = status.position
+        self._course.follow(status.line)
+        self._course.pass_time(active=self._control.state is CellState.RUNNING)
         self._control.observe(status.state, status.hold_reason)
-        self._count_active(before)
         if self._control.wants_hold and status.state is MotionState.RUNNING:
             self._insist_on_hold()
         else:
@@ -299,7 +253,7 @@ class Session:
         self._insist_on_resume(status)
 
     def _insist_on_hold(self) -> None:
-        self._command(self.motion.hold)
+        self._machine.command(self.motion.hold)
         self._hold_by_s = self._hold_by_s or self._clock() + self.limits.confirm_s
         if self._clock() > self._hold_by_s:
             raise Fault(
@@ -313,48 +267,23 @@ class Session:
         if self._control.state is not CellState.RESUMING:
             self._resume_by_s = None
             return
-        self._command(self.motion.resume)
+        self._machine.command(self.motion.resume)
         self._resume_by_s = self._resume_by_s or self._clock() + self.limits.confirm_s
         if self._clock() > self._resume_by_s:
-            self._tell(_STILL_HELD)
+            self._tell(STILL_HELD)
             self._control.fall_back(f"still held: {status.hold_reason}")
 
-    def _count_active(self, before: CellState) -> None:
-        """Keep the time without pauses, which the pace is reckoned from."""
-        now_s = self._clock()
-        if before is CellState.RUNNING:
-            self._active_s += now_s - self._active_since_s
-        self._active_since_s = now_s
-
-    def _flush_axes(self) -> None:
-        if self._axis_rows:
-            rows = np.array(self._axis_rows)
-            self._axis_rows = []
-            self._recorder.put_axes(
-                AxisSamples(self.motion.axes, rows[:, 0], rows[:, 1:])
-            )
-
     def _tell_progress(self) -> None:
-        now_s = self._clock()
-        if now_s - self._told_s < self.limits.progress_s:
+        news = self._course.news()
+        if news is None:
             return
-        self._told_s = now_s
-        left_s = self._schedule.remaining_s(self._row, self._active_s)
-        self._report(
-            "progress",
-            {
-                "done": self._schedule.done(self._row, finished=self._finished),
-                "total": self._schedule.total,
-                "unit": self._schedule.unit,
-                "stage": self.stage,
-                "position": list(self._position),
-                "samples": self._recorder.samples,
-                "lost_samples": self._recorder.lost_samples,
-                "crc_errors": self._tracker.health.crc_errors,
-                "elapsed_s": round(now_s - self._begun_s, 3),
-                "remaining_s": 0.0 if self._finished else round(left_s, 3),
-            },
-        )
+        health = {
+            "position": list(self._machine.position),
+            "samples": self._recorder.samples,
+            "lost_samples": self._recorder.lost_samples,
+            "crc_errors": self._tracker.health.crc_errors,
+        }
+        self._report("progress", news | health)
 
     def _tell(self, fault: Fault) -> None:
         self._note(fault.code, fault.text)
@@ -371,7 +300,7 @@ class Session:
 
     def _no_stream(self) -> Fault:
         if self._watch.device_time_s is None:
-            return _silent(self.limits.first_sample_s)
+            return tracker_dead(self.limits.first_sample_s)
         return Fault(
             "beam-lost",
             "the tracker sends no valid sample",
@@ -392,44 +321,3 @@ class Session:
             "check which program ran at the machine",
             latched=True,
         )
-
-
-_SILENT = Fault(
-    "tracker-silent",
-    "no sample has come for half a second; the feed is held",
-    "nothing: it goes on by itself when the stream is back within seconds",
-    latched=False,
-)
-_SLOW_DISK = Fault(
-    "slow-disk",
-    "the disk cannot keep up; the feed is held until it has",
-    "nothing: it goes on by itself; use a local disk",
-    latched=False,
-)
-_BEAM_LOST = Fault(
-    "beam-lost",
-    "the tracker has lost the reflector; the feed is held",
-    "lock the beam on the reflector, then press Resume",
-    latched=False,
-)
-_NO_BEAM = Fault(
-    "not-resumed",
-    "the tracker sends no valid samples, the machine stays held",
-    "lock the beam on the reflector, then press Resume",
-    latched=False,
-)
-_STILL_HELD = Fault(
-    "resume-unconfirmed",
-    "the controller keeps holding",
-    "release feed hold and door at the machine, then press Resume",
-    latched=False,
-)
-
-
-def _silent(after_s: float) -> Fault:
-    return Fault(
-        "tracker-silent",
-        f"no sample has come for {after_s:g} s",
-        "check the tracker and its cable, then measure again",
-        latched=True,
-    )

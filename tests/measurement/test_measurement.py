@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from app.measurement.faults import Fault
+from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement, arranged
 from app.measurement.orders import Order
 from app.measurement.recording import link_bytes, open_run
-from app.measurement.session import Limits
 from app.measurement.stream_watch import Patience
 from app.planning.configurations import Configurations
 from drivers.interfaces.errors import (

@@ -20,6 +20,7 @@ from app.errors import BundleError, MeasurementFailed
 from app.measurement import recorder as recorder_module
 from app.measurement.recorder import Recorder
 from app.measurement.recording import link_bytes, open_run, settle
+from app.measurement.run_database import sha256_of
 from app.measurement.run_file import RunHeader
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
@@ -115,7 +116,7 @@ def test_a_closed_run_is_one_signed_read_only_file(recorder, file):
     closed = recorder.close("finished")
     assert [p.name for p in file.parent.iterdir()] == ["monday.sqlite"]
     assert file.stat().st_mode & 0o777 == 0o444
-    assert closed.sha256 == recorder_module.sha256_of(file)
+    assert closed.sha256 == sha256_of(file)
     assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
 
 
@@ -414,7 +415,7 @@ def test_a_damaged_run_is_salvaged_and_kept_as_torn(closed_file):
     assert closed.lost_samples == 50
     torn = closed_file.with_name("monday.sqlite.torn")
     assert torn.read_bytes() == before
-    assert closed.sha256 == recorder_module.sha256_of(closed_file)
+    assert closed.sha256 == sha256_of(closed_file)
     run = open_run(closed_file)
     assert len(run.tracker) == 39 * 50
     assert [e.kind for e in run.events] == ["start", "gap"]
