@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
+from app.estimation.direction import Fit, best_fit
 from app.estimation.estimate import Estimate, Observability, Residuals
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Posterior, information
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import first_noise, fit_noise
 from app.estimation.observability import observability
-from app.estimation.prior import BendingPrior, first_guess, fitted
+from app.estimation.prior import first_guess, fitted
 from app.estimation.problem import Problem, pose_problem
-from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 
 
@@ -37,16 +37,16 @@ def estimate(
     machine_model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm)
     problem = pose_problem(seen, machine_model, seen.pose)
     noise = first_noise(seen, perpendicular_only=perpendicular_only)
-    prior, result = fitted(information(problem, noise), first_guess(machine_model))
+    _, result = fitted(information(problem, noise), first_guess(machine_model))
     told(0.2)
     # The rough pose is off by the machine's errors: linearise about the better one.
-    problem = pose_problem(seen, machine_model, _refined(problem, result))
-    noise = fit_noise(seen, problem.pose, noise)
-    told(0.8)
-    prior, result = fitted(information(problem, noise), prior)
-    observable = observability(seen, problem.pose, noise)
+    pose = _refined(problem, result)
+    noise = fit_noise(seen, pose, noise)
+    told(0.7)
+    fit = best_fit(seen, machine_model, pose, noise)
+    observable = observability(seen, pose, noise)
     told(1.0)
-    return _packed(problem, prior, result, noise, observable, perpendicular_only)
+    return _packed(fit, noise, observable, perpendicular_only)
 
 
 def _untold(share: float) -> None:
@@ -62,33 +62,22 @@ def _refined(problem: Problem, result: Posterior) -> RigidTransform:
 
 
 def _packed(
-    problem: Problem,
-    prior: BendingPrior,
-    result: Posterior,
-    noise: NoiseModel,
-    observable: Observability,
-    perpendicular_only: bool,
+    fit: Fit, noise: NoiseModel, observable: Observability, perpendicular_only: bool
 ) -> Estimate:
-    size, seen = problem.machine_size, problem.seen
+    problem, result, seen = fit.problem, fit.result, fit.problem.seen
+    size = problem.machine_model.size
     pose = problem.model.slices["tracker-pose"]
-    machine_model = MachineModel(
-        problem.model.machine,
-        tuple(
-            e
-            for e in problem.model.effects
-            if problem.model.slices[e.name].stop <= size
-        ),
-    )
     return Estimate(
-        machine_model,
+        problem.machine_model,
         result.theta[:size],
         result.covariance[:size, :size],
-        prior.strength,
+        fit.prior.strength,
         noise,
         _refined(problem, result),
         result.covariance[pose, pose],
         seen.at.point_mm.mean(axis=0),
         observable,
+        fit.direction,
         _residuals(problem, result.theta, noise),
         perpendicular_only,
         len(seen),

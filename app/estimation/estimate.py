@@ -52,6 +52,7 @@ class Estimate:
     theta : (p,), covariance : (p, p), of those effects alone; pose and timing laws are
         integrated out
     strength : prior strength of each error motion's bending, found from the data
+    direction : `none`, `constant` or `tables`: what the direction of approach does
     pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
     about
         `centre_mm`
@@ -66,6 +67,7 @@ class Estimate:
     pose_covariance: Float64[np.ndarray, "6 6"]
     centre_mm: Float64[np.ndarray, "3"]
     observability: Observability
+    direction: str
     residuals: Residuals
     perpendicular_only: bool
     cells: int

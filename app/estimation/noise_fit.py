@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
+from app.estimation.direction import with_half_widths
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information, posterior, without_rest
 from app.estimation.noise import NoiseModel
@@ -47,6 +48,7 @@ def fit_noise(
     model, _ = identifiable_model(
         seen.at.machine, seen.at.offset_mm, knot_spacing_mm=_COARSE_MM
     )
+    model = with_half_widths(model)  # lost motion must not pass for slow noise
     problem = pose_problem(_some_lines(seen), model, pose)
     prior, result = fitted(information(problem, noise), first_guess(model))
     small = coarser(problem, _merge(seen))

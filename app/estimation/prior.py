@@ -1,14 +1,14 @@
-"""The bending prior, its strength found from the data.
+"""The prior, its strengths found from the data.
 
 Each error motion is charged for its bending energy, as the elastic beam of
-brunn-hanebeck-2005 (eq. 12–13) would charge it. Straight lines are free. The strength
-maximises the evidence: MacKay's fixed point, strength = γ / (θᵀKθ), where γ counts the
+brunn-hanebeck-2005 (eq. 12–13) would charge it; straight lines are free. The strengths
+maximise the evidence: MacKay's fixed point, strength = γ / (θᵀKθ), where γ counts the
 shapes that the data rather than the prior determine.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -19,54 +19,54 @@ from app.estimation.information import (
     posterior,
     without_rest,
 )
-from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.effects.base import Charge
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn
 
 _ROUNDS = 40
 _SETTLED = 0.05
-_TYPICAL_MM, _TYPICAL_RAD = 0.01, 2e-5
-_STRAIGHT = 1e-5  # of the usual bending energy: below it a motion counts as straight
+_STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
 
 
 @dataclass(frozen=True)
 class BendingPrior:
-    """Roughness of every motion, and the strength with which each is charged.
+    """What each effect of the machine proper is charged for, and how strongly.
 
-    model : effects of the machine proper
+    log_forms : log determinant at strengths 1, over the shapes that are charged
     """
 
     model: MachineModel
+    charges: dict[str, Charge]
     strength: dict[str, float]
+    log_forms: float
 
     def precision(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the prior precision of θ; what follows the machine's has none."""
         total = np.zeros((size, size))
-        for motion in _motions(self.model):
-            part = self.model.slices[motion.name]
-            total[part, part] = self.strength[motion.name] * motion.roughness()
+        for name, charge in self.charges.items():
+            part = self.model.slices[name]
+            total[part, part] = self.strength[name] * charge.form
         return total
 
     def log_determinant(self) -> float:
         """Return the log determinant over the shapes that are charged."""
-        return sum(
-            _charged(m) * float(np.log(self.strength[m.name]))
-            for m in _motions(self.model)
+        return self.log_forms + sum(
+            charge.rank * float(np.log(self.strength[name]))
+            for name, charge in self.charges.items()
         )
 
 
 def first_guess(model: MachineModel) -> BendingPrior:
-    """Return a prior for errors of usual size that wave once over the travel."""
-    return BendingPrior(
-        model, {m.name: 8.0 / _typical_energy(m) for m in _motions(model)}
-    )
+    """Return a prior for effects of usual size."""
+    asked = {effect.name: effect.charge() for effect in model.effects}
+    charges = {name: charge for name, charge in asked.items() if charge}
+    strength = {name: 8.0 / charge.usual for name, charge in charges.items()}
+    log_forms = sum(_log_determinant(charge) for charge in charges.values())
+    return BendingPrior(model, charges, strength, log_forms)
 
 
-def _typical_energy(motion: ErrorMotion) -> float:
-    """Return the bending energy of an error of usual size, one wave over the travel."""
-    length = motion.axis.max_mm - motion.axis.min_mm
-    size = _TYPICAL_RAD if is_turn(motion.symbol) else _TYPICAL_MM
-    return size**2 * (2.0 * np.pi / length) ** 4 * length / 2.0
+def _log_determinant(charge: Charge) -> float:
+    eigenvalue = np.linalg.eigvalsh(charge.form)[-charge.rank :]
+    return float(np.log(eigenvalue).sum())
 
 
 def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
@@ -80,7 +80,7 @@ def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Poster
             abs(float(np.log(strength[name] / old)))
             for name, old in prior.strength.items()
         )
-        prior = BendingPrior(prior.model, strength)
+        prior = replace(prior, strength=strength)
         if change < _SETTLED:
             break
     return prior, posterior(data, prior.precision(len(data.vector)))
@@ -98,19 +98,11 @@ def evidence_cost(data: Information, prior: BendingPrior, result: Posterior) -> 
 
 def _next_strength(prior: BendingPrior, result: Posterior) -> dict[str, float]:
     strength: dict[str, float] = {}
-    for motion in _motions(prior.model):
-        part, K = prior.model.slices[motion.name], motion.roughness()
-        theta, old = result.theta[part], prior.strength[motion.name]
-        free = _charged(motion) - old * float(np.sum(result.covariance[part, part] * K))
-        # A motion that is straight within the noise keeps a finite strength.
-        energy = float(theta @ K @ theta) + _STRAIGHT * _typical_energy(motion)
-        strength[motion.name] = max(free, 0.05) / energy
+    for name, charge in prior.charges.items():
+        part, old = prior.model.slices[name], prior.strength[name]
+        theta, spread = result.theta[part], result.covariance[part, part]
+        free = charge.rank - old * float(np.sum(spread * charge.form))
+        # An effect that is nothing within the noise keeps a finite strength.
+        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
+        strength[name] = max(free, 0.05) / energy
     return strength
-
-
-def _motions(model: MachineModel) -> list[ErrorMotion]:
-    return [e for e in model.effects if isinstance(e, ErrorMotion)]
-
-
-def _charged(motion: ErrorMotion) -> int:
-    return motion.spline.size - 2

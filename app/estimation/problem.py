@@ -6,6 +6,7 @@ by fitting points to the closest point of the path, which drags errors into the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
@@ -25,14 +27,14 @@ class Problem:
     """Rows of all cells, data in the last column.
 
     model : machine effects, then pose, then timing laws
-    machine_size : number of leading parameters that belong to the machine
+    machine_model : the machine effects alone, whose parameters come first
     frame : (n, 3, 3) workpiece to beam frame
     rows : (n, 3, p + 1)
     """
 
     seen: Observations
     model: MachineModel
-    machine_size: int
+    machine_model: MachineModel
     pose: RigidTransform
     frame: Float64[np.ndarray, "n 3 3"]
     rows: Float64[np.ndarray, "n 3 q"]
@@ -50,8 +52,23 @@ def pose_problem(
     frame = beam_frame(seen.tracker_mm) @ pose.rotation
     off = pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
     local = np.concatenate([model.jacobian(seen.at), off[:, :, None]], axis=2)
-    return Problem(
-        seen, model, machine_model.size, pose, frame, np.matmul(frame, local)
+    rows = np.matmul(frame, local)
+    return Problem(seen, model, machine_model, pose, frame, rows)
+
+
+def with_machine_effects(problem: Problem, effects: Sequence[Effect]) -> Problem:
+    """Return the problem with some of its machine effects only."""
+    names = {effect.name for effect in effects}
+    keep = np.ones(problem.model.size + 1, bool)
+    for effect in problem.machine_model.effects:
+        keep[problem.model.slices[effect.name]] = effect.name in names
+    machine = MachineModel(problem.model.machine, tuple(effects))
+    nuisances = problem.model.effects[len(problem.machine_model.effects) :]
+    return replace(
+        problem,
+        model=machine.with_effects(*nuisances),
+        machine_model=machine,
+        rows=problem.rows[:, :, keep],
     )
 
 

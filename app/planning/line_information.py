@@ -19,12 +19,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.base import standstill
-from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.effects.error_motion import error_motion, usual_size
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import error_motions, is_turn
+from app.kinematics.symbols import error_motions
 
 SIGMA_MM = 0.004
 EXPECTED_ERROR_MM = 0.02
@@ -98,7 +98,7 @@ def _linear_part(machine: Machine) -> Machine:
 
 def _model(machine: Machine) -> MachineModel:
     motions = tuple(
-        error_motion(symbol, axis, (axis.max_mm - axis.min_mm) / 4)
+        error_motion(symbol, axis, 4)
         for axis in machine.linear_axes
         for symbol in error_motions(axis.name)
     )
@@ -132,13 +132,11 @@ def _prior_covariance(model: MachineModel) -> Float64[np.ndarray, "p p"]:
     ]
     precision = np.diag(np.array(scale) ** -2)
     for effect in model.effects:
-        roughness = effect.roughness()
-        if roughness is not None:
-            amplitude = EXPECTED_ERROR_MM / (size_mm if is_turn(effect.name) else 1.0)
-            wave = 2 * np.pi / size_mm
-            energy = (amplitude * wave**2) ** 2 * size_mm / 2
+        charge = effect.charge()
+        if charge is not None:
             at = model.slices[effect.name]
-            precision[at, at] += roughness / energy
+            larger = EXPECTED_ERROR_MM / usual_size("EXX")
+            precision[at, at] += charge.form / (larger**2 * charge.usual)
     return np.linalg.inv(precision)
 
 

@@ -22,6 +22,7 @@ from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn
 from app.measurement.json_fields import Field, Fields
+from app.reporting.direction_tables import directional
 from app.reporting.error_tables import MICRO, MILLI
 from app.reporting.packing import ENCODING, pack_symmetric, unpack_symmetric
 
@@ -95,8 +96,11 @@ def _of_the_machine(
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[MachineModel, Float64[np.ndarray, " m"], Float64[np.ndarray, "m m"]]:
+    directions = directional(model)  # the map is the mean of both
     effects = tuple(
-        e for e in model.effects if not all(p.nuisance for p in e.parameters)
+        e
+        for e in model.effects
+        if e.name not in directions and not all(p.nuisance for p in e.parameters)
     )
     kept = np.concatenate(
         [np.arange(model.size)[model.slices[e.name]] for e in effects]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from app.reporting.findings import Findings
 from app.reporting.html_parts import escape, figure_text, plain, tile
+from app.reporting.report_direction import direction
 from app.reporting.report_errors import error_motions, squareness, volumetric
 from app.reporting.report_measurement import (
     GOOD_FIT,
@@ -29,6 +30,7 @@ def report_html(found: Findings) -> str:
         machine_and_measurement,
         error_motions,
         squareness,
+        direction,
         volumetric,
         residuals_and_noise,
         unobservable,

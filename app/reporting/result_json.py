@@ -18,6 +18,7 @@ from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.measurement.json_fields import Field, Fields
 from app.measurement.machine_file import machine_from_json, machine_to_json
+from app.reporting.direction_tables import half_differences
 from app.reporting.error_tables import (
     MICRO,
     MILLI,
@@ -74,6 +75,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             s.symbol: {"value": s.value_urad, "uncertainty": s.uncertainty_urad}
             for s in found.tables.squareness
         },
+        "direction": _direction_json(found),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
         "alignment": _alignment_json(found),
@@ -129,6 +131,22 @@ def _table_json(table: ErrorTable) -> dict[str, Any]:
         "position_mm": table.position_mm.tolist(),
         f"value_{table.unit}": table.value.tolist(),
         f"uncertainty_{table.unit}": table.uncertainty.tolist(),
+    }
+
+
+def _direction_json(found: Findings) -> dict[str, Any]:
+    estimate = found.estimate
+    halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
+    return {
+        "model": estimate.direction,
+        "half_difference": {
+            half.symbol: {
+                "position_mm": half.position_mm.tolist(),
+                f"value_{half.unit}": half.value.tolist(),
+                f"uncertainty_{half.unit}": half.uncertainty.tolist(),
+            }
+            for half in halves
+        },
     }
 
 

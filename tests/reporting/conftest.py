@@ -69,6 +69,7 @@ def construct() -> Callable[..., Estimate]:
             1e-6 * np.eye(6),
             np.array([50.0, 200.0, 0.0]),
             Observability(model.size + 20, model.size, tuple(str(m) for m in merged)),
+            "none",
             residuals,
             False,
             CELLS,

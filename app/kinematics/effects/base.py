@@ -95,6 +95,19 @@ class Parameter:
     nuisance: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Charge:
+    """A quadratic form θᵀKθ that a prior charges for.
+
+    form : (p, p) K; rank : shapes that it charges; the others are free
+    usual : θᵀKθ of an effect of usual size
+    """
+
+    form: Float64[np.ndarray, "p p"]
+    rank: int
+    usual: float
+
+
 class Effect(ABC):
     """One physical cause that moves the measured point off its nominal, linear in θ."""
 
@@ -118,6 +131,6 @@ class Effect(ABC):
         """Return how far θ moves the measured point."""
         return self.jacobian(at) @ theta
 
-    def roughness(self) -> Float64[np.ndarray, "p p"] | None:
-        """Return the quadratic form that the prior charges for, None for no prior."""
+    def charge(self) -> Charge | None:
+        """Return what the prior charges for, or None for no prior."""
         return None

@@ -9,10 +9,12 @@ from jaxtyping import Float64
 from scipy.linalg import null_space
 
 from app.kinematics.chain import lever_mm
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter
 from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 from app.numerics.splines import CubicSpline, natural_spline
+
+_USUAL_MM, _USUAL_RAD = 0.01, 2e-5
 
 
 @dataclass(frozen=True)
@@ -20,9 +22,8 @@ class ErrorMotion(Effect):
     """E or ω of an axis: values of a spline in the gauge of formats.md.
 
     gauge : (K, p), control values per free parameter. Positioning and turns are 0 at
-    the
-        axis zero (else at the lowest position); straightness is 0 at both ends of the
-        travel. What the gauge removes is squareness or the pose of the whole volume.
+        the axis zero (else at the lowest position); straightness is 0 at both ends of
+        the travel. What the gauge removes is squareness or the pose of the volume.
     """
 
     symbol: str
@@ -48,20 +49,31 @@ class ErrorMotion(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
-        arm = np.zeros((len(at), 3))
-        unit = np.eye(3)[DIRECTION[self.symbol[1]]]
-        if is_turn(self.symbol):
-            arm += np.cross(
-                unit,
-                lever_mm(at.machine, self.axis.name, at.position_mm, at.offset_mm),
-            )
-        else:
-            arm += unit
-        return arm[:, :, None] * self.rows(at.axis_mm(self.axis.name))[:, None, :]
+        rows = self.rows(at.axis_mm(self.axis.name))
+        return arm_of(self.symbol, at)[:, :, None] * rows[:, None, :]
 
-    def roughness(self) -> Float64[np.ndarray, "p p"]:
-        """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13)."""
-        return self.gauge.T @ self.spline.bending() @ self.gauge
+    def charge(self) -> Charge:
+        """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
+
+        Usual is an error of usual size that waves once over the travel.
+        """
+        length = self.axis.max_mm - self.axis.min_mm
+        usual = usual_size(self.symbol) ** 2 * (2.0 * np.pi / length) ** 4 * length / 2
+        form = self.gauge.T @ self.spline.bending() @ self.gauge
+        return Charge(form, self.spline.size - 2, usual)
+
+
+def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+    """Return what a unit of the error moves the target by: e_d, or e_d × L."""
+    unit = np.eye(3)[DIRECTION[symbol[1]]]
+    if not is_turn(symbol):
+        return np.tile(unit, (len(at), 1))
+    return np.cross(unit, lever_mm(at.machine, symbol[2], at.position_mm, at.offset_mm))
+
+
+def usual_size(symbol: str) -> float:
+    """Return the size of an error motion that surprises nobody, in mm or rad."""
+    return _USUAL_RAD if is_turn(symbol) else _USUAL_MM
 
 
 def error_motion(symbol: str, axis: LinearAxis, intervals: int) -> ErrorMotion:
