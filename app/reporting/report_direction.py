@@ -30,9 +30,9 @@ def direction(number: int, found: Findings) -> str:
     rows = [_row(half) for half in shown]
     head = ("Symbol", "Error", "Half difference ± U")
     note = (
-        "Going up an axis errs by its table plus the half difference, coming down by "
-        f"the table less it. The other {len(halves) - len(shown)} error motions show none "
-        "beyond their expanded uncertainty (k = 2)."
+        "Going up, an axis errs by its table plus the half difference, coming down by "
+        f"the table less it. {len(halves) - len(shown)} error motions show none beyond "
+        "their expanded uncertainty (k = 2)."
     )
     body = table(head, rows, numbers=2) if rows else ""
     return section(
