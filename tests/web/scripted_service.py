@@ -293,6 +293,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         found = copy.deepcopy(MACHINE)
         known = service.connected
         return found | {
+            "tracker_noise": TRACKER_NOISE,
             "connected": known,
             "tracker": TRACKER if known else None,
             "motion": MOTION if known else None,

@@ -93,7 +93,8 @@ function facts(machine) {
     const offset = machine.tool_offset_mm.map((v) => figure(v, "travel", 1)).join("   ");
     rows.push([t("connect.offset"), `${offset} ${unitOf("travel")}`]);
   }
-  if (machine.tracker?.rate_hz) rows.push([t("connect.rate"), `${number(machine.tracker.rate_hz)} Hz`]);
+  const rate_hz = machine.tracker_noise?.rate_hz;
+  if (rate_hz) rows.push([t("connect.rate"), `${number(rate_hz)} Hz`]);
   return rows;
 }
 
