@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from contextlib import AbstractAsyncContextManager
 from importlib.metadata import version
+from typing import Any
 
 from fastapi import APIRouter, FastAPI
 
@@ -37,6 +38,13 @@ _TAGS = [
 ]
 
 
+class _Application(FastAPI):
+    def openapi(self) -> dict[str, Any]:
+        if self.openapi_schema is None:
+            self.openapi_schema = problems.described(super().openapi())
+        return self.openapi_schema
+
+
 def create_application(
     service: Service | None = None,
     *,
@@ -50,7 +58,7 @@ def create_application(
     pages : routes of the operator page
     """
     max_upload_bytes = service.max_upload_bytes if service else 0
-    app = FastAPI(
+    app = _Application(
         title="Truepath",
         version=version("truepath"),
         summary="Machine tool calibration by laser tracker",

@@ -48,7 +48,7 @@ _STREAM: dict[int | str, dict[str, Any]] = {
 
 
 class Subscription:
-    """Takes notices from any thread, hands them to one stream."""
+    """Takes notices from any thread, makes one stream of them."""
 
     def __init__(self, service: Service, job_id: str | None) -> None:
         self._service, self._job_id = service, job_id
@@ -70,7 +70,37 @@ class Subscription:
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)
 
-    def take(self) -> tuple[bool, list[Notice]]:
+    async def events(self, last_event_id: str) -> AsyncIterator[ServerSentEvent]:
+        """Yield what the client has missed, then what happens, until the service ends.
+
+        Whoever has seen nothing yet gets the present state first.
+        """
+        service, job_id = self._service, self._job_id
+        newest = await run_sync(service.store.last_event_id)
+        known = _known(last_event_id, newest)
+        if known is None:
+            known = newest
+            for event in await run_sync(_present, service, job_id, newest):
+                yield event
+        next_tick = time.monotonic()
+        while not service.closing.is_set():
+            news, live = self._take()
+            while news:
+                missed = await run_sync(_missed, service, job_id, known)
+                for stored in missed:
+                    known = stored.id
+                    yield _job_event(stored)
+                news = bool(missed)
+            for notice in live:
+                body = {"job_id": notice.job_id, **notice.body}
+                yield ServerSentEvent(data=body, event=notice.type)
+            if time.monotonic() >= next_tick:
+                next_tick = time.monotonic() + TICK_S
+                tick = {"time": now_utc(), "last_event_id": known}
+                yield ServerSentEvent(data=tick, event="tick")
+            await self._wait(next_tick - time.monotonic())
+
+    def _take(self) -> tuple[bool, list[Notice]]:
         """Return whether the catalogue has news, and the live notices."""
         with self._lock:
             news, self._news = self._news, False
@@ -79,7 +109,7 @@ class Subscription:
         self._changed.clear()
         return news, waiting
 
-    async def wait(self, timeout_s: float) -> None:
+    async def _wait(self, timeout_s: float) -> None:
         """Return when there is something to take, or after the time."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._changed.wait(), timeout_s)
@@ -109,13 +139,37 @@ class Streams:
 streams = Streams()
 
 
-def _room_for_one(service: ServiceDep) -> None:
-    if streams.count >= service.max_streams:
-        raise HTTPException(429, f"{service.max_streams} event streams are open")
+async def _of_everything(service: ServiceDep) -> AsyncIterator[Subscription]:
+    with _subscribed(service, None) as subscription:
+        yield subscription
 
 
 def _existing(job_id: str, service: ServiceDep) -> str:
     return service.store.get(job_id).id
+
+
+async def _of_one_job(
+    job_id: Annotated[str, Depends(_existing)], service: ServiceDep
+) -> AsyncIterator[Subscription]:
+    with _subscribed(service, job_id) as subscription:
+        yield subscription
+
+
+@contextmanager
+def _subscribed(service: Service, job_id: str | None) -> Iterator[Subscription]:
+    """Listen for one request. Ended by the request, not by the stream's generator.
+
+    A generator that waits for a slow client is not told when that client goes.
+    """
+    if streams.count >= service.max_streams:
+        raise HTTPException(429, f"{service.max_streams} event streams are open")
+    subscription = Subscription(service, job_id)
+    forget = service.feed.listen(subscription.put)
+    try:
+        with streams.one_more():
+            yield subscription
+    finally:
+        forget()
 
 
 LastEventId = Annotated[
@@ -128,13 +182,13 @@ LastEventId = Annotated[
     operation_id="stream_events",
     response_class=EventSourceResponse,
     responses=_STREAM,
-    dependencies=[Depends(_room_for_one)],
 )
 async def stream_events(
-    service: ServiceDep, last_event_id: LastEventId = ""
+    subscription: Annotated[Subscription, Depends(_of_everything)],
+    last_event_id: LastEventId = "",
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow everything. One stream a page; the browser reconnects by itself."""
-    async for event in _follow(service, None, last_event_id):
+    async for event in subscription.events(last_event_id):
         yield event
 
 
@@ -143,60 +197,14 @@ async def stream_events(
     operation_id="stream_job_events",
     response_class=EventSourceResponse,
     responses=_STREAM,
-    dependencies=[Depends(_room_for_one)],
 )
 async def stream_job_events(
-    job_id: Annotated[str, Depends(_existing)],
-    service: ServiceDep,
+    subscription: Annotated[Subscription, Depends(_of_one_job)],
     last_event_id: LastEventId = "",
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow one job."""
-    async for event in _follow(service, job_id, last_event_id):
+    async for event in subscription.events(last_event_id):
         yield event
-
-
-async def _follow(
-    service: Service, job_id: str | None, last_event_id: str
-) -> AsyncIterator[ServerSentEvent]:
-    subscription = Subscription(service, job_id)
-    forget = service.feed.listen(subscription.put)
-    try:
-        with streams.one_more():
-            async for event in _events(service, job_id, last_event_id, subscription):
-                yield event
-    finally:
-        forget()
-
-
-async def _events(
-    service: Service,
-    job_id: str | None,
-    last_event_id: str,
-    subscription: Subscription,
-) -> AsyncIterator[ServerSentEvent]:
-    newest = await run_sync(service.store.last_event_id)
-    known = _known(last_event_id, newest)
-    if known is None:
-        known = newest
-        for event in await run_sync(_present, service, job_id, newest):
-            yield event
-    next_tick = time.monotonic()
-    while not service.closing.is_set():
-        news, live = subscription.take()
-        while news:
-            missed = await run_sync(_missed, service, job_id, known)
-            for stored in missed:
-                known = stored.id
-                yield _job_event(stored)
-            news = bool(missed)
-        for notice in live:
-            body = {"job_id": notice.job_id, **notice.body}
-            yield ServerSentEvent(data=body, event=notice.type)
-        if time.monotonic() >= next_tick:
-            next_tick = time.monotonic() + TICK_S
-            tick = {"time": now_utc(), "last_event_id": known}
-            yield ServerSentEvent(data=tick, event="tick")
-        await subscription.wait(next_tick - time.monotonic())
 
 
 def _known(last_event_id: str, newest: int) -> int | None:

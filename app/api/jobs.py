@@ -33,6 +33,12 @@ router = APIRouter(prefix="/jobs", tags=["jobs"])
 results = APIRouter(prefix="/jobs", tags=["results"])
 stop = APIRouter(tags=["jobs"])
 
+
+def _file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
+    content = {media_type: {"schema": {"type": kind}}}
+    return {200: {"content": content}, **answers(404)}
+
+
 IdempotencyKey = Annotated[
     Annotated[
         str, StringConstraints(min_length=1, max_length=200, pattern=r"^[\x21-\x7e]+$")
@@ -157,7 +163,7 @@ def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
     "/{job_id}/result",
     operation_id="get_result",
     response_class=FileResponse,
-    responses=answers(404),
+    responses=_file("application/json", "object"),
 )
 def get_result(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `result.json`: error tables, squareness, uncertainty, observability."""
@@ -187,7 +193,7 @@ def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
     "/{job_id}/result/error-tables.csv",
     operation_id="download_error_tables",
     response_class=FileResponse,
-    responses=answers(404),
+    responses=_file("text/csv", "string"),
 )
 def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the error tables as `error_tables.csv`."""
@@ -202,7 +208,7 @@ def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
     "/{job_id}/result/report.html",
     operation_id="get_report",
     response_class=FileResponse,
-    responses=answers(404),
+    responses=_file("text/html", "string"),
 )
 def get_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""

@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.api import failures
 from app.api.failures import BY_STATUS, INTERNAL, Kind
-from app.api.problems import problem_response
+from app.api.problems import kind_of_status, problem_response
 
 log = structlog.get_logger(__name__)
 
@@ -73,7 +73,7 @@ class Guard:
                 await self._let_through(scope, receive, answer)
             except Exception:
                 log.exception("request failed", path=scope["path"])
-                await answer.refuse(receive, INTERNAL)
+                await answer.refuse(INTERNAL)
             answer.log()
 
     async def _let_through(
@@ -82,9 +82,9 @@ class Guard:
         headers = Headers(scope=scope)
         if not self._is_ours(headers.get("host", "")):
             detail = f"{headers.get('host', '')!r} is not a name of this service"
-            await answer.refuse(receive, BY_STATUS[421], detail)
+            await answer.refuse(BY_STATUS[421], detail)
         elif scope["method"] in _UNSAFE and not _is_same_site(headers):
-            await answer.refuse(receive, BY_STATUS[403])
+            await answer.refuse(BY_STATUS[403])
         else:
             await self._app(scope, receive, answer.send)
 
@@ -101,30 +101,45 @@ class Guard:
 
 
 class _Answer:
-    """Sends the answer of one request with the headers that every answer has."""
+    """Sends the answer of one request with the headers that every answer has.
+
+    A refusal in plain text, as the framework writes some, becomes a problem.
+    """
 
     def __init__(self, scope: Scope, send: Send, request_id: str) -> None:
         self._scope, self._send, self._request_id = scope, send, request_id
         self._begun = time.monotonic()
         self._status = 0
+        self._is_bare = False
 
     async def send(self, message: Message) -> None:
         """Send one message; the first one gets its headers."""
         if message["type"] == "http.response.start":
             self._status = message["status"]
+            self._is_bare = _is_bare_refusal(message)
+        if not self._is_bare:
+            await self._send(self._with_headers(message))
+        elif not message.get("more_body", False) and "body" in message:
+            self._is_bare = False
+            await self._problem(kind_of_status(self._status))
+
+    async def refuse(self, kind: Kind, detail: str = "") -> None:
+        """Send a problem, unless the answer has begun."""
+        if not self._status:
+            await self._problem(kind, detail)
+
+    async def _problem(self, kind: Kind, detail: str = "") -> None:
+        content = failures.problem(kind, detail)
+        response = problem_response(content, self._scope["path"], self._request_id)
+        await response(self._scope, _nothing_more, self.send)
+
+    def _with_headers(self, message: Message) -> Message:
+        if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in _HEADERS.items():
                 headers.setdefault(name, value)
             headers["X-Request-ID"] = self._request_id
-        await self._send(message)
-
-    async def refuse(self, receive: Receive, kind: Kind, detail: str = "") -> None:
-        """Send a problem, unless the answer has begun."""
-        if self._status:
-            return
-        content = failures.problem(kind, detail)
-        response = problem_response(content, self._scope["path"], self._request_id)
-        await response(self._scope, receive, self.send)
+        return message
 
     def log(self) -> None:
         """Write one line a request; what only reads and succeeds is for debugging."""
@@ -136,6 +151,15 @@ class _Answer:
             status=self._status,
             ms=round(1000 * (time.monotonic() - self._begun), 1),
         )
+
+
+async def _nothing_more() -> Message:
+    return {"type": "http.disconnect"}
+
+
+def _is_bare_refusal(start: Message) -> bool:
+    kind = MutableHeaders(scope=start).get("content-type", "")
+    return start["status"] >= 400 and kind.startswith("text/plain")
 
 
 def _request_id(headers: Headers) -> str:

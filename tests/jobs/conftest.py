@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 import pytest
+import structlog
 
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
@@ -106,6 +107,21 @@ def store(database, told):
 @pytest.fixture
 def feed():
     return Feed()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def plain_log():
+    """The fancy traces of the default take seconds each."""
+    plain = structlog.dev.ConsoleRenderer(
+        colors=False, exception_formatter=structlog.dev.plain_traceback
+    )
+    structlog.configure(
+        processors=[structlog.contextvars.merge_contextvars, plain],
+        logger_factory=structlog.PrintLoggerFactory(),
+        cache_logger_on_first_use=False,
+    )
+    yield
+    structlog.reset_defaults()
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,247 @@
+"""The application over a scripted cell: no process, no device, real catalogue."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import sys
+import threading
+import zipfile
+from pathlib import Path
+
+import httpx2
+import pytest
+import structlog
+import uvicorn
+from starlette.testclient import TestClient
+
+from app.api.application import create_application
+from app.api.service import Service
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.database import Database
+from app.jobs.dispatcher import Dispatcher
+from app.jobs.feed import Feed
+from app.jobs.runs import RunCatalogue
+from app.jobs.store import Store
+from app.jobs.workflow import Workshop
+from app.measurement.machine_file import machine_from_json
+from simulators.scenario import load_machine
+
+sys.path.append(str(Path(__file__).parents[1] / "jobs"))
+from scripted_cell import CellMaker, Inline, Science, wait_until
+
+LOOPBACK = "127.0.0.1"
+MAX_UPLOAD_BYTES = 2 << 20
+
+
+@pytest.fixture(autouse=True, scope="session")
+def plain_log():
+    """The fancy traces of the default take seconds each."""
+    plain = structlog.dev.ConsoleRenderer(
+        colors=False, exception_formatter=structlog.dev.plain_traceback
+    )
+    structlog.configure(
+        processors=[structlog.contextvars.merge_contextvars, plain],
+        logger_factory=structlog.PrintLoggerFactory(),
+        cache_logger_on_first_use=False,
+    )
+    yield
+    structlog.reset_defaults()
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left_over():
+    before = set(threading.enumerate())
+    yield
+    left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
+    # The client's portal and the loop's workers end with their client.
+    assert not [name for name in left if name.startswith(("job-", "cell-"))]
+
+
+@pytest.fixture
+def make_cell():
+    return CellMaker()
+
+
+@pytest.fixture
+def science():
+    return Science()
+
+
+@pytest.fixture
+def has_machine():
+    """Whether the service drives a machine; overridden by tests without one."""
+    return True
+
+
+@pytest.fixture
+def service(make_cell, science, has_machine, tmp_path):
+    """Everything behind the routes."""
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+    database.migrate()
+    feed = Feed()
+    cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
+    results = tmp_path / "results"
+    results.mkdir()
+    shop = Workshop(
+        store=Store(database, feed.tell_stored),
+        runs=RunCatalogue(database, tmp_path / "runs"),
+        results=results,
+        executor=Inline(),
+        science=science,
+        machine=machine_from_json(load_machine("demo")) if has_machine else None,
+        cell=cell,
+    )
+    dispatcher = Dispatcher(shop, feed)
+    if cell is not None:
+        cell.start()
+        wait_until(lambda: cell.status.state == "disconnected")
+    yield Service(
+        version="1.2.3",
+        simulated=True,
+        database=database,
+        store=shop.store,
+        runs=shop.runs,
+        results=results,
+        dispatcher=dispatcher,
+        feed=feed,
+        machine=shop.machine,
+        cell=cell,
+        max_upload_bytes=MAX_UPLOAD_BYTES,
+        max_streams=2,
+    )
+    dispatcher.close()
+    if cell is not None:
+        cell.close()
+    database.close()
+
+
+@pytest.fixture
+def client(service):
+    """A program on the same computer."""
+    app = create_application(service, trusted_hosts=["shop-floor"])
+    with TestClient(app, base_url=f"http://{LOOPBACK}:8411") as client:
+        yield client
+
+
+@pytest.fixture
+def live(service):
+    """A client of the same application over a real socket, for open streams."""
+    listener = socket.create_server((LOOPBACK, 0))
+    config = uvicorn.Config(
+        create_application(service), log_config=None, timeout_graceful_shutdown=1
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    address = f"http://{LOOPBACK}:{listener.getsockname()[1]}"
+    with httpx2.Client(base_url=address, timeout=10.0) as client:
+        yield client
+    service.end_streams()
+    server.should_exit = True
+    thread.join(10)
+    listener.close()
+    assert not thread.is_alive()
+
+
+@pytest.fixture
+def until(client):
+    """Follow a job over HTTP until it is in a state; return it."""
+
+    def wait(job, *states):
+        def reached():
+            now = client.get(f"/api/v1/jobs/{job['id']}").json()
+            return now if now["state"] in states else None
+
+        return wait_until(reached, f"{states}")
+
+    return wait
+
+
+ROWS = [
+    {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+    {"x_mm": 400, "y_mm": 300, "z_mm": 200, "feed_mm_min": 1000, "dwell_s": 0.5},
+]
+
+
+@pytest.fixture
+def order():
+    """A short measurement on the fly."""
+    return {"kind": "measure-otf", "path": [dict(row) for row in ROWS]}
+
+
+@pytest.fixture
+def ready(client, order, until):
+    """A job that waits to be armed."""
+    answer = client.post("/api/v1/jobs", json=order)
+    assert answer.status_code == 202, answer.text
+    return until(answer.json(), "ready")
+
+
+@pytest.fixture
+def armed(client, ready, make_cell):
+    """A job whose machine moves."""
+    answer = client.post(
+        f"/api/v1/jobs/{ready['id']}/arm", headers={"If-Match": f'"{ready["version"]}"'}
+    )
+    assert answer.status_code == 202, answer.text
+    assert make_cell.cell.begun.wait(5)
+    return answer.json()
+
+
+@pytest.fixture
+def finished(armed, make_cell, until):
+    """A job with a result."""
+    make_cell.cell.end()
+    return until(armed, "succeeded")
+
+
+@pytest.fixture
+def bundle():
+    """A small measurement bundle, zipped; members can be replaced or left out."""
+
+    def make(**members):
+        content = {
+            "machine.json": json.dumps(load_machine("demo")),
+            "path.csv": (
+                "x_mm,y_mm,z_mm,feed_mm_min,dwell_s\n"
+                "10,10,10,1000,1\n400,300,200,1000,1\n"
+            ),
+            "tracker.csv": "t_s,x_mm,y_mm,z_mm\n"
+            + "".join(f"{n / 500:.3f},{n},0,0\n" for n in range(100)),
+        }
+        for name, text in members.items():
+            key = name.replace("_", ".")
+            if text is None:
+                del content[key]
+            else:
+                content[key] = text
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, text in content.items():
+                archive.writestr(name, text)
+        return packed.getvalue()
+
+    return make
+
+
+@pytest.fixture
+def is_problem():
+    """Check that an answer is a problem of a code; return its content."""
+
+    def check(answer, status, code):
+        assert answer.status_code == status, answer.text
+        assert answer.headers["content-type"] == "application/problem+json"
+        content = answer.json()
+        assert content["status"] == status
+        assert content["code"] == code, content
+        assert content["type"] == f"/problems/{code}"
+        assert content["title"]
+        assert content["detail"]
+        assert content["action"]
+        assert content["instance"].startswith("/")
+        assert content["request_id"] == answer.headers["x-request-id"]
+        return content
+
+    return check

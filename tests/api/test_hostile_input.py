@@ -1,0 +1,141 @@
+"""Whatever is sent: no failure of ours, always a problem or an answer."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from app.api.openapi import description
+
+PATHS = sorted(json.loads(description())["paths"])
+GET_PATHS = sorted(
+    path
+    for path, methods in json.loads(description())["paths"].items()
+    if "get" in methods and not path.endswith("/events")
+)
+relaxed = settings(
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+texts = st.text(max_size=40)
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | texts,
+    lambda children: (
+        st.lists(children, max_size=4) | st.dictionaries(texts, children, max_size=4)
+    ),
+    max_leaves=10,
+)
+rows = st.lists(
+    st.dictionaries(
+        st.sampled_from(
+            ["x_mm", "y_mm", "z_mm", "a_deg", "dwell_s", "target", "feed_mm_min", "w"]
+        ),
+        values,
+        max_size=7,
+    ),
+    max_size=4,
+)
+bodies = st.fixed_dictionaries(
+    {},
+    optional={
+        "kind": st.sampled_from(["measure-otf", "measure-standstill", "analyse"])
+        | values,
+        "run_id": values,
+        "path": rows | values,
+        "points": rows | values,
+        "feed_mm_min": values,
+        "perpendicular_only": values,
+    },
+)
+header_values = st.text(
+    st.characters(min_codepoint=0x21, max_codepoint=0x7E), max_size=40
+)
+
+
+def is_sound(answer):
+    assert answer.status_code < 500, answer.text
+    if answer.status_code >= 400:
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert answer.json()["code"]
+
+
+@pytest.fixture
+def idle(client, service):
+    """A client of a service on which nothing is begun, whatever is asked."""
+    yield client
+    client.post("/api/v1/stop")
+
+
+@relaxed
+@given(body=bodies)
+def test_any_json_as_a_job(idle, body):
+    text = json.dumps(body)  # with NaN and Infinity, as careless clients write them
+    answer = idle.post(
+        "/api/v1/jobs", content=text, headers={"content-type": "application/json"}
+    )
+    is_sound(answer)
+
+
+@relaxed
+@given(
+    body=st.binary(max_size=200), kind=st.sampled_from(["application/json", "x", ""])
+)
+def test_any_bytes_as_a_job(idle, body, kind):
+    answer = idle.post("/api/v1/jobs", content=body, headers={"content-type": kind})
+    is_sound(answer)
+
+
+@relaxed
+@given(
+    path=st.sampled_from(GET_PATHS),
+    name=st.text(max_size=50).filter(lambda s: s not in (".", "..")),
+    query=st.dictionaries(
+        st.sampled_from(["limit", "after", "state", "odd"]), texts, max_size=3
+    ),
+)
+def test_any_name_and_query(idle, path, name, query):
+    from urllib.parse import quote
+
+    filled = path.replace("{job_id}", quote(name, safe=""))
+    filled = filled.replace("{run_id}", quote(name, safe=""))
+    is_sound(idle.get(filled, params=query))
+
+
+@relaxed
+@given(
+    verb=st.sampled_from(["arm", "pause", "resume", "abort"]),
+    tag=header_values,
+    key=header_values,
+)
+def test_any_headers(idle, verb, tag, key):
+    headers = {"if-match": tag, "idempotency-key": key, "last-event-id": tag}
+    is_sound(idle.post(f"/api/v1/jobs/nobody/{verb}", headers=headers))
+    is_sound(idle.post("/api/v1/jobs", json={"kind": "x"}, headers=headers))
+
+
+@relaxed
+@given(content=st.binary(max_size=400), name=st.text(max_size=40))
+def test_any_bytes_as_a_bundle(idle, content, name):
+    is_sound(idle.post("/api/v1/runs", files={"bundle": (name, content)}))
+
+
+@relaxed
+@given(cut=st.integers(min_value=0, max_value=2000), flip=st.integers(0, 2000))
+def test_any_damage_to_a_bundle(idle, bundle, cut, flip):
+    content = bytearray(bundle())
+    content[flip % len(content)] ^= 0x41
+    is_sound(idle.post("/api/v1/runs", files={"bundle": ("b.zip", bytes(content))}))
+    part = bundle()[: cut % len(content)]
+    is_sound(idle.post("/api/v1/runs", files={"bundle": ("b.zip", part)}))
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("method", ["PUT", "PATCH", "DELETE", "TRACE", "BREW"])
+def test_any_method(client, path, method):
+    answer = client.request(method, path.replace("{job_id}", "a"))
+    is_sound(answer)
+    assert answer.status_code in (404, 405)

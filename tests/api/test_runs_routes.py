@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import io
+import zipfile
+
+import pytest
+
+from app.api import runs as run_routes
+
+ADDRESS = "/api/v1/runs"
+
+
+def upload(client, content, name="from shop.zip"):
+    return client.post(ADDRESS, files={"bundle": (name, content, "application/zip")})
+
+
+def test_an_uploaded_bundle_is_catalogued_and_analysed(client, bundle, until):
+    answer = upload(client, bundle())
+    assert answer.status_code == 201, answer.text
+    run = answer.json()
+    assert answer.headers["location"] == f"{ADDRESS}/{run['id']}"
+    assert (run["name"], run["origin"], run["mode"]) == ("from shop", "uploaded", "otf")
+    assert (run["samples"], run["lost_samples"]) == (100, 0)
+    order = {"kind": "analyse", "run_id": run["id"], "perpendicular_only": True}
+    job = until(client.post("/api/v1/jobs", json=order).json(), "succeeded")
+    assert job["run_id"] == run["id"]
+    assert job["perpendicular_only"]
+    plan = client.get(job["links"]["plan"]).json()
+    assert plan["position"] == [[10, 10, 10], [400, 300, 200]]
+
+
+def test_a_bundle_comes_back_as_it_was_sent(client, bundle):
+    sent = bundle()
+    run = upload(client, sent).json()
+    back = client.get(run["links"]["bundle"])
+    assert back.content == sent
+    assert f'filename="run-{run["id"]}.zip"' in back.headers["content-disposition"]
+
+
+def test_runs_are_listed_in_pages(client, bundle):
+    ids = [upload(client, bundle()).json()["id"] for _ in range(3)]
+    first = client.get(f"{ADDRESS}?limit=2").json()
+    second = client.get(f"{ADDRESS}?limit=2&after={first['next']}").json()
+    assert [run["id"] for run in first["items"] + second["items"]] == ids[::-1]
+    assert second["next"] is None
+    assert client.get(f"{ADDRESS}/{ids[0]}").json()["id"] == ids[0]
+
+
+@pytest.mark.parametrize("path", ["/nowhere", "/nowhere/bundle", "/..%2f..%2fetc"])
+def test_an_unknown_run_is_not_found(client, is_problem, path):
+    is_problem(client.get(ADDRESS + path), 404, "not-found")
+
+
+@pytest.mark.parametrize(
+    ("members", "place", "text"),
+    [
+        ({"tracker_csv": None}, ("tracker.parquet", None, None), "missing"),
+        (
+            {"tracker_csv": "t_s,x_mm,y_mm\n0,1,2\n"},
+            ("tracker.csv", None, "z_mm"),
+            "missing",
+        ),
+        (
+            {"tracker_csv": "t_s,x_mm,y_mm,z_mm\n0,1,2,3\n0.002,nan,2,3\n"},
+            ("tracker.csv", 3, "x_mm"),
+            "NaN",
+        ),
+        ({"machine_json": "{}"}, ("machine.json", None, None), "schema"),
+    ],
+)
+def test_a_bundle_that_cannot_be_used_is_refused_with_its_place(
+    client, bundle, is_problem, members, place, text
+):
+    problem = is_problem(upload(client, bundle(**members)), 422, "bundle")
+    assert text in problem["detail"]
+    assert (problem["file"], problem["column"]) == (place[0], place[2])
+    assert place[1] is None or problem["row"] == place[1]
+    assert client.get(ADDRESS).json()["items"] == []
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04 truncated"])
+def test_what_is_no_archive_is_refused(client, is_problem, content, service):
+    is_problem(upload(client, content), 422, "bundle")
+    assert list(service.runs._folder.iterdir()) == []
+
+
+def test_an_upload_beyond_the_limit_is_refused(client, is_problem):
+    is_problem(upload(client, b"0" * (4 << 20)), 413, "too-large")
+
+
+def test_an_upload_that_would_unpack_to_too_much_is_refused(client, is_problem):
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tracker.csv", b"0" * (17 << 20))
+    problem = is_problem(upload(client, packed.getvalue()), 422, "bundle")
+    assert "unpacks to 17 MiB" in problem["detail"]
+
+
+def test_an_upload_without_a_bundle_is_named(client, is_problem):
+    answer = client.post(ADDRESS, files={"other": b"x"})
+    problem = is_problem(answer, 422, "validation")
+    assert problem["errors"][0]["location"] == ["body", "bundle"]
+
+
+def test_a_body_that_is_no_form_is_a_problem(client):
+    headers = {"content-type": "multipart/form-data; boundary=x"}
+    answer = client.post(ADDRESS, content=b"--x\r\ngarbage", headers=headers)
+    assert answer.status_code in (400, 422)
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_large_body_where_none_belongs_is_refused(client, is_problem):
+    headers = {"content-type": "application/json"}
+    answer = client.post("/api/v1/jobs", content=b" " * (2 << 20), headers=headers)
+    is_problem(answer, 413, "too-large")
+
+
+def test_a_full_disk_takes_no_uploads(client, bundle, is_problem, monkeypatch):
+    monkeypatch.setattr(run_routes, "LEAST_FREE_BYTES", 1 << 60)
+    is_problem(upload(client, bundle()), 507, "disk-full")
+
+
+def test_members_that_point_out_of_the_archive_are_refused(client, bundle, is_problem):
+    packed = io.BytesIO(bundle())
+    with zipfile.ZipFile(packed, "a") as archive:
+        archive.writestr("../../machine.json", "{}")
+    problem = is_problem(upload(client, packed.getvalue()), 422, "bundle")
+    assert "points out of the archive" in problem["detail"]
+
+
+@pytest.mark.parametrize(
+    ("filename", "name"),
+    [
+        ("mill.zip", "mill"),
+        ("../../etc/passwd", "passwd"),
+        (r"C:\data\run 7.zip", "run 7"),
+        ("a\x00b\n<script>.zip", "a_b_script"),
+        ("", "bundle"),
+        (None, "bundle"),
+        ("...", "bundle"),
+        ("x" * 300, "x" * 100),
+    ],
+)
+def test_the_name_of_a_file_is_for_people_only(filename, name):
+    assert run_routes.run_name(filename) == name
