@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,22 @@ def test_the_task_runs_from_connect_to_result(panel, service):
     expect(page.locator(".chart-missing")).to_have_count(1)
     expect(page.locator("td.symbol")).to_have_text(["C0Y", "B0Z", "A0Z"])
     expect(page.locator(".key", has_text="k = 2")).to_be_visible()
+
+
+def test_who_comes_after_the_run_finds_its_result(panel, service):
+    job = service.new_job("measure-otf")["id"]
+    service.finish(job)
+    service.change(job, ended=datetime.now(UTC).isoformat())
+    page = panel.open()
+    page.wait_for_url(f"**/#/result/{job}")
+
+
+def test_an_old_result_does_not_stand_in_the_way_of_a_new_run(panel, service):
+    job = service.new_job("measure-otf")["id"]
+    service.finish(job)
+    service.change(job, ended="2026-01-01T00:00:00.000Z")
+    page = panel.open()
+    page.wait_for_url("**/#/connect")
 
 
 def test_the_order_carries_what_was_chosen(panel, service):

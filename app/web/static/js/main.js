@@ -15,6 +15,7 @@ import { toggleSettings } from "./views/settings.js";
 
 const VIEWS = { connect, plan, check, run, result, records };
 const RETRY_MS = 2000;
+const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null,
@@ -107,6 +108,12 @@ async function load() {
   const active = jobs.find((other) => isMeasuring(other) && isActive(other)) ?? jobs.find(isActive);
   if (job) actions.hear(await api.job(job.id));
   else if (active) actions.follow(active);
+  else if (!location.hash && justDone(jobs[0])) actions.follow(jobs[0]);
+}
+
+/** Who opens the page after the run came for its result. */
+function justDone(job) {
+  return job?.state === "succeeded" && Date.now() - Date.parse(job.ended) < RECENT_MS;
 }
 
 /** The service may still be starting: try until it answers. */
