@@ -16,7 +16,7 @@ from app.estimation.information import Information, Posterior, information
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
 from app.estimation.problem import Problem, pose_problem, with_machine_effects
-from app.kinematics.effects.approach import Backlash, backlash_shape
+from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
@@ -42,7 +42,7 @@ class Fit:
 
 def with_half_widths(model: MachineModel) -> MachineModel:
     """Return the model with a half width for each of its error motions."""
-    return model.with_effects(*(Backlash(m.symbol, m.axis) for m in _motions(model)))
+    return model.with_effects(*(half_width(m.symbol, m.axis) for m in _motions(model)))
 
 
 def best_fit(
@@ -56,7 +56,7 @@ def best_fit(
     constant = _fit("constant", problem, data, halves)
     if none.cost <= constant.cost:
         return none
-    shapes = [backlash_shape(m.symbol, m.axis) for m in _motions(model)]
+    shapes = [half_shape(m.symbol, m.axis) for m in _motions(model)]
     both = halves.with_effects(*shapes)
     problem = pose_problem(seen, both, pose)
     tables = _fit("tables", problem, information(problem, noise), both)

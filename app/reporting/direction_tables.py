@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.approach import Backlash, BacklashShape
+from app.kinematics.effects.approach import Backlash
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import is_turn
 from app.reporting.error_tables import MICRO, MILLI, table_positions_mm
@@ -42,35 +42,36 @@ def half_differences(
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[HalfDifference, ...]:
     """Return the half differences; none where direction plays no part."""
-    widths = [e for e in model.effects if isinstance(e, Backlash)]
-    return tuple(_half_difference(w, model, theta, covariance) for w in widths)
+    parts = [e for e in model.effects if isinstance(e, Backlash)]
+    return tuple(
+        _half_difference(
+            [p for p in parts if p.symbol == width.symbol], model, theta, covariance
+        )
+        for width in parts
+        if not width.varies
+    )
 
 
 def directional(model: MachineModel) -> tuple[str, ...]:
     """Return the names of the effects that the direction of approach decides."""
-    kinds = (Backlash, BacklashShape)
-    return tuple(e.name for e in model.effects if isinstance(e, kinds))
+    return tuple(e.name for e in model.effects if isinstance(e, Backlash))
 
 
 def _half_difference(
-    width: Backlash,
+    parts: list[Backlash],
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> HalfDifference:
-    at_mm = table_positions_mm(width.axis)
+    at_mm = table_positions_mm(parts[0].axis)
     rows = np.zeros((len(at_mm), model.size))
-    for effect in model.effects:
-        if (
-            isinstance(effect, (Backlash, BacklashShape))
-            and effect.symbol == width.symbol
-        ):
-            rows[:, model.slices[effect.name]] = effect.rows(at_mm)
-    turn = is_turn(width.symbol)
+    for part in parts:
+        rows[:, model.slices[part.name]] = part.rows(at_mm)
+    turn = is_turn(parts[0].symbol)
     scale = MICRO if turn else MILLI
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return HalfDifference(
-        width.symbol,
+        parts[0].symbol,
         "urad" if turn else "um",
         at_mm,
         scale * (rows @ theta),

@@ -7,7 +7,7 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.kinematics.effects.approach import Backlash, backlash_shape
+from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import LinearAxis
 from app.reporting.direction_tables import half_differences
@@ -72,13 +72,13 @@ def test_the_sign_is_that_of_the_last_motion(record):
         standstill(run.machine, np.full((3, 3), 100.0)),
         approach=np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, 0]]),
     )
-    effect = Backlash("EXX", run.machine.linear_axes[0])
+    effect = half_width("EXX", run.machine.linear_axes[0])
     moved = effect.displacement_mm(at, np.array([0.002]))
     assert moved[:, 0].tolist() == [0.002, -0.002, 0.0]
 
 
 def test_a_shape_has_no_mean_of_its_own(rng):
-    shape = backlash_shape("EYX", LinearAxis("X", -100.0, 400.0))
+    shape = half_shape("EYX", LinearAxis("X", -100.0, 400.0))
     at_mm = np.linspace(-100.0, 400.0, 20_001)
     theta = rng.normal(size=len(shape.parameters))
     assert np.mean(shape.rows(at_mm) @ theta) == pytest.approx(0.0, abs=1e-3)

@@ -39,9 +39,7 @@ class ErrorMotion(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """One for each degree of freedom that the gauge leaves."""
-        unit = "rad" if is_turn(self.symbol) else "mm"
-        count = self.gauge.shape[1]
-        return tuple(Parameter(f"{self.symbol}[{i}]", unit) for i in range(count))
+        return spline_parameters(self.symbol, self.symbol, self.gauge.shape[1])
 
     def rows(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
         """Return the error's value per parameter at positions of its axis."""
@@ -69,6 +67,12 @@ def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     if not is_turn(symbol):
         return np.tile(unit, (len(at), 1))
     return np.cross(unit, lever_mm(at.machine, symbol[2], at.position_mm, at.offset_mm))
+
+
+def spline_parameters(name: str, symbol: str, count: int) -> tuple[Parameter, ...]:
+    """Return the parameters of a spline of an error motion."""
+    unit = "rad" if is_turn(symbol) else "mm"
+    return tuple(Parameter(f"{name}[{i}]", unit) for i in range(count))
 
 
 def usual_size(symbol: str) -> float:
