@@ -8,7 +8,8 @@ mistakes: the truth machine composes exact homogeneous transforms,
 over the axes from workpiece to tool. `t` is the tool offset, `d_i` the direction of
 travel (out of square by the squareness), `E_i` and `omega_i` the error motions, all of
 the tool relative to the workpiece. To first order this is the linear form of the file
-formats; the rest is what a linear estimator does not know.
+formats; the rest is what a linear estimator does not know. A rotary axis turns instead
+of travelling, about an axis that is not quite where it should be.
 
 Two processes share one motion. The CNC process plans it as pieces of cubic polynomials
 (straight lines, exact stops, limited jerk) and publishes them on a board of shared
@@ -16,11 +17,13 @@ memory; the tracker process evaluates them at its own sample times. Positions fo
 closed form from seed and time alone, at any speed of the clock.
 
     machine_file    the nominal machine, as machine.json states it
-    error_motions   random smooth error motions
+    error_motions   random smooth error motions; turning_motions: of rotary axes
+    rotary_joint    a rotary axis, its location and error motions
     truth_machine   where the tool really is
     profile         feed along one line with limited acceleration and jerk
     timeline        a whole motion, piece by piece; hold, resume, override
     tracker_head    range and angles of a point, with noise correlated in time
+    paths           paths and points without a planner; turning_paths: with rotary axes
     synthetic       whole recordings without wire and without waiting
     faults          what goes wrong, when
     tracker_*       the tracker behind its wire

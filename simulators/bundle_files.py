@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from simulators.machine_file import MachineFile
 from simulators.randomness import generator
 from simulators.recording import Recording
 from simulators.truth_machine import TruthMachine
@@ -28,21 +29,29 @@ def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) ->
 
 def truth_of(truth: TruthMachine, points: int = 8) -> dict[str, Any]:
     """Return the volumetric error on a grid of the travel, as a case states it."""
-    low = truth.machine.low_mm + _GRID_MARGIN_MM
-    high = truth.machine.high_mm - _GRID_MARGIN_MM
-    axes = [np.linspace(a, b, points) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = _grid(truth.machine, points).round(4)
     return {
         "note": "synthetic recording",
         "effects": [],
-        "points_mm": grid.round(4).tolist(),
-        "deviation_um": (1e3 * truth.deviation_mm(grid.round(4))).round(4).tolist(),
+        "points_mm": grid.tolist(),
+        "deviation_um": (1e3 * truth.deviation_mm(grid)).round(4).tolist(),
     }
 
 
+def _grid(machine: MachineFile, points: int) -> np.ndarray:
+    """Return a grid of the travel; random points where there are rotary axes too."""
+    low, high = machine.low_mm + _GRID_MARGIN_MM, machine.high_mm - _GRID_MARGIN_MM
+    if machine.rotary_axes:
+        rng = generator(0, "grid of the truth")
+        return rng.uniform(machine.low, machine.high, (points**3, len(machine.axes)))
+    axes = [np.linspace(a, b, points) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
 def _write_program(folder: Path, recording: Recording) -> None:
-    names = [f"{axis.lower()}_mm" for axis in recording.truth.machine.axis_names]
-    program = recording.program
+    machine, program = recording.truth.machine, recording.program
+    names = [f"{axis.name.lower()}_mm" for axis in machine.linear_axes]
+    names += [f"{axis.name.lower()}_deg" for axis in machine.rotary_axes]
     columns = [program.position]
     if recording.mode == "otf":
         name, names = "path.csv", [*names, "feed_mm_min", "dwell_s"]
@@ -50,7 +59,15 @@ def _write_program(folder: Path, recording: Recording) -> None:
     else:
         name, names = "points.csv", [*names, "dwell_s"]
     table = np.hstack([*columns, program.dwell_s[:, None]])
-    _write_table(folder / name, names, table, "%.4f")
+    if not program.target:
+        _write_table(folder / name, names, table, "%.4f")
+        return
+    rows = [
+        ",".join([*(f"{value:.4f}" for value in row), target])
+        for row, target in zip(table.tolist(), program.target, strict=True)
+    ]
+    text = "\n".join([",".join([*names, "target"]), *rows])
+    (folder / name).write_text(f"{text}\n")
 
 
 def _write_stream(folder: Path, recording: Recording, *, csv: bool) -> None:
@@ -78,7 +95,7 @@ def _write_environment(path: Path, recording: Recording) -> None:
     rng = generator(len(recording), "environment")
     time_s = np.arange(recording.time_s[0], recording.time_s[-1], 1.0)
     celsius = 20.0 + rng.normal(0.0, 0.02, (len(time_s), 3))
-    names = ["t_s", *(f"{a}_degC" for a in recording.truth.machine.axis_names)]
+    names = ["t_s", *(f"{a.name}_degC" for a in recording.truth.machine.linear_axes)]
     _write_table(path, names, np.column_stack([time_s, celsius]), "%.3f")
 
 

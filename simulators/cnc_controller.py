@@ -62,7 +62,7 @@ class Controller:
         self._runs_path = False
         self._line = 0
         self._begin_s = 0.0
-        home = np.array([axis.zero_mm for axis in machine.axes])
+        home = np.where((machine.low <= 0.0) & (machine.high >= 0.0), 0.0, machine.low)
         self._timeline = standing(home, 0.0, 0)
         publish(self._timeline)
 
@@ -107,8 +107,8 @@ class Controller:
             return Result.BAD_ARGUMENT
         if not 0 < len(program) <= MAX_WAYPOINTS or np.any(program.dwell_s < 0.0):
             return Result.BAD_ARGUMENT
-        inside = (program.position >= self.machine.low_mm - 1e-9) & (
-            program.position <= self.machine.high_mm + 1e-9
+        inside = (program.position >= self.machine.low - 1e-9) & (
+            program.position <= self.machine.high + 1e-9
         )
         return None if inside.all() else Result.OUT_OF_TRAVEL
 

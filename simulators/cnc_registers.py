@@ -19,6 +19,7 @@ from drivers.cnc.modbus.registers import (
 )
 from drivers.interfaces.records import MotionState
 from simulators.cnc_controller import MAX_FEED_MM_MIN, Controller
+from simulators.machine_file import Axis, RotaryAxis
 from simulators.modbus_wire import ILLEGAL_ADDRESS, ModbusError, Registers
 from simulators.timeline import Program
 
@@ -109,14 +110,14 @@ class CncRegisters(Registers):
         self._put("map_version", regmap.MAP_VERSION)
         self._put("axis_count", len(machine.axes))
         self._put("axis_names", [ord(name) for name in machine.axis_names])
-        self._put("axis_kinds", [int(AxisKind.LINEAR)] * len(machine.axes))
+        self._put("axis_kinds", [int(_kind(axis)) for axis in machine.axes])
         self._put("max_waypoints", regmap.MAX_WAYPOINTS)
         self._put("maker", "Truepath")
         self._put("model", "Simulated CNC")
         self._put("serial_number", serial)
         self._put("firmware", "1.0")
-        self._put("travel_min", regmap.position_counts(machine.low_mm.tolist()))
-        self._put("travel_max", regmap.position_counts(machine.high_mm.tolist()))
+        self._put("travel_min", regmap.position_counts(machine.low.tolist()))
+        self._put("travel_max", regmap.position_counts(machine.high.tolist()))
         self._put("max_feed", round(MAX_FEED_MM_MIN * regmap.FEED_COUNTS))
 
     def _refresh(self, now_s: float) -> None:
@@ -247,3 +248,7 @@ class CncRegisters(Registers):
     def _put(self, name: str, value: int | str | list[int]) -> None:
         register = BY_NAME[name]
         self._words[register.address : register.end] = regmap.encode(name, value)
+
+
+def _kind(axis: Axis) -> AxisKind:
+    return AxisKind.ROTARY if isinstance(axis, RotaryAxis) else AxisKind.LINEAR

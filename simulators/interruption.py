@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from simulators.profile import Limits, brake, ride
-from simulators.timeline import Program, State, Timeline, along, follow
+from simulators.timeline import (
+    Program,
+    State,
+    Timeline,
+    along,
+    follow,
+    path_length,
+)
 
 
 def held(timeline: Timeline, time_s: float, limits: Limits) -> Timeline:
@@ -63,7 +70,7 @@ def _rest_of_line(
 ) -> Timeline:
     """Return the motion up to the end of the line under way, standing there."""
     target = program.position[state.row]
-    length = float(np.linalg.norm(target - state.position))
+    length = float(path_length((target - state.position)[None])[0])
     feed = float(program.feed_mm_s[state.row])
     way = ride(length, feed, state.speed, state.acceleration, limits)
     if way is not None:

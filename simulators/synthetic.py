@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from simulators import interruption, paths, tracker_head
+from simulators import interruption, paths, tracker_head, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.errors import SimulatorError
 from simulators.machine_file import MachineFile, parse_machine
@@ -27,7 +27,7 @@ from simulators.recording import Recording
 from simulators.scenario import load_machine
 from simulators.timeline import Program, Timeline, follow
 from simulators.tracker_head import Air, TrackerClock, TrackerPose
-from simulators.truth_machine import random_machine
+from simulators.truth_machine import TruthMachine, random_machine
 
 BEAM_BROKEN = 1
 
@@ -100,7 +100,9 @@ def record(
     timeline = _motion(program, setting)
     device_s, true_s = _sample_times(machine, timeline, seed, setting)
     commanded = timeline.positions(true_s)
-    table_mm = truth.seen_mm(commanded) + _knocked(true_s, setting.defects)
+    row = timeline.rows(true_s)
+    table_mm = _seen_mm(truth, commanded, row, program)
+    table_mm = table_mm + _knocked(true_s, setting.defects)
     stream = _observed(machine, pose.from_table(table_mm), seed, setting)
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
@@ -116,9 +118,23 @@ def record(
         _with_spikes(stream, seed, setting.defects)[keep],
         status[keep],
         commanded[keep],
-        timeline.rows(true_s)[keep],
+        row[keep],
         timeline,
     )
+
+
+def _seen_mm(
+    truth: TruthMachine, commanded: np.ndarray, row: np.ndarray, program: Program
+) -> np.ndarray:
+    """Return the measured target of each row where the tracker stands, (n, 3)."""
+    if not program.target:
+        return truth.seen_mm(commanded)
+    point = np.empty((len(commanded), 3))
+    measured = np.array(program.target)[row]
+    for name in set(program.target):
+        mine = measured == name
+        point[mine] = truth.seen_mm(commanded[mine], name)
+    return point
 
 
 def _motion(program: Program, setting: Setting) -> Timeline:
@@ -223,6 +239,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _program(machine: MachineFile, options: argparse.Namespace) -> Program:
+    if machine.rotary_axes and options.mode == "standstill":
+        return turning_paths.turning_points(machine, options.seed, options.points)
+    if machine.rotary_axes:
+        return turning_paths.turning_path(
+            machine, options.seed, options.rows, options.feed
+        )
     if options.mode == "standstill":
         return paths.standstill_points(machine, options.seed, options.points)
     if options.corners:

@@ -16,6 +16,18 @@ from simulators.profile import Limits, Stretch, rest_to_rest
 
 # A line shorter than this is no line: waypoints come in steps of 0.1 µm.
 SHORTEST_MM = 1e-6
+_LINEAR = 3  # columns are X, Y, Z, then the rotary axes
+
+
+def path_length(step: np.ndarray) -> np.ndarray:
+    """Return the lengths that the feed counts of steps (n, axes) between waypoints.
+
+    That of the straight axes in mm; where none of them moves, that of the rotary axes
+    in deg.
+    """
+    straight = np.linalg.norm(step[:, :_LINEAR], axis=1)
+    turn = np.linalg.norm(step[:, _LINEAR:], axis=1)
+    return np.where(straight > SHORTEST_MM, straight, turn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +45,10 @@ class State:
 class Timeline:
     """Pieces in order of time; all arrays have one entry a piece.
 
+    Lengths are those that the feed counts, `path_length`.
+
     start_s : begin on the clock of the machine
-    origin, direction : (m, axes), begin of the piece and unit vector of its line
+    origin, direction : (m, axes), begin of the piece and step per length of its line
     speed, acceleration, jerk : at its begin, along the line; all zero while standing
     row : row of the path that the machine moves towards or dwells at
     """
@@ -169,12 +183,15 @@ def along(
 class Program:
     """Waypoints in order, joined by straight lines with an exact stop at each.
 
-    position : (n, axes); feed_mm_s : (n,) towards each row; dwell_s : (n,) at each row
+    position : (n, axes), mm or deg; dwell_s : (n,) at each row
+    feed_mm_s : (n,) towards each row; deg/s where no straight axis moves
+    target : measured on the way to and at each row; none for the machine's first
     """
 
     position: np.ndarray
     feed_mm_s: np.ndarray
     dwell_s: np.ndarray
+    target: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.position)
@@ -191,7 +208,7 @@ def follow(
     rows = np.arange(first_row, len(program))
     target = program.position[first_row:]
     begin = np.vstack([origin, target[:-1]])[: len(target)]
-    length = np.linalg.norm(target - begin, axis=1)
+    length = path_length(target - begin)
     moved = length > SHORTEST_MM
     stretches = np.zeros((len(rows), 8, 3))
     stretches[moved, :7] = rest_to_rest(

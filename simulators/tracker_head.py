@@ -9,11 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from simulators.joint import rotation_matrices
 from simulators.machine_file import MachineFile, TrackerFigures
 from simulators.randomness import generator
-from simulators.truth_machine import rotation_matrices
+from simulators.truth_machine import perfect
 
 _BLOCK = 256
+_PROBES = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +92,7 @@ class SampleNoise:
 def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
     """Stand the tracker somewhere beside the travel, turned and slightly tilted."""
     rng = generator(seed, "tracker: pose")
-    middle = 0.5 * (machine.low_mm + machine.high_mm)
-    middle = middle + machine.reflector().offset_mm
-    reach = 0.5 * float(np.linalg.norm((machine.high_mm - machine.low_mm)[:2]))
+    middle, reach = _reach(machine)
     away = reach + rng.uniform(250.0, 450.0)
     bearing = rng.uniform(0.0, 2.0 * np.pi)
     beside = away * np.array([np.cos(bearing), np.sin(bearing), 0.0])
@@ -103,6 +103,21 @@ def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
         np.array([tilt[0]]), np.array([tilt[1]]), np.array([turn])
     )[0]
     return TrackerPose(middle + beside, rotation)
+
+
+def _reach(machine: MachineFile) -> tuple[np.ndarray, float]:
+    """Return the middle of what the tracker looks at, and how far it goes sideways."""
+    if not machine.rotary_axes:
+        middle = 0.5 * (machine.low_mm + machine.high_mm)
+        half = 0.5 * (machine.high_mm - machine.low_mm)
+        return middle + machine.reflector().offset_mm, float(np.linalg.norm(half[:2]))
+    anywhere = np.random.default_rng(0).uniform(
+        machine.low, machine.high, (_PROBES, len(machine.axes))
+    )
+    truth = perfect(machine)
+    seen = np.vstack([truth.seen_mm(anywhere, r.name) for r in machine.reflectors])
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    return middle, float(np.linalg.norm((seen - middle)[:, :2], axis=1).max())
 
 
 def random_clock(seed: int) -> TrackerClock:

@@ -1,13 +1,11 @@
 """Where the tool of an imperfect machine really is: exact homogeneous transforms.
 
 A joint answers with the transform from its tool-side carriage to its workpiece-side
-carriage, whichever of the two is the one that moves; the chain multiplies them. A
-rotary axis is one more kind of joint.
+carriage, whichever of the two is the one that moves; the chain multiplies them.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -15,12 +13,27 @@ import numpy as np
 
 from simulators import error_motions
 from simulators.error_motions import ErrorMotion
-from simulators.machine_file import DIRECTIONS, LinearAxis, MachineFile, Reflector
+from simulators.joint import Joint, rotation_matrices
+from simulators.machine_file import (
+    DIRECTIONS,
+    ROTARY_DIRECTIONS,
+    LinearAxis,
+    MachineFile,
+    Reflector,
+    RotaryAxis,
+)
 from simulators.randomness import generator
+from simulators.rotary_joint import RotaryJoint
+from simulators.turning_motions import (
+    TurningMotion,
+    across_the_axis,
+    along_the_axis,
+)
 
 # Squareness of an axis: the rotation of its direction of travel about another.
 SQUARENESS = {"C0Y": ("Y", "Z"), "B0Z": ("Z", "Y"), "A0Z": ("Z", "X")}
 _CHUNK = 20_000
+_TURN_ABOUT = {"X": "A", "Y": "B", "Z": "C"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,36 +44,29 @@ class ErrorMagnitudes:
     straightness_um: tuple[float, float] = (2.0, 15.0)
     angular_urad: tuple[float, float] = (5.0, 40.0)
     squareness_urad: tuple[float, float] = (5.0, 60.0)
-
-
-class Joint(ABC):
-    """One axis of the chain."""
-
-    name: str
-
-    @abstractmethod
-    def actual(self, position: np.ndarray) -> np.ndarray:
-        """Return its transforms as they are, (n, 4, 4), at positions (n,)."""
-
-    @abstractmethod
-    def nominal(self, position: np.ndarray) -> np.ndarray:
-        """Return its transforms as they should be, (n, 4, 4), at positions (n,)."""
+    location_um: tuple[float, float] = (5.0, 60.0)
 
 
 @dataclass(frozen=True, slots=True)
 class LinearJoint(Joint):
     """A straight axis with six error motions.
 
+    axis : its letter
     nominal_direction, direction : unit vectors of travel, as it should be and as it is
     translation : error motions along X, Y, Z, in mm
     rotation : error motions about X, Y, Z, in rad
     """
 
-    name: str
+    axis: str
     nominal_direction: tuple[float, ...]
     direction: tuple[float, ...]
     translation: tuple[ErrorMotion, ...]
     rotation: tuple[ErrorMotion, ...]
+
+    @property
+    def name(self) -> str:
+        """Letter of the axis."""
+        return self.axis
 
     def actual(self, position: np.ndarray) -> np.ndarray:
         """Return Trans(s d) Trans(E) Rz(EC) Ry(EB) Rx(EA)."""
@@ -89,15 +95,27 @@ class TruthMachine:
     joints: Mapping[str, Joint]
     squareness_rad: Mapping[str, float] = field(default_factory=dict)
 
-    def error_motions(self) -> dict[str, ErrorMotion]:
-        """Return every error motion by its symbol, `EXX` … `ECZ`, in mm and rad."""
+    def error_motions(self) -> dict[str, ErrorMotion | TurningMotion]:
+        """Return every error motion by its symbol, `EXX` … `ECC`, in mm and rad."""
         return {
             f"E{letter}{name}": motion
             for name, joint in self.joints.items()
-            if isinstance(joint, LinearJoint)
+            if isinstance(joint, LinearJoint | RotaryJoint)
             for letter, motion in zip(
                 "XYZABC", joint.translation + joint.rotation, strict=True
             )
+        }
+
+    def locations(self) -> dict[str, float]:
+        """Return the location of every rotary axis, `XOC` … `BOC`, in mm and rad."""
+        return {
+            f"{letter}O{name}": value
+            for name, joint in self.joints.items()
+            if isinstance(joint, RotaryJoint)
+            for letter, value in zip(
+                "XYZABC", joint.shift_mm + joint.tilt_rad, strict=True
+            )
+            if name not in (letter, _TURN_ABOUT.get(letter))
         }
 
     def deviation_mm(self, q: np.ndarray, target: str = "") -> np.ndarray:
@@ -171,12 +189,16 @@ class TruthMachine:
 def perfect(machine: MachineFile) -> TruthMachine:
     """Return the machine without any error."""
     joints: dict[str, Joint] = {}
-    for axis in machine.axes:
+    for axis in machine.linear_axes:
         still = error_motions.none(axis)
         direction = DIRECTIONS[axis.name]
         joints[axis.name] = LinearJoint(
             axis.name, direction, direction, (still,) * 3, (still,) * 3
         )
+    for turning in machine.rotary_axes:
+        none = (TurningMotion(turning),) * 3
+        side = turning.name in machine.workpiece_side
+        joints[turning.name] = RotaryJoint(turning, side, none, none)
     return TruthMachine(machine, joints, dict.fromkeys(SQUARENESS, 0.0))
 
 
@@ -198,20 +220,13 @@ def random_machine(
     }
     joints: dict[str, Joint] = {
         axis.name: _random_joint(rng, axis, squareness, magnitudes, scale)
-        for axis in machine.axes
+        for axis in machine.linear_axes
     }
+    for turning in machine.rotary_axes:
+        joints[turning.name] = _random_rotary_joint(
+            rng, turning, turning.name in machine.workpiece_side, magnitudes, scale
+        )
     return TruthMachine(machine, joints, squareness)
-
-
-def rotation_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Return Rz(c) Ry(b) Rx(a), (n, 3, 3), for angles (n,) in rad."""
-    ca, sa, cb, sb, cc, sc = (f(x) for x in (a, b, c) for f in (np.cos, np.sin))
-    rows = [
-        [cc * cb, cc * sb * sa - sc * ca, cc * sb * ca + sc * sa],
-        [sc * cb, sc * sb * sa + cc * ca, sc * sb * ca - cc * sa],
-        [-sb, cb * sa, cb * ca],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def _random_joint(
@@ -241,6 +256,41 @@ def _random_joint(
         _travel_direction(axis.name, squareness),
         tuple(motion.scaled(scale) for motion in translation),
         tuple(motion.scaled(scale) for motion in rotation),
+    )
+
+
+def _random_rotary_joint(
+    rng: np.random.Generator,
+    axis: RotaryAxis,
+    on_workpiece: bool,
+    magnitudes: ErrorMagnitudes,
+    scale: float,
+) -> RotaryJoint:
+    own = [value != 0.0 for value in ROTARY_DIRECTIONS[axis.name]]
+
+    def motions(unit: float, limits: tuple[float, float]) -> tuple[TurningMotion, ...]:
+        drawn = [
+            (along_the_axis if along else across_the_axis)(
+                rng, axis, unit * _peak(rng, limits)
+            )
+            for along in own
+        ]
+        return tuple(motion.scaled(scale) for motion in drawn)
+
+    def location(unit: float, limits: tuple[float, float]) -> tuple[float, ...]:
+        drawn = [scale * unit * _peak(rng, limits) * rng.choice([-1, 1]) for _ in own]
+        return tuple(
+            0.0 if along else float(value)
+            for along, value in zip(own, drawn, strict=True)
+        )
+
+    return RotaryJoint(
+        axis,
+        on_workpiece,
+        motions(1e-3, magnitudes.straightness_um),
+        motions(1e-6, magnitudes.angular_urad),
+        location(1e-3, magnitudes.location_um),
+        location(1e-6, magnitudes.squareness_urad),
     )
 
 

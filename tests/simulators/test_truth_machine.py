@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from simulators.errors import SimulatorError
+from simulators.joint import rotation_matrices
 from simulators.machine_file import MachineFile, Reflector, parse_machine
 from simulators.scenario import bundled_machines, load_machine
 from simulators.truth_machine import (
@@ -15,7 +16,6 @@ from simulators.truth_machine import (
     TruthMachine,
     perfect,
     random_machine,
-    rotation_matrices,
 )
 
 CHAINS = [
@@ -215,7 +215,7 @@ def test_rotations_are_proper_and_follow_the_right_hand(
 @pytest.mark.parametrize("name", bundled_machines())
 def test_bundled_machines_can_be_simulated(name: str) -> None:
     machine = parse_machine(load_machine(name))
-    assert np.all(machine.high_mm > machine.low_mm)
+    assert np.all(machine.high > machine.low)
 
 
 @pytest.mark.parametrize(
