@@ -18,6 +18,7 @@ from app.alignment.stretches import (
 from app.errors import AlignmentError
 from app.kinematics.chain import nominal_point_mm
 from app.measurement.run import Run
+from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 
 _FEWEST_SAMPLES = 100
@@ -38,7 +39,7 @@ def align(run: Run) -> Observations:
     tracker_mm = run.tracker.position_mm[valid]
     offsets = offsets_mm(run.machine, run.commanded.target, len(run.commanded))
     nominal_mm = nominal_point_mm(run.machine, run.commanded.position, offsets)
-    stops = find_stops(time_s, tracker_mm, _slowest_mm_s(run))
+    stops = find_stops(time_s, tracker_mm, slowest_mm_s(run.commanded))
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
     matching = match_stops(stops, nominal_mm, ordered_by=commanded)
     stream = Stream(time_s, tracker_mm, matching.pose)
@@ -62,7 +63,8 @@ def align(run: Run) -> Observations:
     return joined(run, moving, matching.pose, in_run)
 
 
-def _slowest_mm_s(run: Run) -> float:
-    if isinstance(run.commanded, Path):
-        return float(np.min(run.commanded.feed_mm_min)) / 60.0
+def slowest_mm_s(commanded: Path | Configurations) -> float:
+    """Return the slowest commanded motion."""
+    if isinstance(commanded, Path):
+        return float(np.min(commanded.feed_mm_min)) / 60.0
     return _SLOW_POSITIONING_MM_S

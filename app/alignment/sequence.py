@@ -16,8 +16,8 @@ from app.alignment.stops import Stops
 from app.errors import AlignmentError
 from app.numerics.rigid import RigidTransform, fit_rigid
 
-_SKIP = 4  # how many standstills or waypoints in a row may be missing
-_TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
+SKIP = 4  # how many standstills or waypoints in a row may be missing
+TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +68,12 @@ def _longest_chain(
     back = np.full((m, w, 2), -1)
     nominal = np.linalg.norm(waypoints[:, None] - waypoints[None], axis=2)
     for i in range(1, m):
-        for di in range(1, min(_SKIP, i) + 1):
+        for di in range(1, min(SKIP, i) + 1):
             j = i - di
             step = float(np.linalg.norm(places[i] - places[j]))
-            for da in range(1, min(_SKIP, w - 1) + 1):
+            for da in range(1, min(SKIP, w - 1) + 1):
                 a, b = np.arange(da, w), np.arange(w - da)
-                fits = np.abs(nominal[a, b] - step) < _TOLERANCE_MM
+                fits = np.abs(nominal[a, b] - step) < TOLERANCE_MM
                 fits &= _fits_two_back(places, nominal, back, i, j, a, b)
                 better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
                 take = fits & (better > score[i, a])
@@ -93,7 +93,7 @@ def _fits_two_back(
 ) -> np.ndarray:
     earlier, waypoint = back[j, b, 0], back[j, b, 1]
     distance = np.linalg.norm(places[i] - places[earlier], axis=1)
-    return (earlier < 0) | (np.abs(nominal[a, waypoint] - distance) < _TOLERANCE_MM)
+    return (earlier < 0) | (np.abs(nominal[a, waypoint] - distance) < TOLERANCE_MM)
 
 
 def _traced(
@@ -115,7 +115,7 @@ def _rematch(
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
     """Longest common order of standstills and waypoints that lie at one place."""
     m, w = len(places), len(expected)
-    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < _TOLERANCE_MM
+    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < TOLERANCE_MM
     length = np.zeros((m + 1, w + 1), np.int64)
     for i in range(m):
         hit = length[i, :-1] + near[i]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-_BLOCK = 10  # samples on either side: 20 ms at 500 Hz
-_SAME_PLACE_MM = 0.1
+SPEED_BLOCK = 10  # samples on either side: 20 ms at 500 Hz
+SAME_PLACE_MM = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ def speed_mm_s(
     time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
     """Return the speed from the block before each sample to the block after it."""
-    n, w = len(time_s), min(_BLOCK, max(1, len(time_s) // 3))
+    n, w = len(time_s), min(SPEED_BLOCK, max(1, len(time_s) // 3))
     stacked = np.column_stack([time_s - time_s[0], position_mm - position_mm[0]])
     total = np.vstack([np.zeros(4), np.cumsum(stacked, axis=0)])
     means = (total[w:] - total[:-w]) / w
@@ -53,19 +53,27 @@ def find_stops(
 
     time_s, position_mm : valid samples only
     """
-    threshold = float(np.clip(0.2 * slowest_mm_s, 0.5, 20.0))
+    threshold = standstill_speed_mm_s(slowest_mm_s)
     still = speed_mm_s(time_s, position_mm) < threshold
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.view(np.int8), [0]])))
     first, last = edges[::2], edges[1::2]
     if len(first) == 0:
         return Stops(first, last, np.empty((0, 3)))
     where = np.array(
-        [_rest_position(position_mm[a:b]) for a, b in zip(first, last, strict=True)]
+        [rest_position_mm(position_mm[a:b]) for a, b in zip(first, last, strict=True)]
     )
     return _merged(first, last, where)
 
 
-def _rest_position(position_mm: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
+def standstill_speed_mm_s(slowest_mm_s: float) -> float:
+    """Return the speed below which the machine stands, its slowest motion known."""
+    return float(np.clip(0.2 * slowest_mm_s, 0.5, 20.0))
+
+
+def rest_position_mm(
+    position_mm: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "3"]:
+    """Return where a standstill was: the median of its middle half."""
     quarter = len(position_mm) // 4
     middle = position_mm[quarter : len(position_mm) - quarter]
     return np.median(middle, axis=0)
@@ -77,7 +85,7 @@ def _merged(
     where: Float64[np.ndarray, "m 3"],
 ) -> Stops:
     """Join neighbours at one place: a lost frame does not make two standstills."""
-    moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > _SAME_PLACE_MM
+    moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > SAME_PLACE_MM
     begins = np.flatnonzero(np.concatenate([[True], moved]))
     ends = np.append(begins[1:], len(first)) - 1
     longest = [

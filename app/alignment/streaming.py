@@ -1,0 +1,204 @@
+"""A Run that is still being measured -> finished passes and standstills, one by one.
+
+The same functions as for a whole Run, fed with what has come so far. The first matching
+takes at least three standstills that do not lie on one line; from then on the pose says
+which waypoint a standstill is, among the next few in the order of the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.alignment.align import slowest_mm_s
+from app.alignment.cleaning import valid_samples
+from app.alignment.observations import Observations, Pass
+from app.alignment.segmentation import Stream, cut_into_passes
+from app.alignment.sequence import SKIP, TOLERANCE_MM, Matching, match_stops
+from app.alignment.stop_stream import StopStream, as_stops
+from app.alignment.stops import Stops
+from app.alignment.stretches import (
+    Stretch,
+    joined,
+    moving_stretch,
+    offsets_mm,
+    standing_stretches,
+)
+from app.errors import AlignmentError
+from app.kinematics.chain import nominal_point_mm
+from app.kinematics.machine import Machine
+from app.measurement.run import Run
+from app.numerics.rigid import RigidTransform, fit_rigid
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+
+_CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
+_WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
+_TRIES = 30  # standstills among which the first matching is sought
+_MOST_KEPT = 300_000  # samples of one line: 10 minutes at 500 Hz
+
+
+class StreamingAlignment:
+    """Recognises what the machine does while the samples come in. One thread.
+
+    pose : workpiece to tracker from the standstills so far, None before the first match
+    """
+
+    def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
+        self._run = Run("live", machine, commanded, TrackerSamples.empty())
+        offsets = offsets_mm(machine, commanded.target, len(commanded))
+        self._nominal_mm = nominal_point_mm(machine, commanded.position, offsets)
+        self._raw = TrackerSamples.empty()
+        self._stream = StopStream(slowest_mm_s(commanded))
+        self._known = 0  # standstills that have been looked at
+        self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
+        self._delivered = 0  # matched standstills up to which all is handed on
+        self._passes: list[Pass] = []
+        self.pose: RigidTransform | None = None
+
+    @property
+    def samples_kept(self) -> int:
+        """How many samples wait for more."""
+        return self._stream.kept
+
+    def taken(self, block: TrackerSamples) -> list[Stretch]:
+        """Take the next samples; return what they finish."""
+        raw = TrackerSamples.joined([self._raw, block])
+        valid = valid_samples(raw)
+        old = min(_CONTEXT + _HELD, len(self._raw)) - _HELD
+        fresh = np.zeros(len(raw), bool)
+        fresh[max(old, 0) : len(raw) - _HELD] = True
+        self._raw = _rows(raw, slice(max(len(raw) - _CONTEXT - _HELD, 0), None))
+        return self._with_valid(raw, np.flatnonzero(fresh & valid))
+
+    def finished(self) -> list[Stretch]:
+        """Nothing follows: return what was waiting for more."""
+        held = np.arange(max(len(self._raw) - _HELD, 0), len(self._raw))
+        valid = valid_samples(self._raw)
+        found = self._with_valid(self._raw, held[valid[held]])
+        self._stream.end()
+        found += self._recognised()
+        return found + self._last_standstill()
+
+    def observations(self, parts: Sequence[Stretch]) -> Observations:
+        """Return the cells of stretches as one block, about the pose as it is now.
+
+        `first` and `last` of its passes count valid samples.
+        """
+        if self.pose is None:
+            raise AlignmentError("the standstills so far do not tell the pose")
+        return joined(self._run, list(parts), self.pose, tuple(self._passes))
+
+    def _with_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[Stretch]:
+        self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])
+        found = self._recognised()
+        self._let_go()
+        return found
+
+    def _recognised(self) -> list[Stretch]:
+        """Look at new standstills; return what lies between matched ones."""
+        stops = self._stream.stops
+        for index in range(self._known, len(stops)):
+            self._known = index + 1
+            if self.pose is None:
+                self._match_first()
+            else:
+                self._match_by_place(index)
+        found: list[Stretch] = []
+        while self._delivered + 1 < len(self._matched):
+            found += self._between(*self._matched[self._delivered :][:2])
+            self._delivered += 1
+        return found
+
+    def _match_first(self) -> None:
+        stops = self._stream.stops
+        if not 3 <= len(stops) <= _TRIES:
+            return
+        nominal_mm = self._nominal_mm[: len(stops) + _TRIES]
+        names = "path.csv" if self._run.mode == "otf" else "points.csv"
+        try:
+            found = match_stops(as_stops(stops, 0), nominal_mm, ordered_by=names)
+        except AlignmentError:
+            return  # too little so far, or another path: the batch will say
+        if self._is_wide(nominal_mm[found.waypoint]):
+            pairs = zip(found.stop.tolist(), found.waypoint.tolist(), strict=True)
+            self._matched, self.pose = list(pairs), found.pose
+
+    def _is_wide(self, points_mm: np.ndarray) -> bool:
+        """Tell whether points fix a pose for the whole volume, not a line only."""
+        spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+        volume = float(np.linalg.norm(np.ptp(self._nominal_mm, axis=0)))
+        return bool(spread[1] > _WIDE * volume)
+
+    def _match_by_place(self, index: int) -> None:
+        assert self.pose is not None  # noqa: S101 (the caller has asked)
+        latest, waypoint = self._matched[-1]
+        if index <= latest:
+            return
+        begin = waypoint + 1
+        ahead = self.pose.apply(self._nominal_mm[begin : begin + SKIP + 1])
+        place = self._stream.stops[index].position_mm
+        near = np.flatnonzero(np.linalg.norm(ahead - place, axis=1) < TOLERANCE_MM)
+        if len(near):
+            self._matched.append((index, begin + int(near[0])))
+            waypoints = [w for _, w in self._matched]
+            stops = [self._stream.stops[k] for k, _ in self._matched]
+            places = np.array([stop.position_mm for stop in stops])
+            self.pose = fit_rigid(self._nominal_mm[waypoints], places)
+
+    def _between(self, here: tuple[int, int], there: tuple[int, int]) -> list[Stretch]:
+        """Return the passes between two matched standstills, or the first of them."""
+        assert self.pose is not None  # noqa: S101 (they are matched)
+        stops = self._stream.stops[here[0] : there[0] + 1]
+        origin = stops[0].first
+        if origin < self._stream.begin:
+            return []  # waited for too long
+        time_s, point_mm = self._stream.part(origin, stops[-1].last)
+        stream = Stream(time_s, point_mm, self.pose)
+        ends = np.array([0, len(stops) - 1]), np.array([here[1], there[1]])
+        matching = Matching(*ends, self.pose)
+        block = as_stops(stops, origin)
+        if self._run.mode == "standstill":
+            first = Matching(ends[0][:1], ends[1][:1], self.pose)
+            return self._standing(block, first, stream)
+        found: list[Stretch] = []
+        for each in cut_into_passes(stream, block, matching, self._nominal_mm):
+            line = len(self._passes)
+            part = moving_stretch(self._run, line, each, stream, self._nominal_mm)
+            self._passes.append(
+                Pass(each.row, each.first + origin, each.last + origin, each.speed_mm_s)
+            )
+            found.append(part)
+        return found
+
+    def _standing(
+        self, stops: Stops, matching: Matching, stream: Stream
+    ) -> list[Stretch]:
+        try:
+            return standing_stretches(self._run, stops, matching, stream)
+        except AlignmentError:
+            return []  # too short
+
+    def _last_standstill(self) -> list[Stretch]:
+        if self._run.mode == "otf" or not self._matched:
+            return []
+        last = self._matched[-1]
+        return self._between(last, last)
+
+    def _let_go(self) -> None:
+        """Forget samples that nothing will ask for again."""
+        stops = self._stream.stops
+        if self.pose is not None:
+            self._stream.forget_before(stops[self._matched[-1][0]].first)
+        if self._stream.kept > _MOST_KEPT:
+            self._stream.forget_before(len(self._stream) - _MOST_KEPT // 2)
+
+
+def _rows(samples: TrackerSamples, rows: slice) -> TrackerSamples:
+    return TrackerSamples(
+        samples.sequence[rows],
+        samples.device_time_s[rows],
+        samples.position_mm[rows],
+        samples.status[rows],
+    )

@@ -1,0 +1,111 @@
+"""What is recognised while the samples come is what the whole Run says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.alignment.align import align
+from app.alignment.streaming import StreamingAlignment
+from app.errors import AlignmentError
+from drivers.interfaces.records import TrackerSamples
+from simulators.synthetic import ROUGH, Setting
+
+
+def rows_of(tracker, rows):
+    return TrackerSamples(
+        tracker.sequence[rows],
+        tracker.device_time_s[rows],
+        tracker.position_mm[rows],
+        tracker.status[rows],
+    )
+
+
+def streamed(run, sizes):
+    """Feed a Run in blocks of the given sizes, over and over; return all stretches."""
+    live, parts, begin, turn = StreamingAlignment(run.machine, run.commanded), [], 0, 0
+    while begin < len(run.tracker):
+        end = begin + sizes[turn % len(sizes)]
+        parts += live.taken(rows_of(run.tracker, slice(begin, end)))
+        begin, turn = end, turn + 1
+    return live, parts + live.finished()
+
+
+def assert_same_cells(a, b, *, place_mm=0.02):
+    assert len(a) == len(b)
+    assert np.allclose(a.at.time_s, b.at.time_s, atol=1e-9)
+    assert np.allclose(a.tracker_mm, b.tracker_mm, atol=1e-9)
+    assert (a.row == b.row).all()
+    assert (a.at.line == b.at.line).all()
+    assert (a.at.approach == b.at.approach).all()
+    assert np.abs(a.at.position_mm - b.at.position_mm).max() < place_mm
+
+
+@pytest.mark.parametrize("seed", [3, 5, 6])
+def test_blocks_of_a_tenth_of_a_second_give_the_cells_of_the_whole_run(record, seed):
+    run, _ = record(seed)
+    live, parts = streamed(run, [50])
+    assert_same_cells(live.observations(parts), align(run))
+
+
+@given(sizes=st.lists(st.integers(1, 3000), min_size=1, max_size=6))
+@settings(deadline=None, max_examples=8)
+def test_how_the_stream_is_cut_into_blocks_does_not_matter(record, sizes):
+    run, _ = record(3)
+    live, parts = streamed(run, [s + 20 for s in sizes])
+    assert_same_cells(live.observations(parts), align(run))
+
+
+def test_standstill_points_come_one_by_one(record):
+    run, _ = record(4, "standstill", rows=30)
+    live, parts = streamed(run, [50])
+    assert_same_cells(live.observations(parts), align(run))
+
+
+def test_corner_to_corner_lines_are_told_apart_from_the_start(record):
+    run, _ = record(27, corners=True)
+    live, parts = streamed(run, [50])
+    assert_same_cells(live.observations(parts), align(run))
+
+
+def test_a_line_is_handed_on_as_soon_as_the_machine_stands_at_its_end(record):
+    run, _ = record(3)
+    live, seen = StreamingAlignment(run.machine, run.commanded), {}
+    for begin in range(0, len(run.tracker), 50):
+        for part in live.taken(rows_of(run.tracker, slice(begin, begin + 50))):
+            seen[part.row] = (
+                run.tracker.device_time_s[begin + 49] - part.cells.time_s[-1]
+            )
+    late = [delay for row, delay in seen.items() if row > 5]
+    assert len(late) > 10
+    assert max(late) < 1.5
+
+
+def test_lost_frames_breaks_spikes_and_holds_cost_no_more_than_in_the_whole_run(record):
+    run, _ = record(5, rows=40, setting=Setting(defects=ROUGH))
+    _, first = np.unique(run.tracker.device_time_s, return_index=True)
+    run = replace(run, tracker=rows_of(run.tracker, first))
+    live, parts = streamed(run, [50])
+    a, b = live.observations(parts), align(run)
+    assert {p.row for p in a.passes} == {p.row for p in b.passes}
+    assert a.used > 0.98 * b.used
+
+
+def test_samples_are_kept_for_a_line_or_so_however_long_the_run(record):
+    run, _ = record(3)
+    live, most = StreamingAlignment(run.machine, run.commanded), 0
+    for begin in range(0, len(run.tracker), 50):
+        live.taken(rows_of(run.tracker, slice(begin, begin + 50)))
+        most = max(most, live.samples_kept)
+    assert most < 0.4 * len(run.tracker)
+
+
+def test_another_machines_path_gives_no_pose_and_no_lines(record):
+    run, _ = record(3)
+    other, _ = record(11)
+    live, parts = streamed(replace(run, commanded=other.commanded), [50])
+    assert parts == []
+    with pytest.raises(AlignmentError, match="pose"):
+        live.observations(parts)
