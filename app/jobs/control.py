@@ -218,6 +218,10 @@ class Control:
             self._kept_at = now
             self._keep()
 
+    def count(self, samples: int, lost_samples: int) -> None:
+        """Note what the Run holds: progress may have stopped a little earlier."""
+        self._health = replace(self._health, samples=samples, lost_samples=lost_samples)
+
     def show(self, live: Json) -> None:
         """Show where tracker and axes are, for the eye only."""
         self._feed.tell(Notice("live", self.job_id, live))

@@ -98,6 +98,8 @@ class Measuring:
                 self._note_death()
                 return
             if event.kind == "closed":
+                body = event.body
+                self._control.count(body["samples"], body["lost_samples"])
                 return
             self._take(event)
 

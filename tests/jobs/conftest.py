@@ -117,7 +117,8 @@ def plain_log():
     )
     structlog.configure(
         processors=[structlog.contextvars.merge_contextvars, plain],
-        logger_factory=structlog.PrintLoggerFactory(),
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
         cache_logger_on_first_use=False,
     )
     yield

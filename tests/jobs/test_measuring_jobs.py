@@ -355,7 +355,7 @@ def test_a_fault_of_the_machine_is_a_fault_of_the_job_and_the_run_is_kept(
 def test_a_cell_that_closes_without_a_word_fails_the_job(running, make_cell, until):
     recorder, make_cell.cell._recorder = make_cell.cell._recorder, None
     recorder.close("finished")
-    make_cell.cell.say("closed", run_file="", samples=0, lost_samples=0)
+    make_cell.cell.say("closed", run_file="", samples=50, lost_samples=0)
     assert "without saying why" in until(running, "failed").failure.detail
 
 

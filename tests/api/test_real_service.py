@@ -1,0 +1,373 @@
+"""The whole service: real processes, simulated devices on real links."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import httpx2
+import pytest
+from scripted_cell import wait_until
+from starlette.testclient import TestClient
+
+from app.api.application import create_application
+from app.errors import BadInput
+from app.jobs.errors import InUse, SchemaTooNew
+from app.main import open_service, serve
+from app.settings import load_settings
+
+PROGRAM = """
+import sys
+from app.main import serve
+from app.settings import load_settings
+
+if __name__ == "__main__":
+    serve(load_settings())
+"""
+SPEED = 12.0
+ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
+ROWS = [
+    {"x_mm": x, "y_mm": y, "z_mm": z, "feed_mm_min": 9000, "dwell_s": 0.6}
+    for x, y, z in [
+        (20, 20, 20),
+        (480, 370, 280),
+        (20, 200, 280),
+        (450, 30, 150),
+        (100, 380, 30),
+        (480, 200, 270),
+        (30, 60, 100),
+        (300, 380, 280),
+        (470, 30, 20),
+        (20, 350, 200),
+    ]
+]
+
+
+@pytest.fixture
+def settings(tmp_path):
+    return load_settings(
+        data_dir=tmp_path / "data",
+        simulated=True,
+        simulated_speed=SPEED,
+        port=0,
+    )
+
+
+@contextmanager
+def process(tmp_path, **environment):
+    """Run the service as its own process; yield it and a client of it."""
+    program = tmp_path / "service.py"
+    program.write_text(PROGRAM)
+    settings = {
+        "TRUEPATH_DATA_DIR": str(tmp_path / "data"),
+        "TRUEPATH_PORT": "0",
+        "TRUEPATH_SIMULATED": "1",
+        "TRUEPATH_SIMULATED_SPEED": str(SPEED),
+        "TRUEPATH_LOG_FORMAT": "json",
+        **environment,
+    }
+    log = (tmp_path / "service.log").open("a")
+    running = subprocess.Popen(
+        [sys.executable, program],
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+        env=os.environ | settings,
+        start_new_session=True,
+    )
+    try:
+        lines = [running.stdout.readline() for _ in range(4)]
+        page = next((x.split()[1] for x in lines if x.split()[:1] == ["page"]), None)
+        assert page, (tmp_path / "service.log").read_text()
+        with httpx2.Client(base_url=page, timeout=30.0) as client:
+            yield running, client
+    finally:
+        if running.poll() is None:
+            running.terminate()
+        running.stdout.close()
+        running.wait(20)
+        log.close()
+
+
+def create(client, **order):
+    answer = client.post("/api/v1/jobs", json={"kind": "measure-otf", **order})
+    assert answer.status_code == 202, answer.text
+    return follow(client, answer.json()["id"], "ready")
+
+
+def arm(client, job):
+    version = {"If-Match": f'"{job["version"]}"'}
+    answer = client.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
+    assert answer.status_code == 202, answer.text
+
+
+def follow(client, job_id, *states, patience_s=50.0):
+    end = time.monotonic() + patience_s
+    while True:
+        job = client.get(f"/api/v1/jobs/{job_id}").json()
+        if job["state"] in states:
+            return job
+        assert job["state"] not in ENDS, job
+        assert time.monotonic() < end, job
+        time.sleep(0.02)
+
+
+def moving(client, job_id):
+    """Wait until samples of a moving machine have come."""
+    wait_until(
+        lambda: client.get(f"/api/v1/jobs/{job_id}").json()["health"]["samples"] > 500,
+        "samples",
+    )
+
+
+def test_the_main_job_from_the_wire_to_the_error_tables(settings):
+    with (
+        open_service(settings) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        connected = client.post("/api/v1/machines/current:connect").json()
+        assert connected["tracker"]["model"] == "Simulated tracker"
+        job = create(client, path=ROWS)
+        arm(client, job)
+        job = follow(client, job["id"], "succeeded")
+        assert job["health"]["samples"] > 5000
+        assert job["health"]["crc_errors"] == 0
+        result = client.get(job["result"]["result"]).json()
+        assert result["schema"] == "result/1"
+        assert {"EXX", "EYY", "EZZ"} <= set(result["error_tables"])
+        csv = client.get(job["result"]["error_tables_csv"]).text
+        assert "EXX" in csv
+        report = client.get(job["result"]["report_html"]).text
+        assert "</html>" in report
+
+        bundle = client.get(f"/api/v1/runs/{job['run_id']}/bundle").content
+        run = client.post("/api/v1/runs", files={"bundle": ("r.zip", bundle)}).json()
+        # What a loaded computer loses at this speed is counted, not hidden.
+        for count in ("samples", "lost_samples"):
+            assert run[count] == job["health"][count]
+        order = {"kind": "analyse", "run_id": run["id"]}
+        again = client.post("/api/v1/jobs", json=order).json()
+        again = follow(client, again["id"], "succeeded")
+        same = client.get(again["result"]["result"]).json()
+        assert same["error_tables"]["EXX"] == result["error_tables"]["EXX"]
+
+
+def test_pause_resume_and_abort_reach_the_machine(settings):
+    with (
+        open_service(settings) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        job = create(client)
+        arm(client, job)
+        moving(client, job["id"])
+        client.post(f"/api/v1/jobs/{job['id']}/pause")
+        paused = follow(client, job["id"], "paused")
+        version = {"If-Match": f'"{paused["version"]}"'}
+        client.post(f"/api/v1/jobs/{job['id']}/resume", headers=version)
+        follow(client, job["id"], "running")
+        begun = time.monotonic()
+        client.post("/api/v1/stop")
+        aborted = follow(client, job["id"], "aborted")
+        assert time.monotonic() - begun < 5
+        run = client.get(aborted["links"]["run"]).json()
+        assert run["samples"] > 500
+        assert not run["complete"]
+
+
+def test_a_killed_cell_leaves_a_run_and_the_next_one_takes_over(settings):
+    with (
+        open_service(settings) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        job = create(client)
+        arm(client, job)
+        moving(client, job["id"])
+        (cell,) = [p for p in _children(os.getpid()) if _is_cell(p, settings)]
+        os.kill(cell, signal.SIGKILL)
+        faulted = follow(client, job["id"], "faulted")
+        assert faulted["error"]["code"] == "cell-died"
+        run = client.get(faulted["links"]["run"]).json()
+        assert run["samples"] > 500
+        assert not run["complete"]
+        wait_until(lambda: client.get("/api/v1/system").json()["cell"]["restarts"] == 1)
+        wait_until(
+            lambda: client.post("/api/v1/machines/current:connect").status_code == 200
+        )
+        client.post(f"/api/v1/jobs/{create(client)['id']}/abort")
+
+
+@pytest.mark.parametrize("how", ["terminated", "Ctrl+C"])
+def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(tmp_path, how):
+    with process(tmp_path) as (running, client):
+        job = create(client)
+        arm(client, job)
+        moving(client, job["id"])
+        with client.stream("GET", "/api/v1/events") as stream:
+            lines = stream.iter_lines()
+            next(lines)
+            begun = time.monotonic()
+            if how == "terminated":
+                running.send_signal(signal.SIGTERM)
+            else:  # a terminal tells every process
+                os.killpg(running.pid, signal.SIGINT)
+            rest = "\n".join(lines)
+        assert running.wait(15) == 0
+        assert time.monotonic() - begun < 8
+        assert '"state":"interrupted"' in rest
+    said = [json.loads(x) for x in (tmp_path / "service.log").read_text().splitlines()]
+    events = [line["event"] for line in said]
+    assert events.index("ending: motion first") < events.index("job ended")
+    assert events[-1] == "service ended"
+
+
+def test_after_a_killed_service_nothing_moves_and_the_run_is_there(tmp_path):
+    with process(tmp_path) as (running, client):
+        job = create(client)
+        arm(client, job)
+        moving(client, job["id"])
+        children = _children(running.pid)
+        assert len(children) >= 4
+        running.kill()
+        running.wait(10)
+    wait_until(lambda: not any(_is_alive(child) for child in children), "their end")
+    with process(tmp_path, TRUEPATH_SIMULATED="0") as (_, client):
+        found = client.get(f"/api/v1/jobs/{job['id']}").json()
+        assert found["state"] == "interrupted"
+        assert found["error"]["code"] == "interrupted"
+        run = client.get(found["links"]["run"]).json()
+        assert run["samples"] > 500
+        system = client.get("/api/v1/system").json()
+        assert system["current_job"] is None
+        assert system["cell"]["connected"] is False
+
+
+def test_it_says_where_to_look_and_serves_page_and_documentation(tmp_path):
+    with process(tmp_path, TRUEPATH_SIMULATED="0") as (_, client):
+        assert "<html" in client.get("/").text
+        assert "swagger" in client.get("/docs").text
+        assert client.get("/static/js/api.js").status_code == 200
+        system = client.get("/api/v1/system").json()
+        assert system["machine"] is None
+        ready = client.get("/readyz").json()
+        assert ready["status"] == "ready"
+
+
+def test_whoever_waits_for_the_service_is_told_its_address(settings):
+    told: list[str] = []
+    heard = threading.Event()
+
+    def listening(address):
+        told.append(httpx2.get(f"{address}/healthz").json()["status"])
+        heard.set()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    plain = settings.model_copy(update={"simulated": False})
+    serve(plain, listening=listening)
+    assert heard.is_set()
+    assert told == ["ok"]
+
+
+def test_a_second_instance_on_the_same_data_is_refused(settings):
+    plain = settings.model_copy(update={"simulated": False})
+    with (
+        open_service(plain),
+        pytest.raises(InUse, match="another instance works on"),
+        open_service(plain),
+    ):
+        pass
+
+
+def test_a_catalogue_of_a_newer_version_is_refused(settings):
+    plain = settings.model_copy(update={"simulated": False})
+    with open_service(plain) as service, service.database.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+    with pytest.raises(SchemaTooNew), open_service(plain):
+        pass
+
+
+def test_a_port_in_use_is_bad_input(settings):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        plain = settings.model_copy(update={"simulated": False, "port": port})
+        with pytest.raises(BadInput, match=f"cannot listen on 127.0.0.1 port {port}"):
+            serve(plain)
+
+
+@pytest.mark.parametrize("place", ["file", "file/below"])
+def test_a_data_folder_that_cannot_be_made_is_bad_input(settings, tmp_path, place):
+    (tmp_path / "file").write_text("in the way")
+    wrong = settings.model_copy(update={"data_dir": tmp_path / place})
+    with pytest.raises(BadInput, match="setting data_dir"), open_service(wrong):
+        pass
+
+
+def test_a_machine_file_of_ones_own_is_simulated(settings, tmp_path):
+    from simulators.scenario import load_machine
+
+    file = tmp_path / "machine.json"
+    file.write_text(json.dumps({**load_machine("demo"), "name": "mine"}))
+    own = settings.model_copy(update={"machine_file": file})
+    with open_service(own) as service:
+        assert service.machine.name == "mine"
+
+
+def test_a_fault_of_the_bench_that_nobody_knows_is_bad_input(settings):
+    wrong = settings.model_copy(update={"simulated_faults": ("earthquake",)})
+    with (
+        pytest.raises(BadInput, match=r"simulated devices: .*earthquake"),
+        open_service(wrong),
+    ):
+        pass
+
+
+def test_a_machine_of_iron_uses_the_drivers_of_the_settings(settings, tmp_path):
+    from simulators.scenario import load_machine
+
+    file = tmp_path / "machine.json"
+    file.write_text(json.dumps(load_machine("demo")))
+    changes = {
+        "simulated": False,
+        "machine_file": file,
+        "tracker_options": {"port": str(tmp_path / "no-such-port")},
+        "motion_driver": "abacus",
+    }
+    iron = settings.model_copy(update=changes)
+    with (
+        open_service(iron) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        answer = client.post("/api/v1/machines/current:connect")
+        assert answer.status_code == 409
+        assert answer.json()["code"] == "device-settings"
+        assert "abacus" in answer.json()["detail"]
+
+
+def _children(process_id):
+    """Return the identifiers of all processes below one."""
+    import psutil
+
+    return [p.pid for p in psutil.Process(process_id).children(recursive=True)]
+
+
+def _is_cell(process_id, settings):
+    """Tell the cell by what it has open: the Run that it records."""
+    import psutil
+
+    files = [f.path for f in psutil.Process(process_id).open_files()]
+    return any(str(settings.data_dir / "runs") in name for name in files)
+
+
+def _is_alive(process_id):
+    import psutil
+
+    try:
+        return psutil.Process(process_id).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False

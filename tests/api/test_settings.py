@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import pytest
+
+from app.errors import BadInput
+from app.settings import load_settings
+
+
+@pytest.fixture(autouse=True)
+def nothing_set(monkeypatch, tmp_path):
+    import os
+
+    for name in list(os.environ):
+        if name.startswith("TRUEPATH_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+
+
+@pytest.fixture
+def toml(tmp_path):
+    def write(text, place=tmp_path / "settings.toml"):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text)
+        return place
+
+    return write
+
+
+def test_the_defaults_listen_at_home(tmp_path):
+    settings = load_settings()
+    assert (settings.host, settings.port) == ("127.0.0.1", 8411)
+    assert settings.is_loopback
+    assert settings.data_dir == tmp_path / "data" / "truepath"
+    assert settings.database == f"sqlite:///{settings.data_dir}/catalogue.sqlite"
+
+
+def test_the_command_line_beats_the_environment_beats_the_file(toml, monkeypatch):
+    file = toml('port = 1000\nlog_level = "debug"\nsimulated_seed = 3\n')
+    monkeypatch.setenv("TRUEPATH_PORT", "2000")
+    monkeypatch.setenv("TRUEPATH_LOG_LEVEL", "error")
+    settings = load_settings(file, port=3000, simulated=None)
+    assert (settings.port, settings.log_level, settings.simulated_seed) == (
+        3000,
+        "error",
+        3,
+    )
+
+
+def test_the_file_can_be_named_by_the_environment_or_stand_at_its_usual_place(
+    toml, monkeypatch, tmp_path
+):
+    usual = tmp_path / "config" / "truepath" / "truepath.toml"
+    toml("port = 1001\n", usual)
+    assert load_settings().port == 1001
+    monkeypatch.setenv("TRUEPATH_CONFIG", str(toml("port = 1002\n")))
+    assert load_settings().port == 1002
+
+
+def test_options_of_drivers_are_tables_in_the_file_and_json_in_the_environment(
+    toml, monkeypatch
+):
+    file = toml('[tracker_options]\nport = "/dev/tracker"\nbaudrate = 921600\n')
+    monkeypatch.setenv("TRUEPATH_MOTION_OPTIONS", '{"host": "10.0.0.2", "port": 502}')
+    settings = load_settings(file)
+    assert settings.tracker_options == {"port": "/dev/tracker", "baudrate": 921600}
+    assert settings.motion_options == {"host": "10.0.0.2", "port": 502}
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('port = "many"', "setting port: Input should be a valid integer"),
+        ("port = 70000", "setting port: Input should be less than or equal to 65535"),
+        ("prot = 1", "setting prot: Extra inputs are not permitted"),
+        ("port = = 1", "settings .*: Invalid value"),
+        ('host = "0.0.0.0"', "reached from other computers.*--allow-plain-http"),
+        ('host = "mill.example"', "host mill.example can be reached"),
+        ("simulated_speed = 0", "setting simulated_speed: Input should be greater"),
+        ("[tracker_options]\na = [1]\n", "setting tracker_options.a"),
+    ],
+)
+def test_a_setting_that_cannot_be_used_is_named(toml, text, problem):
+    with pytest.raises(BadInput, match=problem):
+        load_settings(toml(text))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(BadInput, match=r"nowhere\.toml: no such settings file"):
+        load_settings(tmp_path / "nowhere.toml")
+
+
+def test_a_table_in_the_environment_that_is_no_json_is_named(monkeypatch):
+    monkeypatch.setenv("TRUEPATH_TRACKER_OPTIONS", "{port")
+    with pytest.raises(BadInput, match='field "tracker_options"'):
+        load_settings()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.8.8", "::1", "localhost"])
+def test_loopback_is_this_computer_only(host):
+    assert load_settings(host=host).is_loopback
+
+
+def test_listening_beyond_this_computer_has_to_be_said():
+    settings = load_settings(host="0.0.0.0", allow_plain_http=True)
+    assert not settings.is_loopback
+
+
+def test_the_password_of_the_catalogue_comes_from_a_file(tmp_path):
+    secret = tmp_path / "password"
+    secret.write_text("p@ss/word\n")
+    settings = load_settings(
+        database_url="postgresql+psycopg://truepath@db/truepath",
+        database_password_file=secret,
+    )
+    assert settings.database == (
+        "postgresql+psycopg://truepath:p%40ss%2Fword@db/truepath"
+    )
+    assert "p@ss" not in repr(settings)
+
+
+def test_a_password_file_that_is_not_there_is_named(tmp_path):
+    settings = load_settings(
+        database_url="postgresql+psycopg://truepath@db/truepath",
+        database_password_file=tmp_path / "nowhere",
+    )
+    with pytest.raises(BadInput, match="database_password_file"):
+        _ = settings.database
+
+
+def test_settings_do_not_change():
+    with pytest.raises(ValueError, match="frozen"):
+        load_settings().port = 1
