@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse
 from pydantic import StringConstraints
@@ -46,6 +48,8 @@ IdempotencyKey = Annotated[
     | SkipJsonSchema[None],
     Header(description="Of your choice: the same key and body make one job, once."),
 ]
+# Threads of their own: those of other requests may all wait for a device or a disk.
+_STOPPING = CapacityLimiter(8)
 _REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
     "script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
@@ -138,15 +142,17 @@ def resume_job(
     status_code=202,
     responses=answers(404),
 )
-def abort_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
+async def abort_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""
-    return _out(service.dispatcher.abort(job_id), response)
+    job = await run_sync(service.dispatcher.abort, job_id, limiter=_STOPPING)
+    return _out(job, response)
 
 
 @stop.post("/stop", operation_id="stop_motion", status_code=202)
-def stop_motion(service: ServiceDep) -> Stopped:
+async def stop_motion(service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
-    return Stopped(jobs=[job_out(job) for job in service.dispatcher.stop()])
+    jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
+    return Stopped(jobs=[job_out(job) for job in jobs])
 
 
 @router.get("/{job_id}/plan", operation_id="get_job_plan", responses=answers(404))

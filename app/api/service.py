@@ -52,7 +52,8 @@ class Service:
         return shutil.disk_usage(self.results).free
 
 
-def _service(request: Request) -> Service:
+# On the event loop: a thread may not be free, and to stop is to need nothing.
+async def _service(request: Request) -> Service:
     return request.app.state.service
 
 

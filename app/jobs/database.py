@@ -156,7 +156,13 @@ def _refuse_newer(config: Config, revision: str | None) -> None:
 
 def _engine(url: str) -> Engine:
     try:
-        engine = create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
+        # As many connections as there are threads of requests.
+        engine = create_engine(
+            url,
+            pool_size=20,
+            max_overflow=40,
+            pool_pre_ping=not url.startswith("sqlite"),
+        )
     except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
         raise BadInput(f"setting database_url: {error}") from error
     if engine.dialect.name == "sqlite":

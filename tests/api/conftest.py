@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import socket
 import sys
 import threading
@@ -76,11 +77,21 @@ def has_machine():
     return True
 
 
-@pytest.fixture
-def service(make_cell, science, has_machine, tmp_path):
-    """Everything behind the routes."""
-    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+@pytest.fixture(scope="session")
+def empty_catalogue(tmp_path_factory):
+    """A migrated catalogue to copy: migrating takes longer than most tests."""
+    file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
+    database = Database(f"sqlite:///{file}")
     database.migrate()
+    database.close()
+    return file
+
+
+@pytest.fixture
+def service(make_cell, science, has_machine, empty_catalogue, tmp_path):
+    """Everything behind the routes."""
+    shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
     feed = Feed()
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     results = tmp_path / "results"

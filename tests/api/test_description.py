@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import runpy
 import sys
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from app.api import failures
 from app.api.application import create_application
 from app.api.models import JobRequest
 from app.api.openapi import description
+from app.api.problems import kind_of_status
 from app.jobs import errors as job_errors
 from app.jobs.job import Failure
 from drivers.interfaces import errors as device_errors
@@ -92,8 +94,6 @@ def test_all_paths_but_probes_are_versioned(operations):
 
 
 def test_writing_the_file_writes_the_description(tmp_path, monkeypatch):
-    import runpy
-
     file = tmp_path / "openapi.json"
     monkeypatch.setattr(sys, "argv", ["openapi", str(file)])
     monkeypatch.delitem(sys.modules, "app.api.openapi")
@@ -197,7 +197,5 @@ def test_a_failure_named_by_the_machine_keeps_its_code_and_way_out():
     [(418, "bad-request", 418), (599, "internal-error", 500)],
 )
 def test_a_bare_status_becomes_the_nearest_kind(status, code, shown):
-    from app.api.problems import kind_of_status
-
     kind = kind_of_status(status)
     assert (kind.code, kind.status) == (code, shown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from urllib.parse import quote
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -98,8 +99,6 @@ def test_any_bytes_as_a_job(idle, body, kind):
     ),
 )
 def test_any_name_and_query(idle, path, name, query):
-    from urllib.parse import quote
-
     filled = path.replace("{job_id}", quote(name, safe=""))
     filled = filled.replace("{run_id}", quote(name, safe=""))
     is_sound(idle.get(filled, params=query))

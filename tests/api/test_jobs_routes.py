@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import threading
+import time
+
 import pytest
+from scripted_cell import wait_until
 
 from app.jobs.errors import StorageUnavailable
 
@@ -119,6 +123,27 @@ def test_abort_and_stop_need_nothing(client, armed, until, verb, make_cell):
     until(armed, "aborted")
     assert "abort" in make_cell.cell.heard
     assert client.post(address).status_code == 202
+
+
+def test_stop_works_while_every_other_request_waits_for_a_device(
+    client, make_cell, service
+):
+    hold = threading.Event()
+    make_cell.cell.connect = lambda: hold.wait(8) and {}
+
+    def connect():
+        client.post("/api/v1/machines/current:connect")
+
+    threads = [threading.Thread(target=connect) for _ in range(45)]
+    for thread in threads:
+        thread.start()
+    wait_until(lambda: service.cell.status.state == "connecting", "the device")
+    begun = time.monotonic()
+    assert client.post("/api/v1/stop").status_code == 202
+    assert time.monotonic() - begun < 2
+    hold.set()
+    for thread in threads:
+        thread.join()
 
 
 def test_stop_names_the_jobs_it_has_reached(client, armed):

@@ -13,6 +13,7 @@ import time
 from contextlib import contextmanager
 
 import httpx2
+import psutil
 import pytest
 from scripted_cell import wait_until
 from starlette.testclient import TestClient
@@ -22,6 +23,7 @@ from app.errors import BadInput
 from app.jobs.errors import InUse, SchemaTooNew
 from app.main import open_service, serve
 from app.settings import load_settings
+from simulators.scenario import load_machine
 
 PROGRAM = """
 import sys
@@ -309,8 +311,6 @@ def test_a_data_folder_that_cannot_be_made_is_bad_input(settings, tmp_path, plac
 
 
 def test_a_machine_file_of_ones_own_is_simulated(settings, tmp_path):
-    from simulators.scenario import load_machine
-
     file = tmp_path / "machine.json"
     file.write_text(json.dumps({**load_machine("demo"), "name": "mine"}))
     own = settings.model_copy(update={"machine_file": file})
@@ -328,8 +328,6 @@ def test_a_fault_of_the_bench_that_nobody_knows_is_bad_input(settings):
 
 
 def test_a_machine_of_iron_uses_the_drivers_of_the_settings(settings, tmp_path):
-    from simulators.scenario import load_machine
-
     file = tmp_path / "machine.json"
     file.write_text(json.dumps(load_machine("demo")))
     changes = {
@@ -351,22 +349,16 @@ def test_a_machine_of_iron_uses_the_drivers_of_the_settings(settings, tmp_path):
 
 def _children(process_id):
     """Return the identifiers of all processes below one."""
-    import psutil
-
     return [p.pid for p in psutil.Process(process_id).children(recursive=True)]
 
 
 def _is_cell(process_id, settings):
     """Tell the cell by what it has open: the Run that it records."""
-    import psutil
-
     files = [f.path for f in psutil.Process(process_id).open_files()]
     return any(str(settings.data_dir / "runs") in name for name in files)
 
 
 def _is_alive(process_id):
-    import psutil
-
     try:
         return psutil.Process(process_id).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

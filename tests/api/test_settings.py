@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from app.errors import BadInput
@@ -8,8 +10,6 @@ from app.settings import load_settings
 
 @pytest.fixture(autouse=True)
 def nothing_set(monkeypatch, tmp_path):
-    import os
-
     for name in list(os.environ):
         if name.startswith("TRUEPATH_"):
             monkeypatch.delenv(name)

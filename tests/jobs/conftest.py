@@ -138,10 +138,20 @@ def machine():
     return machine_from_json(load_machine("demo"))
 
 
-@pytest.fixture
-def sqlite_catalogue(tmp_path):
-    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
+@pytest.fixture(scope="session")
+def empty_catalogue(tmp_path_factory):
+    """A migrated catalogue to copy: migrating takes longer than most tests."""
+    file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"
+    database = Database(f"sqlite:///{file}")
     database.migrate()
+    database.close()
+    return file
+
+
+@pytest.fixture
+def sqlite_catalogue(empty_catalogue, tmp_path):
+    shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
+    database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
     yield database
     database.close()
 

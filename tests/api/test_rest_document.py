@@ -1,0 +1,187 @@
+"""docs/rest-api.md: every example is sent as it stands, and answered as it says."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from scripted_cell import wait_until
+
+from app.api import failures
+from app.jobs.transitions import FINAL, State
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "rest-api.md"
+TEXT = DOCUMENT.read_text(encoding="utf-8")
+BASE = "http://127.0.0.1:8411/api/v1"
+
+
+def section(heading):
+    """Return the curl commands of a section, as lists of words."""
+    body = TEXT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    fences = "".join(re.findall(r"```sh\n(.*?)```", body, re.DOTALL))
+    words = shlex.split(fences.replace("\\\n", " "), comments=True)
+    starts = [n for n, word in enumerate(words) if word == "curl"]
+    ends = [*starts[1:], len(words)]
+    return [words[a + 1 : b] for a, b in zip(starts, ends, strict=True)]
+
+
+class Curl:
+    """Sends what a curl command line says; the names stand for what was answered."""
+
+    def __init__(self, client, tmp_path):
+        self.client, self.folder = client, tmp_path
+        self.names = {"$B": "/api/v1", "JOB": "", "RUN": "", "VERSION": ""}
+
+    def __call__(self, words):
+        words = [self._filled(word) for word in words]
+        method, headers, options, target, output = "GET", {}, {}, "", None
+        rest = iter(words)
+        for word in rest:
+            match word:
+                case "-i" | "-N":
+                    pass
+                case "-X":
+                    method = next(rest)
+                case "-H":
+                    name, _, value = next(rest).partition(": ")
+                    headers[name] = value
+                case "-d":
+                    options["content"] = next(rest)
+                case "-F":
+                    name, _, file = next(rest).partition("=@")
+                    content = (self.folder / file).read_bytes()
+                    method, options["files"] = "POST", {name: (file, content)}
+                case "-o":
+                    output = self.folder / next(rest)
+                case _:
+                    target = word
+        if target.endswith("/events"):
+            return self._first_line(target, headers)
+        answer = self.client.request(method, target, headers=headers, **options)
+        if output is not None:
+            output.write_bytes(answer.content)
+        return answer
+
+    def take(self, job):
+        self.names |= {"JOB": job["id"], "VERSION": str(job["version"])}
+        self.names["RUN"] = job["run_id"] or self.names["RUN"]
+
+    def _filled(self, word):
+        for name, value in self.names.items():
+            word = word.replace(name, value)
+        return word
+
+    def _first_line(self, target, headers):
+        with self.client.stream("GET", target, headers=headers) as answer:
+            next(answer.iter_lines())
+            return answer
+
+
+@pytest.fixture
+def curl(live, tmp_path):
+    return Curl(live, tmp_path)
+
+
+@pytest.fixture
+def follow(curl):
+    """Wait until the job is in a state; take its version and its Run."""
+
+    def wait(state):
+        def reached():
+            job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
+            return job if job["state"] == state else None
+
+        curl.take(wait_until(reached, state))
+
+    return wait
+
+
+def test_the_address_of_the_examples_is_the_default():
+    assert f"B={BASE}\n" in TEXT
+
+
+def test_a_machine_is_measured_and_its_result_taken_away(
+    curl, follow, make_cell, tmp_path
+):
+    connect, create, plan, look, arm, again, *own_rows = section("Measure a machine")
+    assert curl(connect).json()["connected"]
+    answer = curl(create)
+    assert answer.status_code == 202
+    curl.take(answer.json())
+    follow("ready")
+    assert len(curl(plan).json()["position"]) > 2
+    assert curl(look).headers["etag"] == f'"{curl.names["VERSION"]}"'
+    assert curl(arm).status_code == 202
+    assert curl(again).json()["state"] == "running"
+    assert make_cell.cell.begun.wait(5)
+    make_cell.cell.end()
+    follow("succeeded")
+    for words in section("Take the result away"):
+        assert curl(words).status_code == 200, words
+    for name in ("error_tables.csv", "report.html", "run.zip"):
+        assert (tmp_path / name).stat().st_size > 0
+    for words in section("Follow what happens"):
+        assert curl(words).status_code == 200, words
+    for words in own_rows:
+        answer = curl(words)
+        assert answer.status_code == 202, answer.text
+        curl.take(answer.json())
+        follow("ready")
+        curl.client.post("/api/v1/stop")
+        follow("aborted")
+
+
+def test_motion_is_held_and_stopped(curl, follow, make_cell):
+    _, create, _, _, arm, *_ = section("Measure a machine")
+    stop, abort, pause, resume = section("Stop, hold, go on")
+    curl.take(curl(create).json())
+    follow("ready")
+    curl(arm)
+    assert make_cell.cell.begun.wait(5)
+    follow("running")
+    assert curl(pause).status_code == 202
+    follow("paused")
+    assert curl(resume).status_code == 202
+    follow("running")
+    assert curl(abort).status_code == 202
+    follow("aborted")
+    assert curl(stop).status_code == 202
+
+
+def test_a_measurement_from_elsewhere_is_analysed(curl, follow, bundle, tmp_path):
+    (tmp_path / "run.zip").write_bytes(bundle())
+    upload, analyse = section("Analyse a measurement from elsewhere")
+    answer = curl(upload)
+    assert answer.status_code == 201
+    curl.names["RUN"] = answer.json()["id"]
+    answer = curl(analyse)
+    assert answer.status_code == 202
+    curl.take(answer.json())
+    follow("succeeded")
+
+
+def test_every_code_of_the_document_exists_with_its_status():
+    table = TEXT.split("\n## Refusals\n")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| ([\d, ]+) \| (.*) \|$", table, re.MULTILINE)
+    assert len(rows) == 7
+    kinds = [*failures.KINDS.values(), *failures.BY_STATUS.values()]
+    for statuses, codes in rows:
+        known = {k.code for k in kinds if str(k.status) in statuses.split(", ")}
+        assert set(re.findall(r"`([\w-]+)`", codes)) <= known, statuses
+
+
+def test_the_example_of_a_refusal_is_what_is_answered(client, order, is_problem):
+    example = json.loads(re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL)[0])
+    order["path"][1]["y_mm"] = 401
+    problem = is_problem(client.post("/api/v1/jobs", json=order), 422, "out-of-travel")
+    assert {**problem, "request_id": ""} == {**example, "request_id": ""}
+
+
+def test_every_state_of_the_document_exists():
+    body = TEXT.split("\n## States of a job\n")[1].split("\n## ")[0]
+    assert {f"`{state}`" for state in State} <= set(re.findall(r"`\w+`", body))
+    ends = set(re.findall(r"^\| `(\w+)` \|", body, re.MULTILINE))
+    assert ends == {str(state) for state in FINAL}
