@@ -161,3 +161,16 @@ def test_a_bad_result_is_one_line(name, points, tmp_path, capsys):
         file.write_text(content)
     assert line in refused(["predict", file, "--points", points, "-o", out], capsys)
     assert not out.exists()
+
+
+def test_a_result_with_an_unknown_effect_is_one_line(
+    analysed, points, tmp_path, capsys
+):
+    result = json.loads((analysed / "result.json").read_text())
+    result["model"]["effects"][3]["effect"] = "moon-phase"
+    file, out = tmp_path / "result.json", tmp_path / "out.csv"
+    file.write_text(json.dumps(result))
+    line = refused(["predict", file, "--points", points, "-o", out], capsys)
+    assert "result.json: model.effects" in line
+    assert "moon-phase" in line
+    assert not out.exists()
