@@ -179,6 +179,7 @@ class _Lane:
 
     def __init__(self, prepare: Callable[[], None] | None) -> None:
         self._prepare = prepare
+        self._busy = False
         self._lock = threading.Lock()
         self._link: _Link | None = None
         self._closed = False
@@ -192,6 +193,7 @@ class _Lane:
     ) -> Any:
         """Run a task in the process, made first if there is none."""
         link = self._open()
+        self._busy = True
         try:
             future = _submitted(link.pool, task, arguments)
             if cancelled.is_set():
@@ -206,6 +208,8 @@ class _Lane:
                 "the computing process ended without an answer: killed, or out of "
                 "memory; run the job again"
             ) from error
+        finally:
+            self._busy = False
 
     def warm(self) -> None:
         """Start the process, if none runs."""
@@ -220,8 +224,13 @@ class _Lane:
             link.kill()
 
     def close(self) -> None:
-        """End the process for good."""
+        """End the process for good: politely where it is idle."""
         self._closed = True
+        with self._lock:
+            link = self._link
+            if link is not None and link.is_idle and not self._busy:
+                self._link = None
+                link.pool.shutdown()
         self.kill()
 
     def _open(self) -> _Link:
@@ -240,6 +249,7 @@ class _Link:
     pool: ProcessPoolExecutor
     reports: Connection
     process_id: int
+    prepared: Future[None] | None
 
     @classmethod
     def opened(cls, prepare: Callable[[], None] | None) -> _Link:
@@ -250,9 +260,13 @@ class _Link:
         )
         with send:  # ours; the process has its own end
             process_id = pool.submit(os.getpid).result()
-        if prepare is not None:
-            pool.submit(prepare)
-        return cls(pool, reports, process_id)
+        prepared = None if prepare is None else pool.submit(prepare)
+        return cls(pool, reports, process_id, prepared)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the process has finished its imports."""
+        return self.prepared is None or self.prepared.done()
 
     def kill(self) -> None:
         with suppress(ProcessLookupError):

@@ -116,7 +116,7 @@ def follow(client, job_id, *states, patience_s=50.0):
         job = client.get(f"/api/v1/jobs/{job_id}").json()
         if job["state"] in states:
             return job
-        assert job["state"] not in ENDS, job
+        assert job["state"] not in ENDS, job["error"]
         assert time.monotonic() < end, job
         time.sleep(0.02)
 
