@@ -16,6 +16,16 @@ class LinearAxis:
     min_mm: float
     max_mm: float
 
+    @property
+    def low(self) -> float:
+        """Lowest position in mm."""
+        return self.min_mm
+
+    @property
+    def high(self) -> float:
+        """Highest position in mm."""
+        return self.max_mm
+
 
 @dataclass(frozen=True, slots=True)
 class RotaryAxis:
@@ -26,6 +36,21 @@ class RotaryAxis:
     max_deg: float
     origin_mm: tuple[float, float, float]
     direction: tuple[float, float, float]
+
+    @property
+    def low(self) -> float:
+        """Lowest position in deg."""
+        return self.min_deg
+
+    @property
+    def high(self) -> float:
+        """Highest position in deg."""
+        return self.max_deg
+
+    @property
+    def turns_fully(self) -> bool:
+        """Whether the travel is a full turn, so that errors repeat."""
+        return self.max_deg - self.min_deg >= 360.0 - 1e-9
 
 
 Axis = LinearAxis | RotaryAxis

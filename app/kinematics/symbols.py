@@ -3,7 +3,9 @@
 An error motion is `E`, the direction (X, Y, Z for a displacement, A, B, C for a turn
 about X, Y, Z), then the axis that moves: EYX is the straightness of X in Y, ECX its
 yaw. The squareness of two axes is the turn, a zero, and the axis that is out of square
-to its reference: C0Y, B0Z, A0Z. Readers accept the letter O for the zero.
+to its reference: C0Y, B0Z, A0Z. The location of a rotary axis is the direction, the
+letter O and the axis: XOC, YOC, AOC, BOC. Readers of squareness accept the letter O for
+the zero.
 """
 
 from __future__ import annotations
@@ -15,6 +17,19 @@ DIRECTION = {
     **{d: i for i, d in enumerate(TURNS)},
 }
 SQUARENESS = ("C0Y", "B0Z", "A0Z")
+
+
+def locations(axis: str) -> tuple[str, ...]:
+    """Return the location errors of a rotary axis, shifts first: XOC, YOC, AOC, BOC."""
+    own = TURNS.index(axis)
+    return tuple(
+        f"{g[i]}O{axis}" for g in (LINEAR, TURNS) for i in range(3) if i != own
+    )
+
+
+def is_location(symbol: str) -> bool:
+    """Tell whether a symbol is the location of a rotary axis."""
+    return symbol[1] == "O" and symbol[2] in TURNS
 
 
 def error_motions(axis: str) -> tuple[str, ...]:
@@ -29,7 +44,9 @@ def is_turn(symbol: str) -> bool:
 
 def is_positioning(symbol: str) -> bool:
     """Tell whether an error motion is along its own axis."""
-    return symbol[1] == symbol[2]
+    return DIRECTION[symbol[1]] == DIRECTION[symbol[2]] and (
+        is_turn(symbol) == (symbol[2] in TURNS)
+    )
 
 
 def is_straightness(symbol: str) -> bool:
@@ -39,6 +56,8 @@ def is_straightness(symbol: str) -> bool:
 
 def unit(symbol: str) -> str:
     """Return the unit in which files state the symbol."""
+    if is_location(symbol):
+        return "urad" if symbol[0] in TURNS else "um"
     return "urad" if symbol in SQUARENESS or is_turn(symbol) else "um"
 
 
@@ -47,7 +66,14 @@ def meaning(symbol: str) -> str:
     if symbol in SQUARENESS:
         axes = {"C0Y": "Y to X", "B0Z": "Z to X", "A0Z": "Z to Y"}
         return f"squareness of {axes[symbol]}"
+    if is_location(symbol):
+        letter, axis = symbol[0], symbol[2]
+        if letter in LINEAR:
+            return f"shift of the axis of {axis} in {letter}"
+        return f"tilt of the axis of {axis} about {LINEAR[TURNS.index(letter)]}"
     direction, axis = symbol[1], symbol[2]
+    if axis in TURNS:
+        return _meaning_of_turning(symbol)
     if is_positioning(symbol):
         return f"positioning of {axis}"
     if not is_turn(symbol):
@@ -55,3 +81,12 @@ def meaning(symbol: str) -> str:
     if TURNS.index(direction) == LINEAR.index(axis):
         return f"roll of {axis}"
     return f"turn of {axis} about {LINEAR[TURNS.index(direction)]}"
+
+
+def _meaning_of_turning(symbol: str) -> str:
+    direction, axis = symbol[1], symbol[2]
+    along = DIRECTION[direction] == DIRECTION[axis]
+    if is_turn(symbol):
+        about = LINEAR[TURNS.index(direction)]
+        return f"positioning of {axis}" if along else f"tilt of {axis} about {about}"
+    return f"{'axial' if along else 'radial'} motion of {axis} in {direction}"

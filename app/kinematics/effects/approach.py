@@ -19,7 +19,7 @@ from app.kinematics.effects.error_motion import (
     spline_parameters,
     usual_size,
 )
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import Axis
 from app.numerics.splines import CubicSpline, natural_spline
 
 _SHARE = 0.3  # usual size of h, in usual errors
@@ -35,7 +35,7 @@ class Backlash(Effect):
     """
 
     symbol: str
-    axis: LinearAxis
+    axis: Axis
     spline: CubicSpline
     gauge: Float64[np.ndarray, "k p"]
     varies: bool
@@ -63,24 +63,24 @@ class Backlash(Effect):
 
     def charge(self) -> Charge:
         """Return the mean square of h over the travel."""
-        length = self.axis.max_mm - self.axis.min_mm
+        length = self.axis.high - self.axis.low
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length
         rank = self.gauge.shape[1]
         return Charge(form, rank, rank * (_SHARE * usual_size(self.symbol)) ** 2)
 
 
-def half_width(symbol: str, axis: LinearAxis) -> Backlash:
+def half_width(symbol: str, axis: Axis) -> Backlash:
     """Return the half difference that is the same everywhere."""
     spline = _spline(axis)
     return Backlash(symbol, axis, spline, np.ones((spline.size, 1)), False)
 
 
-def half_shape(symbol: str, axis: LinearAxis) -> Backlash:
+def half_shape(symbol: str, axis: Axis) -> Backlash:
     """Return what the half difference does beyond its mean over the travel."""
     spline = _spline(axis)
     mean = spline.gram() @ np.ones(spline.size)
     return Backlash(symbol, axis, spline, null_space(mean[None, :]), True)
 
 
-def _spline(axis: LinearAxis) -> CubicSpline:
-    return natural_spline(np.linspace(axis.min_mm, axis.max_mm, _INTERVALS + 1))
+def _spline(axis: Axis) -> CubicSpline:
+    return natural_spline(np.linspace(axis.low, axis.high, _INTERVALS + 1))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.chain import nominal_point_mm
 from app.kinematics.machine import Machine
+from app.kinematics.reach import NominalChain
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,11 @@ class Conditions:
     line_time_s : (n,) time from the middle of that line
     velocity_mm_s : (n, 3) commanded velocity, 0 at a standstill
     approach : (n, axes) sign of each axis' last motion, 0 where it has not moved yet
+    seen_from : what the observer stands on, `workpiece` or `base`; the volumetric error
+        is that of the tool seen from the workpiece
+    on_workpiece : (n,) the target is on the workpiece; nowhere where left out
+    line_speed_mm_s : (n,) mean speed along that line where it differs from the velocity
+        because the line is an arc
     """
 
     machine: Machine
@@ -34,14 +40,37 @@ class Conditions:
     line_time_s: Float64[np.ndarray, " n"]
     velocity_mm_s: Float64[np.ndarray, "n 3"]
     approach: Float64[np.ndarray, "n a"]
+    seen_from: str = "workpiece"
+    on_workpiece: Bool[np.ndarray, " n"] | None = None
+    line_speed_mm_s: Float64[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.position_mm)
 
     @cached_property
     def point_mm(self) -> Float64[np.ndarray, "n 3"]:
-        """Nominal target point in the workpiece frame, (n, 3)."""
-        return nominal_point_mm(self.machine, self.position_mm, self.offset_mm)
+        """Nominal target point where the observer stands, (n, 3)."""
+        if self.is_plain:
+            return nominal_point_mm(self.machine, self.position_mm, self.offset_mm)
+        return self.chain.point_mm
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether straight axes move a tool that is seen from the workpiece."""
+        aside = self.on_workpiece is not None and bool(self.on_workpiece.any())
+        return (
+            self.seen_from == "workpiece" and not aside and not self.machine.rotary_axes
+        )
+
+    @cached_property
+    def chain(self) -> NominalChain:
+        """The nominal machine at these moments."""
+        on_workpiece = self.on_workpiece
+        if on_workpiece is None:
+            on_workpiece = np.zeros(len(self), bool)
+        return NominalChain(
+            self.machine, self.position_mm, self.offset_mm, on_workpiece, self.seen_from
+        )
 
     def taken(self, rows: Int64[np.ndarray, " m"]) -> Conditions:
         """Return the conditions at some of the moments."""
@@ -54,7 +83,16 @@ class Conditions:
             self.line_time_s[rows],
             self.velocity_mm_s[rows],
             self.approach[rows],
+            self.seen_from,
+            None if self.on_workpiece is None else self.on_workpiece[rows],
+            None if self.line_speed_mm_s is None else self.line_speed_mm_s[rows],
         )
+
+    def seen_by(
+        self, seen_from: str, on_workpiece: Bool[np.ndarray, " n"]
+    ) -> Conditions:
+        """Return the same moments for a target and an observer elsewhere."""
+        return replace(self, seen_from=seen_from, on_workpiece=on_workpiece)
 
     def axis_mm(self, axis: str) -> Float64[np.ndarray, " n"]:
         """Return the positions of one axis."""
@@ -123,7 +161,7 @@ class Effect(ABC):
 
     @abstractmethod
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return ∂(displacement in the workpiece frame, mm)/∂θ."""
+        """Return ∂(displacement where the observer stands, mm)/∂θ."""
 
     def displacement_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]

@@ -1,4 +1,8 @@
-"""One error motion of one linear axis: a natural cubic spline over its travel."""
+"""One error motion of one axis: a cubic spline over its travel.
+
+Natural, or cyclic where a rotary axis turns fully; the positions of a rotary axis are
+in deg.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,10 @@ from scipy.linalg import null_space
 
 from app.kinematics.chain import lever_mm
 from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import Axis, RotaryAxis
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
-from app.numerics.splines import CubicSpline, natural_spline
+from app.kinematics.turning import local_directions
+from app.numerics.splines import CubicSpline, cyclic_spline, natural_spline
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
 
@@ -24,10 +29,12 @@ class ErrorMotion(Effect):
     gauge : (K, p), control values per free parameter. Positioning and turns are 0 at
         the axis zero (else at the lowest position); straightness is 0 at both ends of
         the travel. What the gauge removes is squareness or the pose of the volume.
+        Of a rotary axis all six are 0 at the axis zero, and what is across the axis
+        has no mean over the travel: that mean is the location of the axis.
     """
 
     symbol: str
-    axis: LinearAxis
+    axis: Axis
     spline: CubicSpline
     gauge: Float64[np.ndarray, "k p"]
 
@@ -55,18 +62,28 @@ class ErrorMotion(Effect):
 
         Usual is an error of usual size that waves once over the travel.
         """
-        length = self.axis.max_mm - self.axis.min_mm
+        length = self.axis.high - self.axis.low
         usual = usual_size(self.symbol) ** 2 * (2.0 * np.pi / length) ** 4 * length / 2
         form = self.gauge.T @ self.spline.bending() @ self.gauge
-        return Charge(form, self.spline.size - 2, usual)
+        free = 1 if self.spline.period else 2
+        return Charge(form, self.spline.size - free, usual)
 
 
 def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Return what a unit of the error moves the target by: e_d, or e_d × L."""
+    if not at.is_plain:
+        return _arm_in_chain(symbol, at)
     unit = np.eye(3)[DIRECTION[symbol[1]]]
     if not is_turn(symbol):
         return np.tile(unit, (len(at), 1))
     return np.cross(unit, lever_mm(at.machine, symbol[2], at.position_mm, at.offset_mm))
+
+
+def _arm_in_chain(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+    axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
+    local = local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
+    direction = np.tile(local[:, DIRECTION[symbol[1]]], (len(at), 1))
+    return at.chain.reach(axis.name).moved(direction, is_turn=is_turn(symbol))
 
 
 def spline_parameters(name: str, symbol: str, count: int) -> tuple[Parameter, ...]:
@@ -80,16 +97,21 @@ def usual_size(symbol: str) -> float:
     return _USUAL_RAD if is_turn(symbol) else _USUAL_MM
 
 
-def error_motion(symbol: str, axis: LinearAxis, intervals: int) -> ErrorMotion:
+def error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
     """Return the error motion over the axis' travel, knots at equal intervals."""
-    knots_mm = np.linspace(axis.min_mm, axis.max_mm, intervals + 1)
-    return error_motion_over(symbol, axis, knots_mm)
+    knots = np.linspace(axis.low, axis.high, intervals + 1)
+    if isinstance(axis, RotaryAxis) and axis.turns_fully:
+        # One period of a travel that may hold more than a turn.
+        knots = axis.min_deg + 360.0 * np.arange(intervals) / intervals
+    return error_motion_over(symbol, axis, knots)
 
 
 def error_motion_over(
-    symbol: str, axis: LinearAxis, knots_mm: Float64[np.ndarray, " k"]
+    symbol: str, axis: Axis, knots_mm: Float64[np.ndarray, " k"]
 ) -> ErrorMotion:
-    """Return the error motion in its gauge over given knots."""
+    """Return the error motion in its gauge over given knots, mm or deg."""
+    if isinstance(axis, RotaryAxis):
+        return _turning_motion(symbol, axis, knots_mm)
     spline = natural_spline(knots_mm)
     fixed = np.array([reference_position_mm(axis)])
     if is_straightness(symbol):
@@ -97,6 +119,19 @@ def error_motion_over(
     return ErrorMotion(symbol, axis, spline, null_space(spline.basis(fixed)))
 
 
-def reference_position_mm(axis: LinearAxis) -> float:
+def reference_position_mm(axis: Axis) -> float:
     """Return the axis zero, or the lowest position where zero is out of travel."""
-    return 0.0 if axis.min_mm <= 0.0 <= axis.max_mm else axis.min_mm
+    return 0.0 if axis.low <= 0.0 <= axis.high else axis.low
+
+
+def _turning_motion(
+    symbol: str, axis: RotaryAxis, knots_deg: Float64[np.ndarray, " k"]
+) -> ErrorMotion:
+    spline = natural_spline(knots_deg)
+    if axis.turns_fully:
+        spline = cyclic_spline(knots_deg, 360.0)
+    fixed = spline.basis(np.array([reference_position_mm(axis)]))
+    if DIRECTION[symbol[1]] != DIRECTION[axis.name]:
+        mean = spline.gram() @ np.ones(spline.size)
+        fixed = np.vstack([fixed, mean / mean.sum()])
+    return ErrorMotion(symbol, axis, spline, null_space(fixed))

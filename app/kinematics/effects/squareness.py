@@ -37,7 +37,9 @@ class Squareness(Effect):
         columns = np.zeros((len(at), 3, 1))
         travel = at.axis_mm(name) - reference_position_mm(axis)
         columns[:, direction, 0] = sign * travel
-        return columns
+        if at.is_plain:
+            return columns
+        return at.chain.reach(name).frame @ columns
 
 
 def squareness_between(axes: tuple[str, ...]) -> tuple[Squareness, ...]:

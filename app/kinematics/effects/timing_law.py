@@ -36,7 +36,9 @@ class TimingLaw(Effect):
         speed = np.linalg.norm(at.velocity_mm_s, axis=1)
         moving = np.flatnonzero(speed)
         column = np.searchsorted(np.array(self.lines), at.line[moving])
-        direction = at.velocity_mm_s[moving] / speed[moving, None]
+        # On an arc the target's own speed changes along the line.
+        usual = speed if at.line_speed_mm_s is None else at.line_speed_mm_s
+        direction = at.velocity_mm_s[moving] / usual[moving, None]
         columns[moving, :, 2 * column] = direction
         columns[moving, :, 2 * column + 1] = direction * at.line_time_s[moving, None]
         return columns

@@ -39,7 +39,8 @@ class ToolOrientation(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return turn × (offset − first offset)."""
-        return cross_matrix(at.offset_mm - np.array(self.first_mm)) @ self.turns
+        columns = cross_matrix(at.offset_mm - np.array(self.first_mm)) @ self.turns
+        return columns if at.is_plain else at.chain.tool_frame @ columns
 
 
 def tool_orientation(

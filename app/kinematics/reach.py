@@ -1,0 +1,168 @@
+"""How an error at one axis moves the target where the tracker stands, to first order.
+
+The chain is p = T_1 … T_n t from the workpiece to the tool. An error sits at the side
+of its joint that faces the base for a rotary axis (about the axis' origin), behind the
+joint for a linear one; it is of the tool relative to the workpiece. A displacement E
+and a turn ω there move the target by F (E + ω × L): L from the error's point to it, F
+the nominal turn of everything between the error and the observer. The tracker on the
+workpiece sees all axes move the tool; on the base it sees those of the tool side move
+the tool and those of the workpiece side move the workpiece, backwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
+from app.kinematics.symbols import LINEAR
+from app.kinematics.turning import turn_matrices
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Lever and turn of one axis' errors at n moments.
+
+    lever_mm : (n, 3) L; frame : (n, 3, 3) F, 0 where the error does not show
+    """
+
+    lever_mm: Float64[np.ndarray, "n 3"]
+    frame: Float64[np.ndarray, "n 3 3"]
+
+    def moved(
+        self, direction: Float64[np.ndarray, "n 3"], *, is_turn: bool
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return F d, or F (d × L) for a turn."""
+        arm = np.cross(direction, self.lever_mm) if is_turn else direction
+        return np.einsum("nij,nj->ni", self.frame, arm)
+
+
+@dataclass(frozen=True)
+class NominalChain:
+    """The nominal machine at n moments, as seen from where the tracker stands.
+
+    on_workpiece : (n,) the target is on the workpiece; seen_from : workpiece or base
+    """
+
+    machine: Machine
+    position: Float64[np.ndarray, "n a"]
+    offset_mm: Float64[np.ndarray, "n 3"]
+    on_workpiece: Bool[np.ndarray, " n"]
+    seen_from: str
+
+    @property
+    def point_mm(self) -> Float64[np.ndarray, "n 3"]:
+        """Where the target is."""
+        if self.seen_from == "base":
+            return self._base_mm
+        seen = self._through(self.machine.workpiece_side, self._base_mm)
+        return np.where(self.on_workpiece[:, None], self.offset_mm, seen)
+
+    def reach(self, name: str) -> Reach:
+        """Return how errors at an axis show."""
+        axis = self._axis(name)
+        side = self.machine.workpiece_side
+        if name in side:
+            behind = side[side.index(name) + 1 :]
+            lever = self._through(behind, self._base_mm) - _origin(axis)
+            frame = self._turned(side[: side.index(name) + 1])
+            if self.seen_from == "base":
+                frame = -np.swapaxes(self._turned(behind), 1, 2)
+            return Reach(lever, self._where(frame, self.seen_from == "base"))
+        side = self.machine.tool_side
+        behind = side[side.index(name) + (0 if isinstance(axis, RotaryAxis) else 1) :]
+        lever = self._through(behind, self.offset_mm) - _origin(axis)
+        frame = self._turned(side[: side.index(name)])
+        return Reach(lever, self._where(self._to_observer(frame), False))
+
+    @cached_property
+    def tool_frame(self) -> Float64[np.ndarray, "n 3 3"]:
+        """Turn of the tool; 0 where the target is not on it."""
+        turned = self._turned(self.machine.tool_side)
+        return self._where(self._to_observer(turned), False)
+
+    @cached_property
+    def workpiece_frame(self) -> Float64[np.ndarray, "n 3 3"]:
+        """Turn of the workpiece seen from the base; 0 where the target is not on it."""
+        if self.seen_from != "base":
+            return np.zeros((len(self.position), 3, 3))
+        turned = np.swapaxes(self._turned(self.machine.workpiece_side), 1, 2)
+        return self._where(turned, True)
+
+    @cached_property
+    def _base_mm(self) -> Float64[np.ndarray, "n 3"]:
+        """Where the target is in the base."""
+        tool = self._through(self.machine.tool_side, self.offset_mm)
+        part = self._back_through(self.machine.workpiece_side, self.offset_mm)
+        return np.where(self.on_workpiece[:, None], part, tool)
+
+    def _where(
+        self, frame: Float64[np.ndarray, "n 3 3"], on_workpiece: bool
+    ) -> Float64[np.ndarray, "n 3 3"]:
+        shows = self.on_workpiece == on_workpiece
+        return frame * shows[:, None, None]
+
+    def _to_observer(
+        self, frame: Float64[np.ndarray, "n 3 3"]
+    ) -> Float64[np.ndarray, "n 3 3"]:
+        if self.seen_from == "base":
+            return frame
+        return self._turned(self.machine.workpiece_side) @ frame
+
+    def _axis(self, name: str) -> LinearAxis | RotaryAxis:
+        return self.machine.axes[self.machine.axis_names.index(name)]
+
+    def _column(self, name: str) -> Float64[np.ndarray, " n"]:
+        return self.position[:, self.machine.axis_names.index(name)]
+
+    def turn(self, name: str) -> Float64[np.ndarray, "n 3 3"]:
+        """Return the nominal turn of a rotary axis, from tool to workpiece."""
+        axis = self._axis(name)
+        if isinstance(axis, LinearAxis):
+            return np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
+        backwards = name in self.machine.workpiece_side
+        angle = np.radians(self._column(name)) * (-1.0 if backwards else 1.0)
+        return turn_matrices(axis, angle)
+
+    def _turned(self, names: tuple[str, ...]) -> Float64[np.ndarray, "n 3 3"]:
+        product = np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
+        for name in names:
+            if isinstance(self._axis(name), RotaryAxis):
+                product = product @ self.turn(name)
+        return product
+
+    def _through(
+        self, names: tuple[str, ...], point_mm: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the points after the joints, the last of them first."""
+        point = point_mm.copy()
+        for name in reversed(names):
+            axis = self._axis(name)
+            if isinstance(axis, LinearAxis):
+                point[:, LINEAR.index(name)] += self._column(name)
+            else:
+                arm = point - _origin(axis)
+                point = _origin(axis) + np.einsum("nij,nj->ni", self.turn(name), arm)
+        return point
+
+    def _back_through(
+        self, names: tuple[str, ...], point_mm: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the points that the joints would bring to the given ones."""
+        point = point_mm.copy()
+        for name in names:
+            axis = self._axis(name)
+            if isinstance(axis, LinearAxis):
+                point[:, LINEAR.index(name)] -= self._column(name)
+            else:
+                arm = point - _origin(axis)
+                point = _origin(axis) + np.einsum("nji,nj->ni", self.turn(name), arm)
+        return point
+
+
+def _origin(axis: LinearAxis | RotaryAxis) -> Float64[np.ndarray, "3"]:
+    """Return the point about which errors of an axis turn, in its own frame."""
+    return np.array(axis.origin_mm) if isinstance(axis, RotaryAxis) else np.zeros(3)
