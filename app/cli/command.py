@@ -152,13 +152,22 @@ def analyse(
             "--perpendicular-only", help="Leave out what is seen along each line."
         ),
     ] = False,
+    monte_carlo: Annotated[
+        bool,
+        typer.Option(
+            "--monte-carlo",
+            help="Hold the uncertainty against GUM Supplement 1 trials.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """A measurement to error tables with their uncertainty, and a report."""
     _compute_on_one_thread()
     from app.cli.science import analyse_bundle
 
-    analyse_bundle(bundle, output, perpendicular_only, as_json=json)
+    analyse_bundle(
+        bundle, output, perpendicular_only, monte_carlo=monte_carlo, as_json=json
+    )
 
 
 @app.command()

@@ -11,24 +11,27 @@ from app.alignment.observations import Observations
 from app.estimation.direction import Fit, best_fit
 from app.estimation.estimate import Estimate, Observability, Residuals
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import Posterior, information
+from app.estimation.information import information
+from app.estimation.monte_carlo import Mapper, Propagated, volume_by_trials
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import first_noise, fit_noise
 from app.estimation.observability import observability
 from app.estimation.prior import first_guess, fitted
-from app.estimation.problem import Problem, pose_problem
-from app.numerics.rigid import RigidTransform
+from app.estimation.problem import Problem, pose_problem, refined_pose
 
 
 def estimate(
     seen: Observations,
     *,
     perpendicular_only: bool = False,
+    monte_carlo: Mapper | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
     """Estimate all error motions that the observations can tell.
 
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
+    monte_carlo : computes blocks of trials, if the uncertainty is to be held against
+        propagation by Monte Carlo
     progress : told the share done, 0 to 1
 
     Raises Unidentifiable if the lines do not determine the error motions.
@@ -40,29 +43,27 @@ def estimate(
     _, result = fitted(information(problem, noise), first_guess(machine_model))
     told(0.2)
     # The rough pose is off by the machine's errors: linearise about the better one.
-    pose = _refined(problem, result)
+    pose = refined_pose(problem, result.theta)
     noise = fit_noise(seen, pose, noise)
     told(0.7)
     fit = best_fit(seen, machine_model, pose, noise)
     observable = observability(seen, pose, noise)
+    told(0.9)
+    trials = volume_by_trials(fit, noise, run=monte_carlo) if monte_carlo else None
     told(1.0)
-    return _packed(fit, noise, observable, perpendicular_only)
+    return _packed(fit, noise, observable, perpendicular_only, trials)
 
 
 def _untold(share: float) -> None:
     """Tell nobody."""
 
 
-def _refined(problem: Problem, result: Posterior) -> RigidTransform:
-    """Return the pose with its correction: shift + turn × (p − centre)."""
-    part = problem.model.slices["tracker-pose"]
-    shift, turn = result.theta[part][:3], result.theta[part][3:]
-    centre = problem.seen.at.point_mm.mean(axis=0)
-    return problem.pose.after_small(turn, shift - np.cross(turn, centre))
-
-
 def _packed(
-    fit: Fit, noise: NoiseModel, observable: Observability, perpendicular_only: bool
+    fit: Fit,
+    noise: NoiseModel,
+    observable: Observability,
+    perpendicular_only: bool,
+    trials: Propagated | None,
 ) -> Estimate:
     problem, result, seen = fit.problem, fit.result, fit.problem.seen
     size = problem.machine_model.size
@@ -73,7 +74,7 @@ def _packed(
         result.covariance[:size, :size],
         fit.prior.strength,
         noise,
-        _refined(problem, result),
+        refined_pose(problem, result.theta),
         result.covariance[pose, pose],
         seen.at.point_mm.mean(axis=0),
         observable,
@@ -84,6 +85,7 @@ def _packed(
         seen.used,
         seen.offered,
         len(np.unique(seen.row)),
+        trials,
     )
 
 

@@ -56,6 +56,17 @@ def fit_noise(
     return _minimised(_evidence_cost(small, prior), noise, step=0.3, calls=40)
 
 
+def residual_noise(
+    problem: Problem, theta: Float64[np.ndarray, " p"], noise: NoiseModel
+) -> NoiseModel:
+    """Return the noise that the residuals of an estimate show.
+
+    Quick, for the live estimate: what the estimate has taken up of it is not counted.
+    """
+    small = coarser(problem, _merge(problem.seen))
+    return _minimised(_residual_cost(small, theta), noise, step=0.7, calls=60)
+
+
 def _some_lines(seen: Observations) -> Observations:
     """Return whole lines or standstills, evenly spread, that make enough cells."""
     rows = np.unique(seen.row)

@@ -72,6 +72,14 @@ def with_machine_effects(problem: Problem, effects: Sequence[Effect]) -> Problem
     )
 
 
+def refined_pose(problem: Problem, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
+    """Return the pose with its correction: shift + turn × (p − centre)."""
+    part = problem.model.slices["tracker-pose"]
+    shift, turn = theta[part][:3], theta[part][3:]
+    centre = problem.seen.at.point_mm.mean(axis=0)
+    return problem.pose.after_small(turn, shift - np.cross(turn, centre))
+
+
 def coarser(problem: Problem, merge: int) -> Problem:
     """Return the problem with up to `merge` neighbouring cells of a line made one.
 

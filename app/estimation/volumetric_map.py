@@ -63,6 +63,20 @@ def volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
     return VolumetricMap(model, fit, centre)
 
 
+def volumetric_gram(
+    model: MachineModel, target: str = ""
+) -> Float64[np.ndarray, "p p"]:
+    """Return G with E|δ|² = tr(G C): mean square length over the axis travel, mm².
+
+    C is the covariance of θ. It is the integral of the Gram matrix in closed form
+    (brunn-hanebeck-2005, eq. 24–26 and 34–36), the rigid motion left out.
+    """
+    at, weight = _quadrature(model.machine, target)
+    columns = volumetric_map(model, target).jacobian(at)
+    flat = (columns * np.sqrt(weight)[:, None, None]).reshape(-1, model.size)
+    return flat.T @ flat
+
+
 def _quadrature(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:

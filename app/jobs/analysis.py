@@ -17,6 +17,7 @@ from typing import Any
 from app.alignment.align import align
 from app.errors import BundleError
 from app.estimation.batch import estimate
+from app.estimation.monte_carlo import Mapper
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
@@ -49,11 +50,16 @@ class Analysis:
 
 
 def analyse(
-    run: Run, *, perpendicular_only: bool = False, progress: Progress | None = None
+    run: Run,
+    *,
+    perpendicular_only: bool = False,
+    monte_carlo: Mapper | None = None,
+    progress: Progress | None = None,
 ) -> Analysis:
     """Analyse a Run.
 
     perpendicular_only : leave out what is measured along the travel
+    monte_carlo : computes blocks of trials that the uncertainty is held against
     progress : told the share done and the stage: aligning, estimating, reporting
 
     Raises EstimationError if the data do not carry the answer.
@@ -65,6 +71,7 @@ def analyse(
     estimated = estimate(
         seen,
         perpendicular_only=perpendicular_only,
+        monte_carlo=monte_carlo,
         progress=lambda share: told(
             _ALIGNED + share * (_ESTIMATED - _ALIGNED), "estimating"
         ),

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import cholesky_banded, solve_triangular
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve_triangular
 from scipy.linalg.lapack import dtbtrs
 
 _BAND = 3
@@ -48,6 +48,18 @@ class Whitener:
             return flat, np.zeros((0, rows.shape[2]))
         pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
         return flat, _solved(self.factor, pulled)
+
+    def applied(
+        self, rows: Float64[np.ndarray, "n 3 p"]
+    ) -> Float64[np.ndarray, "n 3 p"]:
+        """Return V⁻¹ rows."""
+        precision = np.swapaxes(self.root, 1, 2) @ self.root
+        weighted = precision @ rows
+        if not self.factor.size:
+            return weighted
+        flat = weighted.reshape(-1, rows.shape[2])
+        slow = cho_solve_banded((self.factor, True), flat).reshape(rows.shape)
+        return weighted - precision @ slow
 
 
 def whitener(

@@ -95,3 +95,12 @@ def test_points_of_white_noise_leave_no_tail(case):
     a, _ = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
     assert tail is None
     assert np.allclose(total, a.T @ a)
+
+
+def test_the_inverse_covariance_can_be_applied(case):
+    time_s, white, sigma, rows = case
+    for slow in (sigma, 0.0 * sigma):
+        built = whitener(time_s, white, slow, TAU_S)
+        a, z = built.halves(rows)
+        weighted = np.einsum("kip,kiq->pq", rows, built.applied(rows))
+        assert np.allclose(weighted, a.T @ a - z.T @ z, rtol=1e-9)
