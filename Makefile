@@ -54,6 +54,10 @@ test-long: setup-system setup ## the tests that need minutes
 bench: setup ## the numbers that count, as ratios
 	$(BIN)/python benchmarks/run.py
 
+.PHONY: validation
+validation: setup ## both papers reproduced and random machines; writes docs/validation.md
+	$(SINGLE) $(BIN)/python validation/run.py
+
 .PHONY: clean
 clean: ## remove everything that was made
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* htmlcov \

@@ -20,6 +20,7 @@ from app.numerics.design_criteria import Belief, best_place
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n p"]]
 
+_DRAWS = 50  # places judged for each that climbs
 _ROUNDS = 30
 _RISEN = 1e-9  # relative rise of a round that is worth another
 
@@ -38,7 +39,7 @@ def next_configuration(
     borders: Sequence[Float64[np.ndarray, " b"]],
     noise_variance: float,
     *,
-    starts: int = 8,
+    starts: int = 12,
     seed: int = 0,
 ) -> NextConfiguration:
     """Return the best configuration found; the same seed gives the same.
@@ -48,7 +49,7 @@ def next_configuration(
     """
     low = np.array([b[0] for b in borders])
     high = np.array([b[-1] for b in borders])
-    draws = np.random.default_rng(seed).uniform(low, high, (8 * starts, len(low)))
+    draws = np.random.default_rng(seed).uniform(low, high, (_DRAWS * starts, len(low)))
     # Random places are judged cheaply, the best of them climb.
     first = np.argsort(-known.drops(rows(draws), noise_variance))[:starts]
     summits = [_climbed(known, rows, borders, noise_variance, draws[i]) for i in first]

@@ -1,0 +1,73 @@
+"""The best that any estimator could do with a recording, on average.
+
+The ideal estimator is ours told two things that no real one knows: the noise (level,
+correlated share, correlation time: the simulator's own figures, and that the feed is
+exact) and how strongly each error motion bends (prior strengths fitted to the true
+error motions, (K − 2) / ∫ bending). Its posterior covariance is the bound: the root
+mean square, over the volume, of the error that it would leave on average. It can be
+beaten on one machine by luck, not on average by a machine of these errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from judging import Volume, map_mm, true_parameters
+
+from app.alignment.observations import Observations
+from app.estimation.estimate import Estimate
+from app.estimation.information import information, posterior
+from app.estimation.noise import NoiseModel
+from app.estimation.problem import pose_problem
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.model import MachineModel
+from simulators.recording import Recording
+from simulators.tracker_head import Air
+
+
+@dataclass(frozen=True)
+class Ideal:
+    """What the ideal estimator states and what it leaves on this recording.
+
+    bound_mm : root mean square length of the error left, as its covariance states
+    error_mm : (n, 3) its map; theta : its parameters
+    """
+
+    bound_mm: float
+    error_mm: np.ndarray
+    sigma_mm: np.ndarray
+    theta: np.ndarray
+
+
+def ideal(
+    within: Volume, seen: Observations, found: Estimate, recording: Recording, air: Air
+) -> Ideal:
+    """Return the ideal estimate from the observations of an estimate."""
+    problem = pose_problem(seen, found.model, found.pose)
+    data = information(problem, true_noise(air))
+    truth = true_parameters(found.model, recording.truth)
+    precision = true_precision(found.model, truth, len(data.vector))
+    best = posterior(data, precision)
+    size = found.model.size
+    covariance = best.covariance[:size, :size]
+    error, sigma = map_mm(within, found.model, best.theta[:size], covariance)
+    return Ideal(within.rms_length(sigma), error, sigma, best.theta[:size])
+
+
+def true_noise(air: Air) -> NoiseModel:
+    """Return the noise that the simulator draws; its feed has no jitter."""
+    white = float(np.sqrt(1.0 - air.share**2))
+    return NoiseModel((white, white), (air.share, air.share), air.tau_s, 0.0)
+
+
+def true_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.ndarray:
+    """Return the prior precision whose strengths fit the true error motions."""
+    total = np.zeros((size, size))
+    for effect in model.effects:
+        if isinstance(effect, ErrorMotion):
+            part = model.slices[effect.name]
+            bending = effect.gauge.T @ effect.spline.bending() @ effect.gauge
+            energy = float(truth[part] @ bending @ truth[part])
+            total[part, part] = (effect.spline.size - 2) / energy * bending
+    return total

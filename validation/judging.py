@@ -1,0 +1,127 @@
+"""An estimate judged by the exact truth.
+
+The volume is the whole axis travel, by Gauss–Legendre points with their weights; the
+rigid motion of the whole volume, which no tracker can tell from where it stands, is
+removed from truth and estimate alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.estimation.volumetric_map import volumetric_map
+from app.kinematics.effects.base import standstill
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.reporting.error_tables import table_positions_mm
+from simulators.truth_machine import TruthMachine
+
+_NODES = 12
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Points that stand for the whole travel, with weights that sum to 1."""
+
+    machine: Machine
+    position_mm: np.ndarray
+    weight: np.ndarray
+
+    def rigid_free(self, error_mm: np.ndarray) -> np.ndarray:
+        """Return errors (n, 3) without the rigid motion of the whole volume."""
+        columns = np.zeros((len(self.weight), 3, 6))
+        columns[:, :, :3] = np.eye(3)
+        centred = self.position_mm - self.weight @ self.position_mm
+        for k, axis in enumerate(np.eye(3)):
+            columns[:, :, 3 + k] = np.cross(axis, centred)
+        root = np.sqrt(self.weight)[:, None]
+        flat = (columns * root[:, :, None]).reshape(-1, 6)
+        fit = np.linalg.lstsq(flat, (error_mm * root).reshape(-1), rcond=None)[0]
+        return error_mm - columns @ fit
+
+    def mean_length(self, error: np.ndarray) -> float:
+        """Return the mean length of vectors (n, 3): the papers' mean absolute error."""
+        return float(self.weight @ np.linalg.norm(error, axis=1))
+
+    def rms_length(self, error: np.ndarray) -> float:
+        """Return the root mean square length of vectors (n, 3)."""
+        return float(np.sqrt(self.weight @ (error**2).sum(axis=1)))
+
+    def share(self, true: np.ndarray) -> float:
+        """Return the share of the volume's components (n, 3) that are true."""
+        return float(self.weight @ true.mean(axis=1))
+
+
+def volume(machine: Machine) -> Volume:
+    """Return the volume of a machine's travel."""
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    low = np.array([a.min_mm for a in machine.linear_axes])
+    high = np.array([a.max_mm for a in machine.linear_axes])
+    unit = np.stack([g.ravel() for g in np.meshgrid(*[node] * 3, indexing="ij")], 1)
+    product = np.prod(np.meshgrid(*[weight] * 3, indexing="ij"), axis=0).ravel()
+    position = low + (unit + 1.0) / 2.0 * (high - low)
+    return Volume(machine, position, product / product.sum())
+
+
+def true_map_mm(within: Volume, truth: TruthMachine) -> np.ndarray:
+    """Return the truth's map without its rigid motion, by exact transforms."""
+    return within.rigid_free(truth.deviation_mm(within.position_mm))
+
+
+def map_mm(
+    within: Volume, model: MachineModel, theta: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a model's volumetric error and its standard uncertainty, (n, 3) each."""
+    at = standstill(within.machine, within.position_mm)
+    found = volumetric_map(model)
+    return found.error_mm(at, theta), found.sigma_mm(at, covariance)
+
+
+def true_parameters(model: MachineModel, truth: TruthMachine) -> np.ndarray:
+    """Return the parameters of a model that make the truth's map, gauge included.
+
+    With one target some error motions merge; what they merge into is the truth that a
+    table can hold. The spline's own misfit is far below a tracker's noise.
+    """
+    rng = np.random.default_rng(0)
+    low = np.array([a.min_mm for a in model.machine.linear_axes])
+    high = np.array([a.max_mm for a in model.machine.linear_axes])
+    inside = rng.uniform(low, high, (3000, 3))
+    ends = low + rng.integers(0, 2, (300, 3)) * (high - low)
+    edges = np.where(rng.uniform(size=(300, 3)) < 0.5, ends, inside[:300])
+    position = np.vstack([inside, edges])
+    columns = model.jacobian(standstill(model.machine, position))
+    rigid = np.zeros((len(position), 3, 6))
+    rigid[:, :, :3] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        rigid[:, :, 3 + k] = np.cross(axis, position - position.mean(axis=0)) / 500.0
+    both = np.concatenate([columns, rigid], axis=2).reshape(-1, model.size + 6)
+    scale = np.linalg.norm(both, axis=0)
+    fit = np.linalg.lstsq(
+        both / scale, truth.deviation_mm(position).reshape(-1), rcond=None
+    )[0]
+    return (fit / scale)[: model.size]
+
+
+def table_deviations(
+    model: MachineModel, theta: np.ndarray, covariance: np.ndarray, truth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return estimate − truth, its uncertainty and a number for each motion.
+
+    Over all table values that are not fixed by their gauge, squarenesses included.
+    """
+    off, sigma, group = [], [], []
+    for number, effect in enumerate(model.effects):
+        part = model.slices[effect.name]
+        rows = np.eye(part.stop - part.start)
+        if isinstance(effect, ErrorMotion):
+            rows = effect.rows(table_positions_mm(effect.axis))
+        free = np.linalg.norm(rows, axis=1) > 1e-9
+        off.append((rows @ (theta - truth)[part])[free])
+        variance = np.einsum("np,np->n", rows @ covariance[part, part], rows)
+        sigma.append(np.sqrt(np.maximum(variance, 0.0))[free])
+        group.append(np.full(free.sum(), number))
+    return np.concatenate(off), np.concatenate(sigma), np.concatenate(group)

@@ -1,0 +1,113 @@
+"""Recordings of simulated machines as the product receives them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from app.kinematics.machine import Machine
+from app.measurement.machine_file import machine_from_json
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from app.planning.paths import default_path
+from drivers.interfaces.records import Path, TrackerSamples
+from simulators import paths
+from simulators.machine_file import parse_machine
+from simulators.recording import Recording
+from simulators.timeline import Program
+from simulators.tracker_head import Air
+
+CHAINS = ("w-b-X-Y-Z-t", "w-X-b-Y-Z-t", "w-Y-b-X-Z-t", "w-X-Y-b-Z-t", "w-Z-b-Y-X-t")
+
+
+def machine_content(
+    chain: str, travel_mm: tuple[float, float, float], tool_mm: tuple[float, ...]
+) -> dict[str, Any]:
+    """Return the content of machine.json; travels begin at 0."""
+    axes = {
+        name: {"type": "linear", "min_mm": 0.0, "max_mm": float(length)}
+        for name, length in zip("XYZ", travel_mm, strict=True)
+    }
+    return {
+        "schema": "machine/1",
+        "name": "validation",
+        "kinematic_chain": chain,
+        "axes": axes,
+        "tool_offset_mm": list(tool_mm),
+        "tracker": {
+            "range_sigma_um": 1.0,
+            "range_ppm": 0.3,
+            "angle_sigma_urad": 3.0,
+            "transverse_sigma_um": 4.0,
+            "rate_hz": 500,
+        },
+    }
+
+
+def random_content(seed: int) -> dict[str, Any]:
+    """Draw chain, travels (250 to 900 mm) and tool of a machine."""
+    rng = np.random.default_rng([seed, 1])
+    x, y, z = np.round(rng.uniform(250.0, 900.0, 3), 0)
+    tool = (*np.round(rng.uniform(-60.0, 60.0, 2), 1), -round(rng.uniform(80, 250), 1))
+    return machine_content(CHAINS[rng.integers(len(CHAINS))], (x, y, z), tool)
+
+
+def random_air(seed: int) -> Air:
+    """Draw how much of the noise is correlated in time, and for how long."""
+    rng = np.random.default_rng([seed, 2])
+    return Air(float(rng.uniform(0.1, 0.3)), float(rng.uniform(0.5, 2.0)))
+
+
+def planned_program(content: dict[str, Any], feed_mm_min: float, lines: int) -> Program:
+    """Return the product's own path for a machine, as the controller is told."""
+    machine = machine_from_json(dict(content), file="machine.json")
+    path = default_path(machine, feed_mm_min, lines=lines)
+    return Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+
+
+def run_of(recording: Recording) -> Run:
+    """Return the recording as a Run."""
+    machine = machine_from_json(dict(recording.content), file="machine.json")
+    samples = TrackerSamples(
+        np.arange(len(recording)),
+        recording.time_s,
+        recording.position_mm,
+        recording.status,
+    )
+    return Run("validation", machine, _commanded(recording, machine), samples)
+
+
+def duration_s(recording: Recording) -> float:
+    """Return how long the machine was under way, dwells included."""
+    return float(recording.time_s[-1] - recording.time_s[0])
+
+
+def _commanded(recording: Recording, machine: Machine) -> Path | Configurations:
+    program = recording.program
+    if recording.mode == "standstill":
+        return Configurations(machine.axis_names, program.position, program.dwell_s)
+    return Path(
+        machine.axis_names,
+        program.position,
+        program.feed_mm_s * 60.0,
+        program.dwell_s,
+    )
+
+
+def papers_program(content: dict[str, Any], feed_mm_min: float) -> Program:
+    """Return a path as that of sanders-2023.
+
+    Edges, face and space diagonals of the travel, and straight lines through its
+    middle: nearly all of them corner to corner.
+    """
+    machine = parse_machine(content)
+    corners = paths.corner_path(machine, feed_mm_min)
+    low, high = corners.position.min(axis=0), corners.position.max(axis=0)
+    unit = np.array([[0, 0.5, 0.5], [1, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 1, 0.5]])
+    unit = np.vstack([unit, [[0.5, 0.5, 0], [0.5, 0.5, 1]]])
+    position = np.vstack([corners.position, np.round(low + unit * (high - low), 4)])
+    n = len(position)
+    return Program(
+        position, np.full(n, feed_mm_min / 60.0), np.full(n, corners.dwell_s[0])
+    )

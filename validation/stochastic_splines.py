@@ -1,0 +1,68 @@
+"""Splines believed in but not yet measured: the two priors that are compared.
+
+Both give every spline the same mean variance over its length. `independent` is that of
+brunn-hanebeck-2005: control points know nothing of one another. `bending` charges for
+the energy of the bent beam (eq. 12–13) between two ends that are independent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.numerics.design_criteria import Belief
+from app.numerics.splines import CubicSpline
+
+
+def independent(spline: CubicSpline) -> Belief:
+    """Return independent control points of variance 1."""
+    return Belief(np.eye(spline.size), spline.gram())
+
+
+def bending(spline: CubicSpline) -> Belief:
+    """Return a beam whose bending energy is charged for, ends of variance 1."""
+    ends = np.column_stack(
+        [np.linspace(1.0, 0.0, spline.size), np.linspace(0.0, 1.0, spline.size)]
+    )
+    beam = np.zeros((spline.size, spline.size))
+    beam[1:-1, 1:-1] = np.linalg.inv(spline.bending()[1:-1, 1:-1])
+    gram = spline.gram()
+    wanted = np.trace(gram) - np.trace(gram @ ends @ ends.T)
+    return Belief(ends @ ends.T + wanted / np.trace(gram @ beam) * beam, gram)
+
+
+def stacked(beliefs: list[Belief]) -> Belief:
+    """Return what is believed of several splines together."""
+    size = sum(len(b.gram) for b in beliefs)
+    covariance, gram = np.zeros((size, size)), np.zeros((size, size))
+    begin = 0
+    for belief in beliefs:
+        part = slice(begin, begin + len(belief.gram))
+        covariance[part, part], gram[part, part] = belief.covariance, belief.gram
+        begin = part.stop
+    return Belief(covariance, gram)
+
+
+def drawn(belief: Belief, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Draw control values, (count, p)."""
+    value, vector = np.linalg.eigh(belief.covariance)
+    root = vector * np.sqrt(np.maximum(value, 0.0))
+    return rng.standard_normal((count, len(value))) @ root.T
+
+
+def sigma(belief: Belief, rows: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each row's value."""
+    variance = np.einsum("np,pq,nq->n", rows, belief.covariance, rows)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def learnt(
+    before: Belief,
+    estimate: np.ndarray,
+    row: np.ndarray,
+    noise_variance: float,
+    measured: np.ndarray,
+) -> np.ndarray:
+    """Return estimates (m, p) after one measurement of each of m truths (eq. 21)."""
+    moved = before.covariance @ row
+    gain = moved / (noise_variance + row @ moved)
+    return estimate + (measured - estimate @ row)[:, None] * gain
