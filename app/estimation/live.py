@@ -1,0 +1,180 @@
+"""The estimate of a measurement that is still under way.
+
+Every finished line or standstill is added to the sums of `recursive`, which hold for
+one linearisation and one model of the noise. Both are looked at again whenever the
+number of lines has doubled, and at the end: then all cells are added anew, so that this
+costs, in the mean, no more than a second addition of each.
+
+A weak prior keeps tables finite before the lines determine them: errors of a tenth of a
+millimetre and a milliradian, a hundred times what they are known to at the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.alignment.streaming import StreamingAlignment
+from app.alignment.stretches import Stretch, offsets_mm
+from app.errors import Unidentifiable
+from app.estimation.direction import with_half_widths
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import Information, information, posterior
+from app.estimation.noise import NoiseModel
+from app.estimation.noise_fit import first_noise, fit_noise, residual_noise
+from app.estimation.prior import BendingPrior, first_guess, fitted
+from app.estimation.problem import pose_problem, refined_pose
+from app.estimation.recursive import Linearisation, Recursive, begun
+from app.estimation.volumetric_map import volumetric_gram
+from app.kinematics.effects.base import Parameter
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.numerics.rigid import RigidTransform
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+
+_FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
+_WEAK = {"mm": 0.1, "rad": 1e-3}
+_WEAK_NUISANCE = 10.0  # pose and timing, in mm, rad, mm/s: as good as nothing
+
+
+@dataclass(frozen=True, slots=True)
+class LiveEstimate:
+    """What is known so far.
+
+    volumetric_sigma_mm : root mean square over the axis travel of the standard
+        uncertainty (k = 1) of the volumetric error vector of the first target, the
+        rigid motion of the whole volume left out; `volumetric_uncertainty_um` outside
+    done : finished lines or points; cells : of them; time_s : tracker's clock
+    """
+
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+    volumetric_sigma_mm: float
+    done: int
+    cells: int
+    time_s: float
+
+
+class LiveEstimator:
+    """Takes blocks of samples and answers with the estimate so far. One thread."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        commanded: Path | Configurations,
+        *,
+        perpendicular_only: bool = False,
+    ) -> None:
+        self._alignment = StreamingAlignment(machine, commanded)
+        self._perpendicular_only = perpendicular_only
+        offsets = offsets_mm(machine, commanded.target, len(commanded))
+        model, _ = identifiable_model(machine, offsets)
+        self._model = with_half_widths(model)
+        self._gram = volumetric_gram(self._model)
+        self._prior: BendingPrior = first_guess(self._model)
+        self._parts: list[Stretch] = []
+        self._sums: Recursive | None = None
+        self._looked = 0  # stretches that pose and noise were last looked at with
+
+    def take(self, block: TrackerSamples) -> bool:
+        """Take the next samples; tell whether they have finished anything."""
+        return self._add(self._alignment.taken(block))
+
+    def finish(self) -> bool:
+        """Nothing follows: look at pose and noise with all there is."""
+        self._add(self._alignment.finished())
+        if not self._parts:
+            return False
+        self._look_again(thoroughly=True)
+        return True
+
+    def estimate(self) -> LiveEstimate | None:
+        """Return what is known so far, None before the pose is."""
+        if self._sums is None:
+            return None
+        size = self._model.size
+        data = _weakened(self._sums.information(), _pose_parameters(self._model))
+        self._prior, result = fitted(data, self._prior)
+        covariance = result.covariance[:size, :size]
+        mean_square = float(np.sum(self._gram * covariance))
+        return LiveEstimate(
+            self._model,
+            result.theta[:size],
+            covariance,
+            float(np.sqrt(max(mean_square, 0.0))),
+            len({part.row for part in self._parts}),
+            self._sums.cells,
+            self._sums.time_s,
+        )
+
+    def _add(self, parts: list[Stretch]) -> bool:
+        if not parts:
+            return False
+        self._parts += parts
+        if self._sums is None or len(self._parts) >= max(2 * self._looked, _FIRST_LOOK):
+            self._look_again()
+        else:
+            self._sums = self._sums.added(self._alignment.observations(parts))
+        return True
+
+    def _look_again(self, *, thoroughly: bool = False) -> None:
+        """Take the newest pose and noise, and add all cells anew.
+
+        thoroughly : judge the noise as the batch does, which takes its time
+        """
+        seen = self._alignment.observations(self._parts)
+        noise = first_noise(seen, perpendicular_only=self._perpendicular_only)
+        pose = seen.pose
+        if len(self._parts) >= _FIRST_LOOK:
+            self._looked = len(self._parts)
+            if self._sums is not None:
+                noise = replace(self._sums.about.noise, white=noise.white)
+            problem = pose_problem(seen, self._model, pose)
+            data = _weakened(information(problem, noise), problem.model.parameters)
+            strong = self._prior.precision(len(data.vector))
+            theta = posterior(data, strong).theta
+            pose = refined_pose(problem, theta)
+            noise = residual_noise(problem, theta, noise)
+            if thoroughly:
+                noise = _fitted_noise(seen, pose, noise)
+        about = _about(self._model, pose, noise)
+        self._sums = begun(about).added(seen)
+
+
+def _fitted_noise(
+    seen: Observations, pose: RigidTransform, noise: NoiseModel
+) -> NoiseModel:
+    try:
+        return fit_noise(seen, pose, noise)
+    except Unidentifiable:
+        return noise  # too few lines to judge it better
+
+
+def _about(
+    model: MachineModel, pose: RigidTransform, noise: NoiseModel
+) -> Linearisation:
+    middle = [0.5 * (a.min_mm + a.max_mm) for a in model.machine.linear_axes]
+    x, y, z = (*middle, 0.0, 0.0)[:3]
+    return Linearisation(model, pose, (x, y, z), noise)
+
+
+def _weakened(data: Information, parameters: tuple[Parameter, ...]) -> Information:
+    """Return the information with the weak prior in it."""
+    sigma = np.array([_weak_sigma(p) for p in parameters])
+    return replace(data, matrix=data.matrix + np.diag(sigma**-2))
+
+
+def _weak_sigma(parameter: Parameter) -> float:
+    if parameter.nuisance:
+        return _WEAK_NUISANCE
+    return _WEAK.get(parameter.unit, 1.0)
+
+
+def _pose_parameters(model: MachineModel) -> tuple[Parameter, ...]:
+    pose = tuple(Parameter(f"pose-{i}", "mm", nuisance=True) for i in range(6))
+    return (*model.parameters, *pose)
