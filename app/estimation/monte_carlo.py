@@ -8,7 +8,7 @@ contradict each other.
 
 Blocks of trials have seeds of their own, so that the answer does not depend on how many
 processes share the work. Blocks are added until the standard deviations stand still to
-half a unit of their second digit (clause 7.9).
+half a unit of their second digit (clause 7.9), or to one part in a hundred.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def propagate(
     linear : (o,) standard deviations by the linear law, to set the tolerance
     """
     digit = 10.0 ** np.floor(np.log10(np.maximum(linear, 1e-300)))
-    tolerance = 0.05 * digit  # half a unit of the second digit
+    tolerance = np.maximum(0.05 * digit, 0.01 * linear)
     done: list[Block] = []
     settled = False
     while len(done) < _MOST and not settled:
