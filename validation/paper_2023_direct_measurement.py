@@ -106,7 +106,7 @@ def _figures_6_to_8(done: Study, direct: DirectMachine, merged: np.ndarray) -> N
 
 
 def _appendix(done: Study, direct: DirectMachine, merged: np.ndarray) -> None:
-    figure, panels = plt.subplots(6, 3, figsize=(10.0, 11.0))
+    figure, panels = plt.subplots(6, 3, figsize=(9.4, 10.2))
     for column, axis in enumerate("XYZ"):
         for row, symbol in enumerate(error_motions(axis)):
             _panel(panels[row, column], symbol, done, direct, merged)
@@ -186,6 +186,7 @@ def _figure_9(done: Study, difference_um: np.ndarray) -> None:
     )
     space.set_title("difference, 1 µm drawn as 50 mm", fontsize=8)
     space.tick_params(labelsize=7)
+    figure.subplots_adjust(hspace=0.5)
     figures.save(figure, "2023-figure-9.png")
 
 
