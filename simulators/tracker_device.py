@@ -84,7 +84,10 @@ class _Stream:
 class TrackerDevice:
     """Answers commands and samples the truth. Samples are numbered since power-on."""
 
-    def __init__(self, parts: TrackerParts, faults: Schedule) -> None:
+    def __init__(
+        self, parts: TrackerParts, faults: Schedule, buffer_bytes: int = BUFFER_BYTES
+    ) -> None:
+        self._buffer_bytes = buffer_bytes
         self._parts = parts
         self._faults = faults
         self._frames = FrameReader()
@@ -130,7 +133,7 @@ class TrackerDevice:
             event = Event(EventCode.STREAM_STOPPED_NO_PING, self._device_us(true_s))
             return encode_message(event)
         self._high_water = max(self._high_water, waiting_bytes)
-        full = waiting_bytes > BUFFER_BYTES
+        full = waiting_bytes > self._buffer_bytes
         frames = self._samples_due(self._stream, timeline, true_s, full=full)
         return frames + (b"" if full else self._status_due(true_s, wall_s))
 

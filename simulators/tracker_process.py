@@ -14,7 +14,7 @@ from simulators.faults import Schedule, parse_fault
 from simulators.links import Port, PtyPort, TcpPort
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
-from simulators.tracker_device import TrackerDevice, TrackerParts
+from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
 from simulators.tracker_head import Air
 from simulators.truth_machine import random_machine
 
@@ -99,7 +99,9 @@ def _device(orders: dict[str, Any], faults: Schedule) -> TrackerDevice:
         Air(),
         seed,
     )
-    return TrackerDevice(parts, faults)
+    # Patience of a link stays in wall seconds: a faster clock fills a larger buffer.
+    buffer_bytes = int(BUFFER_BYTES * max(orders["speed"], 1.0))
+    return TrackerDevice(parts, faults, buffer_bytes)
 
 
 if __name__ == "__main__":
