@@ -1,7 +1,8 @@
 """Constructs the service and runs it; nothing else constructs anything.
 
 Processes: this one (HTTP, jobs, catalogue), the cell process (devices, recording), one
-process a lane of the executor (science); with `simulated`, the bench's devices.
+process a lane of the executor (science), one that estimates during a measurement; with
+`simulated`, the bench's devices.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import InUse
 from app.jobs.executor import ProcessLanes, limit_threads
 from app.jobs.feed import Feed
+from app.jobs.live_estimation import LiveEstimation
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded, prepare
 from app.jobs.store import Store
@@ -134,6 +136,7 @@ def _workshop(
         science=analyse_recorded,
         machine=machine,
         cell=cell,
+        live=LiveEstimation,
     )
     return shop, feed
 

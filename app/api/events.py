@@ -2,7 +2,7 @@
 
 `job` events have identifiers of the catalogue; a client that comes back with
 Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
-events (`progress`, `live`, `tick`) are for now only: the newest count.
+events (`progress`, `live`, `estimate`, `tick`) are for now only: the newest count.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ _EXAMPLE = (
 )
 _STREAM: dict[int | str, dict[str, Any]] = {
     200: {
-        "description": "Events `job` (kept, with id), `progress`, `live`, `tick`.",
+        "description": "Events `job` (kept, with id), and for now only: `progress`, "
+        "`live`, `estimate`, `tick`.",
         "content": {"text/event-stream": {"example": _EXAMPLE}},
     },
     **answers(404, 429),
@@ -65,7 +66,7 @@ class Subscription:
         with self._lock:
             if notice.id is not None:
                 self._news = True
-            elif notice.type in ("progress", "live"):
+            elif notice.type in ("progress", "live", "estimate"):
                 self._waiting.append(notice)
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)

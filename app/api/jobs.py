@@ -165,6 +165,21 @@ def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
     return PlanOut(**plan)
 
 
+@results.get("/{job_id}/estimate", operation_id="get_estimate", responses=answers(404))
+def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
+    """Return the latest estimate of a measurement under way, or of one just ended.
+
+    Values in µm and µrad with standard uncertainties; `volumetric_uncertainty_um` is
+    the root mean square, over the axis travel, of the standard uncertainty of the
+    volumetric error. What counts in the end is `/result`.
+    """
+    job = service.store.get(job_id)
+    estimate = service.feed.estimate(job.id)
+    if estimate is None:
+        raise NotFound(f"job {job_id} ({job.state}) has no live estimate yet")
+    return {"job_id": job.id, **estimate}
+
+
 @results.get(
     "/{job_id}/result",
     operation_id="get_result",

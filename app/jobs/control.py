@@ -226,6 +226,10 @@ class Control:
         """Show where tracker and axes are, for the eye only."""
         self._feed.tell(Notice("live", self.job_id, live))
 
+    def show_estimate(self, estimate: Json) -> None:
+        """Show the estimate so far."""
+        self._feed.tell(Notice("estimate", self.job_id, estimate))
+
     def _noted(self, job: Job) -> Job:
         with self._changed:
             if job.state is not self._state:

@@ -18,6 +18,7 @@ from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.control import Control
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
 from app.jobs.job import Failure, Health, Progress, Stage
+from app.jobs.live_estimation import LiveEstimation
 from app.jobs.transitions import State
 from app.measurement.cell import CellEvent, Order
 
@@ -55,8 +56,9 @@ class Measuring:
         *,
         confirm_s: Mapping[State, float] = CONFIRM_S,
         clock: Callable[[], float] = time.monotonic,
+        live: LiveEstimation | None = None,
     ) -> None:
-        self._control, self._cell = control, cell
+        self._control, self._cell, self._live = control, cell, live
         self._confirm_s, self._clock = confirm_s, clock
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
         self._fault: Mapping[str, Any] = {}
@@ -123,6 +125,8 @@ class Measuring:
             )
         elif event.kind == "live":
             self._control.show(body)
+        elif event.kind == "block" and self._live is not None:
+            self._live.offer(body["samples"])
         elif event.kind == "fault":
             self._take_fault(body)
         elif event.kind == "state":

@@ -7,7 +7,7 @@ its `Control` it ends early.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,8 +27,9 @@ from app.jobs.errors import (
 )
 from app.jobs.executor import Executor, Task
 from app.jobs.job import Failure, Job, Progress, Stage
+from app.jobs.live_estimation import LiveEstimation, LiveOrder, Show
 from app.jobs.measuring import CONFIRM_S, Measuring
-from app.jobs.plans import commanded_from_plan
+from app.jobs.plans import Commanded, commanded_from_plan
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb
@@ -49,6 +50,7 @@ class Workshop:
     machine, cell : None where the service drives no machine
     science : task `(run_file, folder, perpendicular_only, *, progress)`
     results : folder of results, one folder a job
+    live : makes what estimates while the machine moves; None for no such thing
     """
 
     store: Store
@@ -59,6 +61,7 @@ class Workshop:
     machine: Machine | None = None
     cell: CellSupervisor | None = None
     confirm_s: Mapping[State, float] | None = None
+    live: Callable[[LiveOrder, Show], LiveEstimation] | None = None
 
 
 def carry_out(job: Job, control: Control, shop: Workshop) -> None:
@@ -87,18 +90,42 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
     control.enter(State.READY, Stage.MEASURING)
     control.wait_until_armed()
 
+    live = _live_estimation(job, control, shop, commanded)
     order = Order(
         run_name=f"{shop.machine.name} {job.created}",
         run_file=str(shop.runs.measured_file(job.id)),
         machine=shop.machine,
         commanded=commanded,
         rate_hz=shop.machine.tracker.rate_hz,
+        live=live is not None,
     )
     try:
-        Measuring(control, shop.cell, confirm_s=shop.confirm_s or CONFIRM_S).run(order)
+        Measuring(
+            control, shop.cell, confirm_s=shop.confirm_s or CONFIRM_S, live=live
+        ).run(order)
+        if live is not None:
+            live.finish()
     finally:
+        if live is not None:
+            live.close()
         _keep_run(job.id, control, shop)
     return job.id
+
+
+def _live_estimation(
+    job: Job, control: Control, shop: Workshop, commanded: Commanded
+) -> LiveEstimation | None:
+    """Start the live estimate. The measurement goes on without it if need be."""
+    if shop.live is None or shop.machine is None:
+        return None
+    order = LiveOrder(shop.machine, commanded, job.perpendicular_only)
+    live = shop.live(order, control.show_estimate)
+    try:
+        live.start()
+    except OSError:
+        log.exception("no live estimate")
+        return None
+    return live
 
 
 def analyse(job: Job, run_id: str, control: Control, shop: Workshop) -> None:

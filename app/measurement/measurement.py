@@ -20,7 +20,7 @@ from app.measurement.live_view import LiveView
 from app.measurement.on_the_fly import stream_path
 from app.measurement.orders import CellState, Order, Report
 from app.measurement.progress import schedule_of
-from app.measurement.recorder import ClosedRun, Recorder
+from app.measurement.recorder import ClosedRun, Committed, Recorder
 from app.measurement.run_file import RunHeader
 from app.measurement.session import Session
 from app.measurement.step_through import step_through
@@ -28,7 +28,7 @@ from app.planning.configurations import Configurations
 from app.planning.paths import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import Identity, MotionState, Path
+from drivers.interfaces.records import Identity, MotionState, Path, TrackerSamples
 from drivers.interfaces.tracker import Tracker
 
 log = logging.getLogger(__name__)
@@ -137,7 +137,7 @@ class Measurement:
         self._recorder = Recorder(
             FilePath(order.run_file),
             header,
-            committed=view.show,
+            committed=self._shown_by(view),
             reserve_bytes=order.reserve_bytes,
         )
         self._session = Session(
@@ -155,6 +155,16 @@ class Measurement:
             stream_path(self._session, commanded, rate_hz=rate_hz, feed=feed)
         else:
             step_through(self._session, commanded, rate_hz=rate_hz, feed=feed)
+
+    def _shown_by(self, view: LiveView) -> Committed:
+        """Return what is told committed blocks: the eye, and the live estimate."""
+
+        def show(samples: TrackerSamples) -> None:
+            view.show(samples)
+            if self._order.live:
+                self._report("block", {"samples": samples})
+
+        return show
 
     def _hold_if_ours(self) -> None:
         if self._session is not None:

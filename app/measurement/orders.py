@@ -45,6 +45,7 @@ class Order:
     commanded : a path is streamed on the fly, points are stepped through
     feed_mm_min : feed of the approach and between standstill points
     reserve_bytes : space that must stay free on the disk
+    live : report committed blocks as events `block`, for an estimate on the way
     """
 
     run_name: str
@@ -54,6 +55,7 @@ class Order:
     rate_hz: float = 500.0
     feed_mm_min: float = 6000.0
     reserve_bytes: int = 500 << 20
+    live: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,14 @@ from app.measurement.orders import CellEvent
 
 _LATEST_ONLY = frozenset({"live", "progress"})
 MAX_WAITING = 1000
+MAX_BLOCKS = 100
 
 
 class Outbox:
     """A thread that sends, so that nobody else ever waits for the parent.
 
-    Of `live` and `progress` only the latest waits while the parent is slow; every other
-    event is kept, in order.
+    Of `live` and `progress` only the latest waits while the parent is slow, of `block`
+    about ten seconds; every other event is kept, in order.
     """
 
     def __init__(self, link: Connection) -> None:
@@ -26,6 +27,7 @@ class Outbox:
         self._waiting: deque[CellEvent] = deque(maxlen=MAX_WAITING)
         self._changed = threading.Condition()
         self._closing = False
+        self.dropped_blocks = 0
         self._thread = threading.Thread(target=self._send, name="outbox", daemon=True)
         self._thread.start()
 
@@ -33,6 +35,9 @@ class Outbox:
         """Send an event as soon as the parent takes it. Any thread; never waits."""
         event = CellEvent(kind, body, time.monotonic_ns())
         with self._changed:
+            if kind == "block" and self._blocks_waiting() >= MAX_BLOCKS:
+                self.dropped_blocks += 1
+                return
             if kind in _LATEST_ONLY:
                 self._waiting = deque(
                     (e for e in self._waiting if e.kind != kind), maxlen=MAX_WAITING
@@ -46,6 +51,9 @@ class Outbox:
             self._closing = True
             self._changed.notify()
         self._thread.join(timeout_s)
+
+    def _blocks_waiting(self) -> int:
+        return sum(event.kind == "block" for event in self._waiting)
 
     def _send(self) -> None:
         """Body of the thread. Ends with the parent, too."""

@@ -1,0 +1,142 @@
+"""Tables while the machine moves: published in time, never in anybody's way."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from app.jobs.dispatcher import Wish
+from app.jobs.feed import ESTIMATES, Feed, Notice
+from app.jobs.job import Kind
+from app.jobs.live_estimation import WAITING_BLOCKS, LiveEstimation, LiveOrder
+from app.main import open_service
+from app.settings import load_settings
+from drivers.interfaces.records import TrackerSamples
+
+SPEED = 8.0
+
+
+def blocks_of(run, size=200):
+    tracker = run.tracker
+    for begin in range(0, len(tracker), size):
+        rows = slice(begin, begin + size)
+        yield TrackerSamples(
+            tracker.sequence[rows],
+            tracker.device_time_s[rows],
+            tracker.position_mm[rows],
+            tracker.status[rows],
+        )
+
+
+def wait_until(reached, timeout_s=60.0):
+    end = time.monotonic() + timeout_s
+    while not reached():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def followed():
+    """Make a live estimation; every one is closed at the end."""
+    made = []
+
+    def make(run, show):
+        live = LiveEstimation(LiveOrder(run.machine, run.commanded), show)
+        made.append(live)
+        return live
+
+    yield make
+    for live in made:
+        live.close()
+        live.close()
+
+
+def test_a_stream_becomes_tables_and_ends_with_the_last(record, followed):
+    run, _ = record(31, rows=32)
+    shown = []
+    live = followed(run, shown.append)
+    live.start()
+    for block in blocks_of(run):
+        wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
+        live.offer(block)
+    live.finish()
+    last = shown[-1]
+    assert last["is_last"]
+    assert last["done"] == last["total"] == len(run.commanded) - 1
+    assert live.dropped_blocks == last["dropped_blocks"] == 0
+    assert last["volumetric_uncertainty_um"] == live.volumetric_uncertainty_um < 3.0
+    table = last["error_tables"]["EXX"]
+    assert set(table) == {"position_mm", "value_um", "uncertainty_um"}
+    assert len({len(column) for column in table.values()}) == 1
+    assert set(last["squareness_urad"]) == {"C0Y", "B0Z", "A0Z"}
+
+
+def test_what_has_no_room_is_dropped_and_counted_at_once(record, followed):
+    run, _ = record(31, rows=32)
+    live = followed(run, print)
+    block = next(blocks_of(run))
+    begun = time.monotonic()
+    for _ in range(WAITING_BLOCKS + 7):
+        live.offer(block)
+    assert live.dropped_blocks == 7
+    assert time.monotonic() - begun < 1.0
+
+
+def test_a_stream_that_is_no_measurement_ends_without_a_word(record, followed):
+    run, _ = record(31, rows=32)
+    shown = []
+    live = followed(run, shown.append)
+    live.start()
+    live.offer(TrackerSamples.empty())
+    live.finish()
+    assert shown == []
+
+
+def test_the_latest_estimates_of_a_few_jobs_are_remembered():
+    feed = Feed()
+    for number in range(ESTIMATES + 1):
+        feed.tell(Notice("estimate", str(number), {"done": number}))
+    assert feed.estimate("0") is None
+    assert feed.estimate("1") == {"done": 1}
+
+
+@pytest.mark.timeout(120)
+def test_tables_tighten_live_and_end_at_the_result(tmp_path):
+    """The whole service on simulated devices, faster than real."""
+    settings = load_settings(
+        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
+    )
+    heard = []
+    with open_service(settings) as service:
+        service.feed.listen(
+            lambda n: (
+                heard.append((time.monotonic(), n.body))
+                if n.type == "estimate"
+                else None
+            )
+        )
+        wait_until(lambda: service.cell.status.state == "disconnected")
+        job, _ = service.dispatcher.create(Wish(Kind.MEASURE_OTF, feed_mm_min=8000.0))
+        wait_until(lambda: service.store.get(job.id).state == "ready")
+        service.dispatcher.arm(job.id, service.store.get(job.id).version)
+        wait_until(lambda: service.store.get(job.id).is_final, 100.0)
+        assert service.store.get(job.id).state == "succeeded"
+        last = service.feed.estimate(job.id)
+        file = service.results / job.id / "result.json"
+        result = json.loads(file.read_text(encoding="utf-8"))
+    sigma = [body["volumetric_uncertainty_um"] for _, body in heard]
+    assert sigma[0] > 2 * sigma[-1]
+    gaps = np.diff([moment for moment, body in heard if not body["is_last"]])
+    assert np.median(gaps) <= 0.5
+    assert last["is_last"]
+    off = []
+    for symbol, table in last["error_tables"].items():
+        final = result["error_tables"][symbol]
+        value = next(key for key in final if key.startswith("value"))
+        u = np.array(final[value.replace("value", "uncertainty")])
+        away = np.array(table[value]) - np.array(final[value])
+        off.append(away / np.maximum(u, 0.05))
+    assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 0.5
