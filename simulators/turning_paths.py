@@ -15,6 +15,7 @@ from simulators.timeline import Program
 
 MARGIN_DEG = 1.0
 _FASTEST_DEG_S = 40.0
+_LEAST_TURN_DEG = 10.0
 
 
 def turning_path(
@@ -54,8 +55,14 @@ def turning_points(
     """Stand at random positions, the targets one after another."""
     rng = generator(seed, "path: points with rotary axes")
     names = _measured(machine)
-    places = np.round([_anywhere(rng, machine) for _ in range(points)], 4)
     target = [names[k * len(names) // points] for k in range(points)]
+    drawn = [_anywhere(rng, machine)]
+    while len(drawn) < points:
+        place = _anywhere(rng, machine)
+        # A target on the table moves with its axes alone: they have to turn.
+        if np.abs(place - drawn[-1])[3:].min() > _LEAST_TURN_DEG:
+            drawn.append(place)
+    places = np.round(drawn, 4)
     feed = _feed_s(places, feed_mm_min / 60.0)
     return Program(places, feed, np.full(points, dwell_s), _named(target))
 

@@ -12,11 +12,11 @@ from app.alignment.stops import find_stops
 from app.alignment.stretches import (
     joined,
     moving_stretch,
-    offsets_mm,
+    nominal_places_mm,
     standing_stretches,
 )
 from app.errors import AlignmentError
-from app.kinematics.chain import nominal_point_mm
+from app.kinematics.machine import RotaryAxis
 from app.measurement.run import Run
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -37,8 +37,10 @@ def align(run: Run) -> Observations:
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    offsets = offsets_mm(run.machine, run.commanded.target, len(run.commanded))
-    nominal_mm = nominal_point_mm(run.machine, run.commanded.position, offsets)
+    _require_straight_lines(run)
+    nominal_mm = nominal_places_mm(
+        run.machine, run.commanded.position, run.commanded.target
+    )
     stops = find_stops(time_s, tracker_mm, slowest_mm_s(run.commanded))
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
     matching = match_stops(stops, nominal_mm, ordered_by=commanded)
@@ -61,6 +63,21 @@ def align(run: Run) -> Observations:
         for p in passes
     )
     return joined(run, moving, matching.pose, in_run)
+
+
+def _require_straight_lines(run: Run) -> None:
+    """Refuse lines on which rotary axes turn: their places are not on a line."""
+    if run.mode == "standstill":
+        return
+    for column, axis in enumerate(run.machine.axes):
+        step = np.diff(run.commanded.position[:, column])
+        if isinstance(axis, RotaryAxis) and step.any():
+            row = int(np.flatnonzero(step)[0]) + 2
+            raise AlignmentError(
+                f"path.csv row {row + 1}: {axis.name} turns on the way; on the fly "
+                "only straight axes are measured: turn between standstill points, "
+                "in points.csv"
+            )
 
 
 def slowest_mm_s(commanded: Path | Configurations) -> float:

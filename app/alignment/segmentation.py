@@ -115,6 +115,8 @@ def _steady_part(
     stream: Stream, first: int, last: int, ends_mm: Float64[np.ndarray, "2 3"]
 ) -> tuple[int, int, float] | None:
     """Return first, last and speed of the part at constant feed, without ramps."""
+    if float(np.linalg.norm(ends_mm[1] - ends_mm[0])) < _ON_LINE_MM:
+        return None  # the target changed, the machine stood
     time, points = stream.time_s[first:last], stream.points_mm(first, last)
     on = _distance(points, ends_mm[0], ends_mm[1]) < _ON_LINE_MM
     if on.sum() < 20 or time[-1] - time[0] < _SHORTEST_S:

@@ -22,11 +22,10 @@ from app.alignment.stretches import (
     Stretch,
     joined,
     moving_stretch,
-    offsets_mm,
+    nominal_places_mm,
     standing_stretches,
 )
 from app.errors import AlignmentError
-from app.kinematics.chain import nominal_point_mm
 from app.kinematics.machine import Machine
 from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform, fit_rigid
@@ -47,8 +46,9 @@ class StreamingAlignment:
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        offsets = offsets_mm(machine, commanded.target, len(commanded))
-        self._nominal_mm = nominal_point_mm(machine, commanded.position, offsets)
+        self._nominal_mm = nominal_places_mm(
+            machine, commanded.position, commanded.target
+        )
         self._raw = TrackerSamples.empty()
         self._stream = StopStream(slowest_mm_s(commanded))
         self._known = 0  # standstills that have been looked at

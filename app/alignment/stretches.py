@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from app.alignment.observations import Observations, Pass
 from app.alignment.reduction import Cells, reduce_to_cells
@@ -14,13 +14,14 @@ from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops
 from app.errors import AlignmentError
-from app.kinematics.effects.base import Conditions
+from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.machine import Machine
 from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform
 
 _SETTLE_S = 0.05
 _FEWEST_SAMPLES = 10
+_CREEP_MM = 0.03  # several times what the air does in a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,23 @@ def offsets_mm(
     """Return the offset of the target measured at each commanded row."""
     names = targets or [""] * rows
     return np.array([machine.target(name).offset_mm for name in names], np.float64)
+
+
+def nominal_places_mm(
+    machine: Machine, position: Float64[np.ndarray, "n a"], targets: Sequence[str]
+) -> Float64[np.ndarray, "n 3"]:
+    """Return where the target of each row should be, where the tracker stands."""
+    at = standstill(machine, position, offsets_mm(machine, targets, len(position)))
+    aside = on_workpiece(machine, targets, len(position))
+    return at.seen_by(machine.tracker.stands_on, aside).point_mm
+
+
+def on_workpiece(
+    machine: Machine, targets: Sequence[str], rows: int
+) -> Bool[np.ndarray, " n"]:
+    """Tell whether the target measured at each row is on the workpiece."""
+    names = targets or [""] * rows
+    return np.array([machine.target(name).on == "workpiece" for name in names], bool)
 
 
 def moving_stretch(
@@ -84,7 +102,7 @@ def standing_stretches(
         time = stream.time_s[first:last]
         settled = (time > time[0] + _SETTLE_S) & (time < time[-1] - _SETTLE_S)
         inside = first + np.flatnonzero(settled)
-        if len(inside) < _FEWEST_SAMPLES:
+        if len(inside) < _FEWEST_SAMPLES or _creeps(stream.tracker_mm[inside]):
             continue
         cells = reduce_to_cells(
             stream.time_s[inside],
@@ -100,6 +118,16 @@ def standing_stretches(
             "the machine never stood still long enough; dwell at least 0.2 s at a point"
         )
     return found
+
+
+def _creeps(tracker_mm: Float64[np.ndarray, "n 3"]) -> bool:
+    """Tell whether a target moves that was too slow to be told from one at rest.
+
+    A target near a rotary axis, or on a table that hardly turns, does so on the way.
+    """
+    quarters = np.array_split(tracker_mm, 4)
+    means = np.array([quarter.mean(axis=0) for quarter in quarters])
+    return bool(np.linalg.norm(np.ptp(means, axis=0)) > _CREEP_MM)
 
 
 def joined(
@@ -122,6 +150,8 @@ def joined(
         np.concatenate([p.line_time_s for p in parts]),
         velocity,
         _approach(run.commanded.position)[row],
+        run.machine.tracker.stands_on,
+        on_workpiece(run.machine, names, len(row)),
     )
     count = np.concatenate([p.cells.count for p in parts])
     return Observations(

@@ -14,15 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from app.estimation.identifiable_chain import told_by
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tool_orientation import tool_orientation
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Axis, Machine, RotaryAxis
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, meaning
 
 KNOT_SPACING_MM = 22.0
+KNOT_SPACING_DEG = 15.0
+_SAME_TARGET_MM = 1e-6
 _PROBE = 400  # configurations that stand for the whole volume
 _NEW_SHAPE = 1e-6  # relative size of a new singular value
 
@@ -57,6 +60,8 @@ def identifiable_model(
     offsets_mm : the offsets of the measured targets
     intervals : the same number of knot intervals on every axis, instead of a spacing
     """
+    if not _is_plain(machine):
+        return _chain_model(machine, offsets_mm, knot_spacing_mm, intervals)
     symbols = [s for axis in machine.linear_axes for s in error_motions(axis.name)]
     # Displacements first: where a turn merges with one, the displacement is kept.
     symbols.sort(key=is_turn)
@@ -84,7 +89,44 @@ def identifiable_model(
     return MachineModel(machine, (*motions, *squareness, *tool)), tuple(merged)
 
 
-def _intervals(axis: LinearAxis, spacing_mm: float) -> int:
+def _is_plain(machine: Machine) -> bool:
+    """Tell whether straight axes move targets on a tool seen from the workpiece."""
+    on_tool = all(t.on == "tool" for t in machine.targets)
+    from_workpiece = machine.tracker.stands_on == "workpiece"
+    return on_tool and from_workpiece and not machine.rotary_axes
+
+
+def _chain_model(
+    machine: Machine,
+    offsets_mm: Float64[np.ndarray, "t 3"],
+    knot_spacing_mm: float,
+    intervals: int | None,
+) -> tuple[MachineModel, tuple[Merged, ...]]:
+    measured = np.unique(offsets_mm, axis=0)
+    targets = [t for t in machine.targets if _is_among(t.offset_mm, measured)]
+    told = told_by(machine, targets)
+    axes = {axis.name: axis for axis in machine.axes}
+    motions = [
+        error_motion(
+            s, axes[s[2]], intervals or _intervals(axes[s[2]], knot_spacing_mm)
+        )
+        for s in told.motions
+    ]
+    merged = tuple(Merged(symbol, mates) for symbol, mates in told.merged)
+    return MachineModel(machine, (*motions, *told.others)), merged
+
+
+def _is_among(
+    offset_mm: tuple[float, float, float], measured: Float64[np.ndarray, "t 3"]
+) -> bool:
+    away = np.abs(measured - np.array(offset_mm)).max(axis=1)
+    return bool(away.min() < _SAME_TARGET_MM)
+
+
+def _intervals(axis: Axis, spacing_mm: float) -> int:
+    if isinstance(axis, RotaryAxis):
+        spacing = KNOT_SPACING_DEG * spacing_mm / KNOT_SPACING_MM
+        return max(6, round(min(axis.high - axis.low, 360.0) / spacing))
     return max(3, round((axis.max_mm - axis.min_mm) / spacing_mm))
 
 

@@ -11,8 +11,9 @@ from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information, without_rest
 from app.estimation.noise import NoiseModel
 from app.estimation.problem import pose_problem
+from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_straightness
 from app.numerics.rigid import RigidTransform
 
 _INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bridges
@@ -34,7 +35,7 @@ def observability(
     statements = [str(m) for m in merged]
     statements += _blind_shapes(model, vector[:, blind] * scale[:, None])
     return Observability(
-        model.size + sum(_shapes(m.symbol) for m in merged),
+        model.size + sum(_shapes(m.symbol, model.machine) for m in merged),
         int(model.size - blind.sum()),
         tuple(statements),
     )
@@ -58,6 +59,9 @@ def _blind_shapes(model: MachineModel, shapes: Float64[np.ndarray, "p b"]) -> li
     ]
 
 
-def _shapes(symbol: str) -> int:
-    """Count the shapes that the gauge leaves to an error motion."""
-    return _INTERVALS + 1 - (2 if is_straightness(symbol) else 1)
+def _shapes(symbol: str, machine: Machine) -> int:
+    """Count the shapes that the gauge leaves to an error motion, or one of an angle."""
+    if not symbol.startswith("E"):
+        return 1
+    axis = machine.axes[machine.axis_names.index(symbol[2])]
+    return len(error_motion(symbol, axis, _INTERVALS).parameters)

@@ -11,12 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.stats import qmc
 
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import cross_matrix
 
+_SOBOL = 11  # 2^11 points where there are rotary axes
 _NODES = 12  # Gauss–Legendre nodes an axis: exact for the shapes splines take
 
 
@@ -80,6 +82,8 @@ def volumetric_gram(
 def _quadrature(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
+    if machine.rotary_axes:
+        return _evenly_spread(machine, target)
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     axes = machine.linear_axes
     grid = np.meshgrid(*[node] * len(axes), indexing="ij")
@@ -91,6 +95,18 @@ def _quadrature(
     total = np.prod([w.ravel() for w in weights], axis=0)
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
     return standstill(machine, position, offset), total / total.sum()
+
+
+def _evenly_spread(
+    machine: Machine, target: str
+) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
+    """Return points of a Sobol sequence: a grid of five axes would have too many."""
+    unit = qmc.Sobol(len(machine.axes), seed=0).random_base2(_SOBOL)
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
+    at = standstill(machine, low + unit * (high - low), offset)
+    return at, np.full(len(unit), 1.0 / len(unit))
 
 
 def _rigid_columns(

@@ -1,0 +1,172 @@
+"""What the targets of a machine with rotary axes can tell, decided from geometry alone.
+
+The same question as for straight axes, asked of any chain, of targets on tool and
+workpiece and of a tracker on either. A motion merges if at every position of its axis
+its arm is a combination of the arms of motions that are kept. Squarenesses, locations
+of rotary axes and how the targets sit enter one by one where they add a shape that pose
+and motions do not make yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.axis_location import axis_locations
+from app.kinematics.effects.base import Conditions, Effect, standstill
+from app.kinematics.effects.error_motion import arm_of, error_motion
+from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.effects.tool_orientation import tool_orientation
+from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.workpiece_placement import workpiece_placement
+from app.kinematics.machine import Machine, Target
+from app.kinematics.symbols import error_motions, is_turn
+
+_PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
+_PROBE = 700  # configurations that stand for the whole volume
+_INTERVALS = 8  # shapes of motions against which single numbers are held
+_SAME_ARM = 1e-6
+_NEW_SHAPE = 0.02  # splines make a sine to a hundredth
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What can be told.
+
+    motions : symbols; others : squarenesses, locations, placements
+    merged : symbol, and what it merges into; nothing where it does not show at all
+    """
+
+    motions: tuple[str, ...]
+    others: tuple[Effect, ...]
+    merged: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def told_by(machine: Machine, targets: Sequence[Target]) -> Told:
+    """Return what these targets tell from where the tracker stands."""
+    symbols = [s for axis in machine.axes for s in error_motions(axis.name)]
+    kept: list[str] = []
+    merged: list[tuple[str, tuple[str, ...]]] = []
+    # Displacements first: where a turn merges with one, the displacement is kept.
+    for symbol in sorted(symbols, key=is_turn):
+        partners = _absorbed_by(symbol, kept, machine, targets)
+        if partners is None:
+            kept.append(symbol)
+        else:
+            merged.append((symbol, partners))
+    others, left_out = _single_numbers(machine, targets, kept)
+    motions = tuple(s for s in symbols if s in kept)
+    return Told(motions, tuple(others), (*merged, *left_out))
+
+
+def _absorbed_by(
+    symbol: str, kept: list[str], machine: Machine, targets: Sequence[Target]
+) -> tuple[str, ...] | None:
+    mates = [k for k in kept if k[2] == symbol[2]]
+    share, seen, left = np.zeros(len(mates)), 0.0, 0.0
+    for place in range(_PLACES):
+        at = _probe(machine, targets, _AROUND, place, symbol[2])
+        own = _scaled_arm(symbol, at)
+        others = np.stack([_scaled_arm(m, at) for m in mates] or [0.0 * own], axis=1)
+        solution, *_ = np.linalg.lstsq(others, own, rcond=1e-10)
+        seen = max(seen, float(np.abs(own).max()))
+        left = max(left, float(np.abs(own - others @ solution).max()))
+        if mates:
+            share = np.maximum(share, np.abs(solution))
+    if seen < _SAME_ARM:
+        return ()
+    if left > _SAME_ARM * seen:
+        return None
+    pairs = zip(mates, share.tolist(), strict=True)
+    return tuple(m for m, s in pairs if s > 1e-3 * share.max())
+
+
+def _scaled_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, " m"]:
+    arm = arm_of(symbol, at).ravel()
+    return arm / 100.0 if is_turn(symbol) else arm
+
+
+def _probe(
+    machine: Machine, targets: Sequence[Target], count: int, seed: int, fixed: str = ""
+) -> Conditions:
+    """Draw configurations at which each target is seen; one axis may stand still."""
+    rng = np.random.default_rng(seed)
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    position = rng.uniform(low, high, (count * len(targets), len(low)))
+    if fixed:
+        column = machine.axis_names.index(fixed)
+        position[:, column] = position[0, column]
+    offset = np.tile([t.offset_mm for t in targets], (count, 1)).astype(np.float64)
+    on_workpiece = np.tile([t.on == "workpiece" for t in targets], count)
+    at = standstill(machine, position, offset)
+    return at.seen_by(machine.tracker.stands_on, on_workpiece)
+
+
+def _single_numbers(
+    machine: Machine, targets: Sequence[Target], kept: list[str]
+) -> tuple[list[Effect], list[tuple[str, tuple[str, ...]]]]:
+    at = _probe(machine, targets, _PROBE, 0)
+    axes = {axis.name: axis for axis in machine.axes}
+    x, y, z = (float(v) for v in at.point_mm.mean(axis=0))
+    known: list[Effect] = [TrackerPose((x, y, z))]
+    known += [error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
+    basis, _ = np.linalg.qr(np.hstack([_columns(e, at) for e in known]))
+    taken: list[Effect] = []
+    merged: list[tuple[str, tuple[str, ...]]] = []
+    for effect in _candidates(machine, targets):
+        own = _columns(effect, at)
+        size = float(np.linalg.norm(own))
+        new = own - basis @ (basis.T @ own)
+        new = new - basis @ (basis.T @ new)
+        if size > 0.0 and np.linalg.norm(new) > _NEW_SHAPE * size:
+            added, _ = np.linalg.qr(new)
+            basis = np.hstack([basis, added])
+            taken.append(effect)
+        elif not effect.parameters[0].nuisance:
+            mates = _nearest(own, [*known[1:], *taken], at) if size > 0.0 else ()
+            merged.append((effect.name, mates))
+    return taken, merged
+
+
+def _candidates(machine: Machine, targets: Sequence[Target]) -> list[Effect]:
+    """Return single numbers; how the targets sit before what could be mistaken."""
+
+    def offsets(side: str) -> Float64[np.ndarray, "t 3"]:
+        rows = [t.offset_mm for t in targets if t.on == side]
+        return np.array(rows, np.float64).reshape(-1, 3)
+
+    found: list[Effect] = [*squareness_between(machine.axis_names)]
+    tool, part = offsets("tool"), offsets("workpiece")
+    if len(part) and machine.tracker.stands_on == "base":
+        found += workpiece_placement(part)
+    if len(tool):
+        found += tool_orientation(tool)
+    for axis in machine.rotary_axes:
+        found += axis_locations(axis)
+    return found
+
+
+def _columns(effect: Effect, at: Conditions) -> Float64[np.ndarray, "m p"]:
+    J = effect.jacobian(at)
+    return J.reshape(-1, J.shape[2])
+
+
+def _nearest(
+    own: Float64[np.ndarray, "m 1"], known: list[Effect], at: Conditions
+) -> tuple[str, ...]:
+    """Return the effects that make most of a shape."""
+    blocks = [_columns(e, at) for e in known]
+    scale = [1.0 / max(float(np.linalg.norm(b)), 1e-12) for b in blocks]
+    stacked = np.hstack([b * s for b, s in zip(blocks, scale, strict=True)])
+    solution, *_ = np.linalg.lstsq(stacked, own, rcond=1e-6)
+    ends = np.cumsum([b.shape[1] for b in blocks])
+    part = [float(np.linalg.norm(p)) for p in np.split(solution, ends[:-1])]
+    return tuple(
+        e.name
+        for e, p in zip(known, part, strict=True)
+        if p > 0.2 * max(part) and not e.parameters[0].nuisance
+    )

@@ -1,0 +1,146 @@
+"""Machines with rotary axes, measured at standstills, against exact truth."""
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.errors import AlignmentError
+from app.estimation.batch import estimate
+from app.estimation.identifiable import identifiable_model
+from app.estimation.volumetric_map import volumetric_map
+from app.kinematics.effects.base import standstill
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.measurement.machine_file import machine_from_json
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+from simulators import synthetic, turning_paths
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+
+
+def measured(name, seed, points=200):
+    content = load_machine(name)
+    program = turning_paths.turning_points(
+        parse_machine(content), seed, points, dwell_s=0.5
+    )
+    made = synthetic.record(content, program, seed, "standstill")
+    machine = machine_from_json(content)
+    samples = TrackerSamples(
+        np.arange(len(made)), made.time_s, made.position_mm, made.status
+    )
+    commanded = Configurations(
+        machine.axis_names, program.position, program.dwell_s, program.target
+    )
+    return Run(name, machine, commanded, samples), made.truth
+
+
+def deviations(result, truth):
+    """Estimate minus truth, in standard uncertainties, over tables and numbers."""
+    known = {**truth.squareness_rad, **truth.locations()}
+    motions = truth.error_motions()
+    found = []
+    for effect in result.model.effects:
+        part = result.model.slices[effect.name]
+        theta, covariance = result.theta[part], result.covariance[part, part]
+        if isinstance(effect, ErrorMotion):
+            s = np.linspace(effect.axis.low, effect.axis.high, 7)
+            rows, true = effect.rows(s), motions[effect.symbol].at(s)
+        elif effect.name in known:
+            rows, true = np.eye(1), np.array([known[effect.name]])
+        else:
+            continue
+        sigma = np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows))
+        told = sigma > 1e-8  # not where the gauge makes both nothing
+        found.append(((rows @ theta - true) / np.maximum(sigma, 1e-12))[told])
+    return np.concatenate(found)
+
+
+def share_left(result, truth, rigid_free):
+    machine = truth.machine
+    q = np.random.default_rng(1).uniform(machine.low, machine.high, (200, 5))
+    at, maps = standstill(result.model.machine, q), volumetric_map(result.model)
+    before = rigid_free(at.point_mm, truth.deviation_mm(q, "T1"))
+    left = before - rigid_free(at.point_mm, maps.error_mm(at, result.theta))
+    inside = np.abs(left) < 2 * maps.sigma_mm(at, result.covariance)
+    return np.abs(left).mean() / np.abs(before).mean(), inside.mean()
+
+
+@pytest.mark.parametrize("name", ["head-table", "trunnion"])
+def test_a_five_axis_machine_is_found_within_its_uncertainty(name, rigid_free):
+    run, truth = measured(name, 3)
+    result = estimate(align(run))
+    assert result.observability.rank == result.observability.parameters
+    assert not result.observability.unobservable
+    names = {e.name for e in result.model.effects}
+    assert set(truth.locations()) | set(truth.error_motions()) <= names
+    share, inside = share_left(result, truth, rigid_free)
+    assert share < 0.05
+    assert inside > 0.85
+    z = deviations(result, truth)
+    assert (np.abs(z) < 2.0).mean() > 0.85
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_ten_random_machines_are_recovered_within_their_uncertainties():
+    inside = []
+    for seed in range(10):
+        run, truth = measured(("head-table", "trunnion")[seed % 2], 50 + seed)
+        z = deviations(estimate(align(run)), truth)
+        inside.append((np.abs(z) < 2.0).mean())
+    assert 0.88 < np.mean(inside) <= 1.0
+
+
+def content(name, stands_on, targets):
+    made = load_machine(name)
+    made["tracker"]["stands_on"] = stands_on
+    made["targets"] = {k: v for k, v in made["targets"].items() if k in targets}
+    return made
+
+
+def told(name, stands_on, targets):
+    machine = machine_from_json(content(name, stands_on, targets))
+    offsets = np.array([t.offset_mm for t in machine.targets])
+    model, merged = identifiable_model(machine, offsets, intervals=5)
+    return {e.name for e in model.effects}, {m.symbol: str(m) for m in merged}
+
+
+def test_a_single_target_in_a_head_cannot_tell_its_turns_from_its_shifts():
+    names, said = told("head-table", "workpiece", ["T1"])
+    # Turns and tilts of the last axis move one point as shifts of it do.
+    assert {"EAB", "EBB", "ECB", "AOB", "COB"} <= set(said)
+    assert {"EXB", "EYB", "EZB", "XOB", "ZOB"} <= names
+    assert "EYB" in said["AOB"]
+    # The table at the other end shows all it has: the tool goes everywhere over it.
+    assert {"XOC", "YOC", "AOC", "BOC", "EXC", "EYC", "EZC", "ECC"} <= names
+
+
+def test_from_the_base_a_tool_alone_says_nothing_of_the_table():
+    names, said = told("head-table", "base", ["T1", "T2", "T3"])
+    table = {*(f"E{d}C" for d in "XYZABC"), "XOC", "YOC", "AOC", "BOC"}
+    assert table <= set(said)
+    assert all("does not move the target" in said[s] for s in table)
+    assert {"XOB", "ZOB", "AOB", "COB"} <= names
+
+
+def test_targets_on_the_table_alone_do_not_say_where_its_axis_is():
+    names, said = told("head-table", "base", ["W1", "W2", "W3"])
+    # Motions show; the location has nothing to refer to but the pose of the tracker.
+    assert {f"E{d}C" for d in "XYZABC"} <= names
+    assert {"XOC", "YOC", "AOC", "BOC"} <= set(said)
+
+
+def test_lines_on_which_an_axis_turns_are_refused_with_the_remedy():
+    run, _ = measured("head-table", 3, points=30)
+    n = len(run.commanded)
+    path = Path(
+        run.commanded.axes,
+        run.commanded.position,
+        np.full(n, 3000.0),
+        run.commanded.dwell_s,
+        run.commanded.target,
+    )
+    turning = Run(run.name, run.machine, path, run.tracker)
+    with pytest.raises(AlignmentError, match=r"path\.csv row 3: B turns"):
+        align(turning)
