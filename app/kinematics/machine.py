@@ -56,6 +56,11 @@ class RotaryAxis:
 Axis = LinearAxis | RotaryAxis
 
 
+def position_unit(axis: Axis) -> str:
+    """Return the unit of an axis' positions."""
+    return "deg" if isinstance(axis, RotaryAxis) else "mm"
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A reflector and the side that carries it: `tool` or `workpiece`."""

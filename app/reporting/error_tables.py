@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from app.kinematics.effects.axis_location import AxisLocation
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.effects.squareness import Squareness
-from app.kinematics.machine import LinearAxis, Target
+from app.kinematics.machine import Axis, RotaryAxis, Target
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn
+from app.kinematics.symbols import is_turn, unit
 
 STEP_MM = 25.0
+STEP_DEG = 10.0
 _FEWEST = 5
 MICRO = 1e6  # rad to µrad
 MILLI = 1e3  # mm to µm
@@ -24,6 +26,7 @@ class ErrorTable:
     """One error motion at positions of its axis.
 
     unit : "um" or "urad", of `value` and `uncertainty`
+    position_mm : of the axis; in deg where `position_unit` says so
     uncertainty : standard uncertainty (k = 1) in the gauge of the table
     """
 
@@ -32,6 +35,20 @@ class ErrorTable:
     position_mm: Float64[np.ndarray, " n"]
     value: Float64[np.ndarray, " n"]
     uncertainty: Float64[np.ndarray, " n"]
+    position_unit: str = "mm"
+
+
+@dataclass(frozen=True, slots=True)
+class LocationError:
+    """A location error of a rotary axis, with its standard uncertainty (k = 1).
+
+    unit : "um" or "urad", of `value` and `uncertainty`
+    """
+
+    symbol: str
+    unit: str
+    value: float
+    uncertainty: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +72,7 @@ class ErrorTables:
     squareness: tuple[SquarenessError, ...]
     targets: tuple[Target, ...]
     any_tool: bool
+    locations: tuple[LocationError, ...] = ()
 
     def table(self, symbol: str) -> ErrorTable | None:
         """Return the table of an error motion, or None where it is not known."""
@@ -69,6 +87,7 @@ def error_tables(
     """Return the tables of an estimate's parameters."""
     tables: list[ErrorTable] = []
     squareness: list[SquarenessError] = []
+    locations: list[LocationError] = []
     for effect in model.effects:
         part = model.slices[effect.name]
         if isinstance(effect, ErrorMotion):
@@ -82,16 +101,30 @@ def error_tables(
             squareness.append(
                 SquarenessError(effect.symbol, MICRO * value, MICRO * sigma)
             )
-    complete = len(tables) == 6 * len(model.machine.linear_axes)
+        elif isinstance(effect, AxisLocation):
+            sigma = float(np.sqrt(covariance[part, part][0, 0]))
+            locations.append(_location(effect.symbol, float(theta[part][0]), sigma))
+    complete = len(tables) == 6 * len(model.machine.axes)
     return ErrorTables(
-        tuple(tables), tuple(squareness), model.machine.targets, complete
+        tuple(tables),
+        tuple(squareness),
+        model.machine.targets,
+        complete,
+        tuple(locations),
     )
 
 
-def table_positions_mm(axis: LinearAxis) -> Float64[np.ndarray, " n"]:
-    """Return equidistant positions about 25 mm apart, both ends included."""
-    intervals = round((axis.max_mm - axis.min_mm) / STEP_MM)
-    return np.linspace(axis.min_mm, axis.max_mm, max(intervals + 1, _FEWEST))
+def _location(symbol: str, value: float, sigma: float) -> LocationError:
+    stated = unit(symbol)
+    scale = MICRO if stated == "urad" else MILLI
+    return LocationError(symbol, stated, scale * value, scale * sigma)
+
+
+def table_positions_mm(axis: Axis) -> Float64[np.ndarray, " n"]:
+    """Return equidistant positions about 25 mm or 10 deg apart, both ends included."""
+    step = STEP_DEG if isinstance(axis, RotaryAxis) else STEP_MM
+    intervals = round((axis.high - axis.low) / step)
+    return np.linspace(axis.low, axis.high, max(intervals + 1, _FEWEST))
 
 
 def error_table(
@@ -112,4 +145,5 @@ def error_table(
         position_mm,
         scale * (rows @ theta),
         scale * sigma,
+        "deg" if isinstance(motion.axis, RotaryAxis) else "mm",
     )

@@ -12,9 +12,28 @@ HEADER = "error,position_mm,value,uncertainty,unit"
 def error_tables_csv(tables: ErrorTables) -> str:
     """Return the text of the file; uncertainties are standard ones (k = 1).
 
-    A squareness belongs to no position: its cell is empty.
+    A squareness belongs to no position: its cell is empty. A machine with rotary axes
+    has a further column, `position_deg`.
     """
-    return "".join(f"{line}\n" for line in _lines(tables))
+    turns = any(table.position_unit == "deg" for table in tables.tables)
+    lines = _lines(tables) if not turns else _turning_lines(tables)
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _turning_lines(tables: ErrorTables) -> Iterator[str]:
+    deg = {t.symbol for t in tables.tables if t.position_unit == "deg"}
+    for line in _lines(tables):
+        symbol, position, *rest = line.split(",")
+        if line == HEADER:
+            yield f"{line},position_deg"
+        elif symbol in deg:
+            yield ",".join([symbol, "", *rest, position])
+        else:
+            yield f"{line},"
+    for place in tables.locations:
+        yield (
+            f"{place.symbol},,{place.value:z.5f},{place.uncertainty:.5f},{place.unit},"
+        )
 
 
 def _lines(tables: ErrorTables) -> Iterator[str]:

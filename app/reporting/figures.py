@@ -16,11 +16,12 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from app.estimation.volumetric_map import volumetric_map
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import Axis, LinearAxis, position_unit
 from app.kinematics.symbols import error_motions, meaning
 from app.reporting.error_tables import MILLI, ErrorTable, error_table
 from app.reporting.findings import Findings
 from app.reporting.svg import Colour, axes_of, figure, inline_svg
+from app.reporting.volumetric_error import with_rotary_axes
 
 SIGN = {"um": "µm", "urad": "µrad"}
 _COVERAGE = 2.0  # k of expanded uncertainties
@@ -30,7 +31,7 @@ _DRAWN = 121  # positions of a curve
 _SIZES = LinearSegmentedColormap.from_list("sizes", ["#3d6fd6", "#b04fae", "#f0803c"])
 
 
-def axis_figure(found: Findings, axis: LinearAxis) -> str:
+def axis_figure(found: Findings, axis: Axis) -> str:
     """Draw the six error motions of an axis, each with its band of ±2u."""
     with figure(4.3) as drawn:
         panels = axes_of(drawn, 2, 3)
@@ -42,7 +43,7 @@ def axis_figure(found: Findings, axis: LinearAxis) -> str:
             else:
                 _motion(panel, table)
         for panel in panels[3:]:
-            panel.set_xlabel(f"{axis.name}, mm")
+            panel.set_xlabel(f"{axis.name}, {position_unit(axis)}")
         return inline_svg(drawn, f"Error motions of axis {axis.name} over its travel")
 
 
@@ -53,7 +54,7 @@ def _fine_table(found: Findings, symbol: str) -> ErrorTable | None:
     motion = next((e for e in estimate.model.effects if e.name == symbol), None)
     if part is None or not isinstance(motion, ErrorMotion):
         return None
-    at_mm = np.linspace(motion.axis.min_mm, motion.axis.max_mm, _DRAWN)
+    at_mm = np.linspace(motion.axis.low, motion.axis.high, _DRAWN)
     theta, covariance = estimate.theta[part], estimate.covariance[part, part]
     return error_table(motion, theta, covariance, at_mm)
 
@@ -110,7 +111,8 @@ def _volume(panel: Axes, found: Findings) -> None:
     nominal = np.array(list(_lattice(model.machine.linear_axes)))
     flat = nominal.reshape(-1, 3)
     error = MILLI * volumetric_map(model).error_mm(
-        standstill(model.machine, flat), found.estimate.theta
+        standstill(model.machine, with_rotary_axes(model.machine, flat)),
+        found.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)
     reach = float(np.ptp(flat, axis=0).max())

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.estimate import Estimate
-from app.kinematics.chain import nominal_point_mm
+from app.kinematics.effects.base import standstill
 from app.reporting.error_tables import MILLI, ErrorTables, error_tables
 from app.reporting.run_account import RunAccount
 from app.reporting.volumetric_error import VolumetricError, volumetric_error
@@ -97,7 +97,10 @@ def noise_found(estimate: Estimate) -> NoiseFound:
     machine, noise = estimate.model.machine, estimate.noise
     position_mm = estimate.residuals.position_mm
     offset_mm = np.tile(np.array(machine.target().offset_mm), (len(position_mm), 1))
-    seen_mm = estimate.pose.apply(nominal_point_mm(machine, position_mm, offset_mm))
+    at = standstill(machine, position_mm, offset_mm)
+    seen_from = machine.tracker.stands_on
+    at = at.seen_by(seen_from, np.zeros(len(position_mm), bool))
+    seen_mm = estimate.pose.apply(at.point_mm)
     distance = float(np.linalg.norm(seen_mm, axis=1).mean())
     stated = MILLI * machine.tracker.sigma_mm(np.array([distance]))[0]
     along = MILLI * noise.along_sigma_mm

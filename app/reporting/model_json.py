@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from app.kinematics.effects.axis_location import AxisLocation, axis_locations
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion_over
 from app.kinematics.effects.squareness import Squareness, squareness_between
-from app.kinematics.machine import Machine
+from app.kinematics.machine import Axis, Machine, RotaryAxis
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import error_motions, is_turn
+from app.kinematics.symbols import error_motions, is_turn, unit
 from app.measurement.json_fields import Field, Fields
 from app.reporting.direction_tables import directional
 from app.reporting.error_tables import MICRO, MILLI
@@ -125,6 +126,8 @@ def _rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
         return (MICRO if is_turn(effect.symbol) else MILLI) * effect.gauge
     if isinstance(effect, Squareness):
         return np.array([[MICRO]])
+    if isinstance(effect, AxisLocation):
+        return np.array([[MICRO if unit(effect.symbol) == "urad" else MILLI]])
     raise TypeError(f"{effect.name} has no form in a result file")
 
 
@@ -133,14 +136,25 @@ def _effect_json(effect: Effect, values: Float64[np.ndarray, " s"]) -> dict[str,
         return {
             "effect": "error-motion",
             "symbol": effect.symbol,
-            "knots_mm": effect.spline.knots.tolist(),
+            _knots_key(effect.axis): effect.spline.knots.tolist(),
             _values_key(effect.symbol): values.tolist(),
+        }
+    if isinstance(effect, AxisLocation):
+        key = f"value_{unit(effect.symbol)}"
+        return {
+            "effect": "axis-location",
+            "symbol": effect.symbol,
+            key: float(values[0]),
         }
     return {
         "effect": "squareness",
         "symbol": effect.name,
         "value_urad": float(values[0]),
     }
+
+
+def _knots_key(axis: Axis) -> str:
+    return "knots_deg" if isinstance(axis, RotaryAxis) else "knots_mm"
 
 
 def _values_key(symbol: str) -> str:
@@ -151,20 +165,33 @@ def _effect_from_json(
     field: Field, machine: Machine
 ) -> tuple[Effect, Float64[np.ndarray, " s"]]:
     content = field.mapping()
-    kind = content.child("effect").choice(("error-motion", "squareness"))
+    kind = content.child("effect").choice(
+        ("error-motion", "squareness", "axis-location")
+    )
     if kind == "error-motion":
         return _error_motion(content, machine)
+    if kind == "axis-location":
+        return _axis_location(content, machine)
     known = {s.symbol: s for s in squareness_between(machine.axis_names)}
     symbol = content.child("symbol").choice(tuple(known))
     return known[symbol], np.array([content.child("value_urad").number()])
 
 
+def _axis_location(
+    content: Fields, machine: Machine
+) -> tuple[AxisLocation, Float64[np.ndarray, " s"]]:
+    places = {e.symbol: e for a in machine.rotary_axes for e in axis_locations(a)}
+    symbol = content.child("symbol").choice(tuple(places))
+    value = content.child(f"value_{unit(symbol)}").number()
+    return places[symbol], np.array([value])
+
+
 def _error_motion(
     content: Fields, machine: Machine
 ) -> tuple[ErrorMotion, Float64[np.ndarray, " s"]]:
-    axes = {s: axis for axis in machine.linear_axes for s in error_motions(axis.name)}
+    axes = {s: axis for axis in machine.axes for s in error_motions(axis.name)}
     symbol = content.child("symbol").choice(tuple(axes))
-    knots_field = content.child("knots_mm")
+    knots_field = content.child(_knots_key(axes[symbol]))
     knots_mm = knots_field.numbers()
     few = not _FEWEST_KNOTS <= len(knots_mm) <= _MOST_KNOTS
     if few or (np.diff(knots_mm) <= 0).any():

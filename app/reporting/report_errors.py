@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import error_motions as symbols_of
 from app.kinematics.symbols import meaning
 from app.reporting.error_tables import ErrorTable
@@ -31,7 +31,7 @@ def error_motions(number: int, found: Findings) -> str:
         "squareness. A rigid motion of the whole volume is no machine error."
     )
     parts = [f"<p class=note>{gauge} {_validity(found)}</p>", _overview(found)]
-    for axis in found.estimate.model.machine.linear_axes:
+    for axis in found.estimate.model.machine.axes:
         parts.append(f"<h3>Axis {axis.name}</h3>")
         parts.append(
             drawing(axis_figure(found, axis), "Estimate with its band of ±U (k = 2).")
@@ -49,6 +49,14 @@ def squareness(number: int, found: Findings) -> str:
             f"{expanded(s.value_urad, s.uncertainty_urad)} µrad",
         )
         for s in found.tables.squareness
+    ]
+    rows += [
+        (
+            f"<code>{s.symbol}</code>",
+            meaning(s.symbol),
+            f"{expanded(s.value, s.uncertainty)} {SIGN[s.unit]}",
+        )
+        for s in found.tables.locations
     ]
     text = (
         "Between the end-point lines of the axes, as right-handed turns about the axis "
@@ -69,9 +77,9 @@ def volumetric(number: int, found: Findings) -> str:
     ]
     worst = int(np.argmax(np.linalg.norm(seen.error_um, axis=1)))
     place = ", ".join(
-        f"{axis.name} {plain(position, 0)}"
+        f"{axis.name} {plain(position, 0)} {position_unit(axis)}"
         for axis, position in zip(
-            found.estimate.model.machine.linear_axes,
+            found.estimate.model.machine.axes,
             seen.position_mm[worst],
             strict=True,
         )
@@ -95,7 +103,7 @@ def volumetric(number: int, found: Findings) -> str:
         table(head, rows, numbers=1),
         f"<p class=note>On a grid of {len(seen.position_mm)} points over the travel, "
         "without the rigid motion of the whole volume. The largest error stands at "
-        f"{place} mm: ({vector}) µm in x, y, z.</p>",
+        f"{place}: ({vector}) µm in x, y, z.</p>",
         drawing(volume_figure(found), caption),
     )
 
@@ -109,7 +117,7 @@ def _validity(found: Findings) -> str:
 def _overview(found: Findings) -> str:
     rows = [
         (f"<code>{symbol}</code>", meaning(symbol), *_sizes(found.tables.table(symbol)))
-        for axis in found.estimate.model.machine.linear_axes
+        for axis in found.estimate.model.machine.axes
         for symbol in symbols_of(axis.name)
     ]
     head = ("Symbol", "Error motion", "range", "largest", "largest U (k = 2)")
@@ -127,12 +135,15 @@ def _sizes(known: ErrorTable | None) -> tuple[str, str, str]:
     )
 
 
-def _values(found: Findings, axis: LinearAxis) -> str:
+def _values(found: Findings, axis: Axis) -> str:
     known = [found.tables.table(symbol) for symbol in symbols_of(axis.name)]
     tables = [t for t in known if t is not None]
     if not tables:
         return ""
-    head = [f"{axis.name}, mm", *(f"{t.symbol}, {SIGN[t.unit]}" for t in tables)]
+    head = [
+        f"{axis.name}, {position_unit(axis)}",
+        *(f"{t.symbol}, {SIGN[t.unit]}" for t in tables),
+    ]
     rows = [
         (plain(position, 2), *(_value(t, i) for t in tables))
         for i, position in enumerate(tables[0].position_mm)

@@ -61,7 +61,7 @@ def _tiles(found: Findings) -> str:
     before, after = found.volumetric.before, found.volumetric.after
     left = 100.0 * after.mean.value_um / max(before.mean.value_um, 1e-12)
     known = len(found.tables.tables)
-    motions = 6 * len(found.estimate.model.machine.linear_axes)
+    motions = 6 * len(found.estimate.model.machine.axes)
     ratio = fit_ratio(found)
     tiles = (
         tile(

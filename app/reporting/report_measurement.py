@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Axis, Machine, position_unit
 from app.reporting.error_tables import MICRO, MILLI
 from app.reporting.figures import residual_figure
 from app.reporting.findings import Findings
@@ -31,7 +31,7 @@ def machine_and_measurement(number: int, found: Findings) -> str:
     pairs = [
         ("Machine", escape(machine.name)),
         ("Kinematic chain", f"<code>{escape(machine.chain)}</code>"),
-        ("Travel", ", ".join(_travel(axis) for axis in machine.linear_axes)),
+        ("Travel", ", ".join(_travel(axis) for axis in machine.axes)),
         ("Target offset", _targets(machine)),
         ("Mode", _mode(found)),
         ("Commanded", f"{run.lines} {things}, {estimate.lines} of them recognised"),
@@ -156,8 +156,9 @@ def fit_ratio(found: Findings) -> float:
     return residuals.rms_mm / max(residuals.floor_mm, 1e-12)
 
 
-def _travel(axis: LinearAxis) -> str:
-    return f"{axis.name} {plain(axis.min_mm, 0)} to {plain(axis.max_mm, 0)} mm"
+def _travel(axis: Axis) -> str:
+    low, high, unit = plain(axis.low, 0), plain(axis.high, 0), position_unit(axis)
+    return f"{axis.name} {low} to {high} {unit}"
 
 
 def _targets(machine: Machine) -> str:

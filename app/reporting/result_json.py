@@ -77,6 +77,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         },
         "direction": _direction_json(found),
         "monte_carlo": _monte_carlo_json(found),
+        **_locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
         "alignment": _alignment_json(found),
@@ -129,7 +130,7 @@ def _unobservable(top: Fields) -> tuple[str, ...]:
 
 def _table_json(table: ErrorTable) -> dict[str, Any]:
     return {
-        "position_mm": table.position_mm.tolist(),
+        f"position_{table.position_unit}": table.position_mm.tolist(),
         f"value_{table.unit}": table.value.tolist(),
         f"uncertainty_{table.unit}": table.uncertainty.tolist(),
     }
@@ -166,6 +167,21 @@ def _direction_json(found: Findings) -> dict[str, Any]:
             }
             for half in halves
         },
+    }
+
+
+def _locations_json(tables: ErrorTables) -> dict[str, Any]:
+    """Return where rotary axes are; nothing for a machine that has none."""
+    if not tables.locations:
+        return {}
+    return {
+        "axis_location": {
+            place.symbol: {
+                f"value_{place.unit}": place.value,
+                f"uncertainty_{place.unit}": place.uncertainty,
+            }
+            for place in tables.locations
+        }
     }
 
 

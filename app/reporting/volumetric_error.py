@@ -15,10 +15,12 @@ from jaxtyping import Float64
 
 from app.estimation.volumetric_map import volumetric_map
 from app.kinematics.effects.base import standstill
+from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.reporting.error_tables import MILLI
 
 _GRID = 9  # points an axis
+_FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
 _DRAWS = 200
 _SHARE = 0.95
 _QUANTILES = 101
@@ -80,11 +82,27 @@ def volumetric_error(
 
 def grid_mm(model: MachineModel, points: int) -> Float64[np.ndarray, "n a"]:
     """Return a grid over the travel, ends included, X slowest."""
+    turns = bool(model.machine.rotary_axes)
     travel = [
-        np.linspace(axis.min_mm, axis.max_mm, points)
-        for axis in model.machine.linear_axes
+        np.linspace(axis.low, axis.high, _counted(axis, points, turns=turns))
+        for axis in model.machine.axes
     ]
     return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
+
+
+def with_rotary_axes(
+    machine: Machine, linear_mm: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n a"]:
+    """Return positions of all axes, the rotary ones at their zero or nearest to it."""
+    rest = [float(np.clip(0.0, a.low, a.high)) for a in machine.rotary_axes]
+    return np.hstack([linear_mm, np.tile(rest, (len(linear_mm), 1))])
+
+
+def _counted(axis: Axis, points: int, *, turns: bool) -> int:
+    """Return the points of an axis; few where five axes span the grid."""
+    if not turns:
+        return points
+    return _FEW if isinstance(axis, LinearAxis) else _FEWEST
 
 
 def _draws(covariance: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p d"]:
