@@ -10,11 +10,13 @@ from app.kinematics.machine import LinearAxis, Machine
 from app.planning.configurations import Configurations
 from app.planning.line_information import Knowledge, nothing_known
 from app.planning.travel import first_breach, limits_of
+from app.planning.turning_points import turning_points
 from drivers.interfaces.records import Path
 
 DEFAULT_FEED_MM_MIN = 6000.0
 DEFAULT_LINES = 22
 DEFAULT_POINTS = 60
+POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
 ACCELERATION_MM_S2 = 1000.0
 _CANDIDATES = 64
 _LONG = 0.55  # of the diagonal of the travel: no line is shorter
@@ -63,18 +65,25 @@ def default_path(
 def default_points(
     machine: Machine,
     *,
-    count: int = DEFAULT_POINTS,
+    count: int | None = None,
     dwell_s: float = 1.0,
     seed: int = 0,
 ) -> Configurations:
     """Return standstill points: the eight corners, the rest spread evenly inside.
 
-    They stand in an order of short moves. The same seed gives the same points.
+    They stand in an order of short moves. The same seed gives the same points. Where
+    there are rotary axes, the points are spread over all axes and over the targets.
+
+    count : 60 where it is left out, 180 with rotary axes
     """
+    turning = bool(machine.rotary_axes)
+    count = count or (POINTS_WITH_ROTARY_AXES if turning else DEFAULT_POINTS)
     if count < 8 or dwell_s <= 0:
         raise PlanningError(
             f"{count} points, dwell {dwell_s:g} s: 8 points or more, a dwell above 0"
         )
+    if turning:
+        return turning_points(machine, count=count, dwell_s=dwell_s, seed=seed)
     low, high = _inner_travel(machine)
     corners = low + _unit_corners() * (high - low)
     inside = _spread(np.random.default_rng(seed), count - 8)

@@ -138,6 +138,22 @@ def test_a_rotary_axis_stands_still_inside_its_travel():
     check_travel(mill, points)
 
 
+def test_points_turn_every_rotary_axis_and_measure_every_target():
+    on_base = replace(TrackerNoise(), stands_on="base")
+    targets = (
+        Target("T", "tool", (20.0, 30.0, -150.0)),
+        Target("W", "workpiece", (150.0, 0.0, 0.0)),
+    )
+    mill = replace(with_table(), targets=targets, tracker=on_base)
+    points = default_points(mill)
+    assert len(points) == 180
+    assert np.abs(np.diff(points.position[:, 3])).min() > 9.9
+    assert np.ptp(points.position[:, 3]) > 300.0
+    assert set(points.target) == {"T", "W"}
+    check_travel(mill, points)
+    np.testing.assert_array_equal(points.position, default_points(mill).position)
+
+
 @pytest.mark.parametrize("bad", [{"feed_mm_min": 0.0}, {"lines": 0}, {"dwell_s": -1.0}])
 def test_a_path_that_cannot_be_driven_is_refused(bad):
     with pytest.raises(PlanningError, match="must be above 0"):
