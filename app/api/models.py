@@ -20,6 +20,7 @@ JOB_ID = "019a3f5e-7a11-7c3e-9d64-2b1f0c5e8a90"
 _Mm = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 _Deg = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
 _Feed = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+_TargetUm = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
 _Dwell = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 _Identifier = Annotated[
     str, StringConstraints(pattern=r"^[0-9a-zA-Z-]+$", max_length=36)
@@ -92,15 +93,18 @@ class JobRequest(_Taken):
     perpendicular_only: bool = Field(
         False, description="Leave out what is seen along each line."
     )
+    target_um: _TargetUm | None = Field(
+        None, description="End early, in order, at this volumetric_uncertainty_um."
+    )
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Self:
         allowed = {
-            "measure-otf": {"path", "feed_mm_min"},
-            "measure-standstill": {"points"},
+            "measure-otf": {"path", "feed_mm_min", "target_um"},
+            "measure-standstill": {"points", "target_um"},
             "analyse": {"run_id"},
         }[self.kind]
-        for name in ("run_id", "path", "points", "feed_mm_min"):
+        for name in ("run_id", "path", "points", "feed_mm_min", "target_um"):
             if getattr(self, name) is not None and name not in allowed:
                 raise ValueError(f"{name} is not for a job of kind {self.kind}")
         if self.kind == "analyse" and self.run_id is None:
@@ -118,6 +122,7 @@ class JobRequest(_Taken):
             else [r.model_dump(exclude_none=True) for r in rows],
             feed_mm_min=self.feed_mm_min,
             perpendicular_only=self.perpendicular_only,
+            target_um=self.target_um,
         )
 
 
@@ -219,6 +224,9 @@ class PlanOut(BaseModel):
     )
     dwell_s: list[float]
     target: list[str]
+    target_um: float | None = Field(
+        None, description="The volumetric uncertainty at which it may end early."
+    )
 
 
 class RunLinks(BaseModel):

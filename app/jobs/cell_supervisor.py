@@ -48,6 +48,7 @@ class CellHandle(Protocol):
     def pause(self) -> None: ...  # noqa: D102
     def resume(self) -> None: ...  # noqa: D102
     def abort(self) -> None: ...  # noqa: D102
+    def conclude(self) -> None: ...  # noqa: D102
     def poll(self, timeout_s: float) -> list[CellEvent]: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
 
@@ -145,6 +146,10 @@ class CellSupervisor:
     def resume(self) -> None:
         """Ask to go on after a hold."""
         self._put(lambda cell: cell.resume())
+
+    def conclude(self) -> None:
+        """Ask to finish the line under way and to leave out the rest."""
+        self._put(lambda cell: cell.conclude())
 
     def abort(self) -> Future[None]:
         """Ask to stop now and forget the path, whatever happens there."""

@@ -31,6 +31,7 @@ class Wish:
     """What a user wants done.
 
     run_id : the Run to analyse; rows : path or points in the columns of the bundle
+    target_um : volumetric uncertainty (k = 1) at which the measurement may end
     """
 
     kind: Kind
@@ -38,6 +39,7 @@ class Wish:
     rows: Sequence[Row] | None = None
     feed_mm_min: float | None = None
     perpendicular_only: bool = False
+    target_um: float | None = None
 
 
 class Dispatcher:
@@ -143,7 +145,10 @@ class Dispatcher:
             raise NoMachine("no machine is set up; give the service a machine_file")
         commanded = plan_motion(machine, wish.kind, wish.rows, wish.feed_mm_min)
         only = wish.perpendicular_only
-        return NewJob(wish.kind, None, only, plan_json(commanded))
+        plan = plan_json(commanded)
+        if wish.target_um is not None:
+            plan["target_um"] = wish.target_um
+        return NewJob(wish.kind, None, only, plan)
 
     def _begin(self, job: Job) -> None:
         control = Control(job, self._shop.store, self._feed)

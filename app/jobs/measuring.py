@@ -57,7 +57,9 @@ class Measuring:
         confirm_s: Mapping[State, float] = CONFIRM_S,
         clock: Callable[[], float] = time.monotonic,
         live: LiveEstimation | None = None,
+        target_um: float | None = None,
     ) -> None:
+        self._target_um, self._is_concluded = target_um, False
         self._control, self._cell, self._live = control, cell, live
         self._confirm_s, self._clock = confirm_s, clock
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
@@ -91,6 +93,7 @@ class Measuring:
     def _follow(self) -> None:
         while True:
             self._insist()
+            self._conclude_at_target()
             self._watch_the_clock()
             try:
                 event = self._events.get(timeout=_HEAR_S)
@@ -164,6 +167,16 @@ class Measuring:
             self._cell.abort()
         elif self._control.state is State.PAUSING:
             self._cell.pause()
+
+    def _conclude_at_target(self) -> None:
+        """End in order as soon as the volumetric uncertainty is what was asked for."""
+        if self._is_concluded or self._target_um is None or self._live is None:
+            return
+        reached_um = self._live.volumetric_uncertainty_um
+        if reached_um <= self._target_um and self._control.state is State.RUNNING:
+            log.info("target reached", reached_um=reached_um, target_um=self._target_um)
+            self._is_concluded = True
+            self._cell.conclude()
 
     def _watch_the_clock(self) -> None:
         state = self._control.state

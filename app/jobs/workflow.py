@@ -82,7 +82,8 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
     if shop.machine is None or shop.cell is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
     control.enter(State.PREPARING, Stage.PLANNING)
-    commanded = commanded_from_plan(shop.store.plan(job.id) or {})
+    plan = shop.store.plan(job.id) or {}
+    commanded = commanded_from_plan(plan)
     check_travel(shop.machine, commanded)
     shop.cell.connect()
     control.checkpoint()
@@ -101,7 +102,11 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
     )
     try:
         Measuring(
-            control, shop.cell, confirm_s=shop.confirm_s or CONFIRM_S, live=live
+            control,
+            shop.cell,
+            confirm_s=shop.confirm_s or CONFIRM_S,
+            live=live,
+            target_um=plan.get("target_um"),
         ).run(order)
         if live is not None:
             live.finish()

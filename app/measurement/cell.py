@@ -101,6 +101,10 @@ class Cell:
         """Go on; acknowledged by the state `running`."""
         self._send(Command("resume"))
 
+    def conclude(self) -> None:
+        """Finish the line or point under way and end; acknowledged by `finished`."""
+        self._send(Command("conclude"))
+
     def abort(self) -> None:
         """Stop and forget the path; acknowledged by the state `aborted`."""
         self._send(Command("abort"))

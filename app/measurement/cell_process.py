@@ -92,7 +92,9 @@ class _Cell:
                 self._answer_connect()
             case "begin" if command.order is not None:
                 self._begin(command.order)
-            case "pause" | "resume" | "abort" as verb if self._measurement is not None:
+            case "pause" | "resume" | "abort" | "conclude" as verb if (
+                self._measurement is not None
+            ):
                 self._pass_on(verb, self._measurement)
             case "close":
                 return False
@@ -175,6 +177,7 @@ class _Cell:
             "pause": measurement.pause,
             "resume": measurement.resume,
             "abort": measurement.abort,
+            "conclude": measurement.conclude,
         }
         try:
             if self._measuring:

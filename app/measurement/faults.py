@@ -74,6 +74,12 @@ SLOW_DISK = Fault(
     "nothing: it goes on by itself; use a local disk",
     latched=False,
 )
+UNSTOPPED = Fault(
+    "stop-unconfirmed",
+    "the machine moves on although the rest of its path was called off",
+    "press feed hold at the machine",
+    latched=True,
+)
 BEAM_LOST = Fault(
     "beam-lost",
     "the tracker has lost the reflector; the feed is held",

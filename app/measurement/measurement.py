@@ -66,6 +66,11 @@ class Measurement:
         if self._session is not None:
             self._session.resume()
 
+    def conclude(self) -> None:
+        """Finish the line or point under way, leave out the rest, end in order."""
+        if self._session is not None:
+            self._session.conclude()
+
     def abort(self) -> None:
         """Stop and forget the path, whatever is going on.
 
@@ -86,6 +91,8 @@ class Measurement:
         state, text = CellState.FINISHED, "all rows have been driven"
         try:
             self._measure()
+            if self._session is not None and self._session.is_concluding:
+                text = "ended early: enough is known"
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
             self._stop(self._motion.hold if self._halted else self._motion.abort)

@@ -63,11 +63,13 @@ class Course:
 
     stage : `preparing`, `measuring`, `closing`
     row : the machine moves towards it or stands there
+    is_cut_short : the rows after it are left out
     """
 
     def __init__(
         self, schedule: Schedule, period_s: float, clock: Callable[[], float]
     ) -> None:
+        self.is_cut_short = False
         self.stage = "preparing"
         self.row = 0
         self._schedule, self._period_s, self._clock = schedule, period_s, clock
@@ -107,7 +109,9 @@ class Course:
         finished = self.stage == "closing"
         left_s = self._schedule.remaining_s(self.row, self._active_s)
         return {
-            "done": self._schedule.done(self.row, finished=finished),
+            "done": self._schedule.done(
+                self.row, finished=finished and not self.is_cut_short
+            ),
             "total": self._schedule.total,
             "unit": self._schedule.unit,
             "stage": self.stage,

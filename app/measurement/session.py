@@ -8,6 +8,7 @@ the operator. An engine that hangs therefore feeds nothing, and the machine hold
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable
 
@@ -22,6 +23,7 @@ from app.measurement.faults import (
     SILENT,
     SLOW_DISK,
     STILL_HELD,
+    UNSTOPPED,
     Aborted,
     Fault,
     fault_of,
@@ -35,7 +37,7 @@ from app.measurement.progress import Course, Schedule
 from app.measurement.pump import Pump
 from app.measurement.recorder import Recorder
 from app.measurement.stream_watch import StreamWatch, Verdict
-from drivers.interfaces.errors import DeviceError
+from drivers.interfaces.errors import ConnectionLost, DeviceError, DeviceTimeout
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import MotionState, MotionStatus, Path
 from drivers.interfaces.tracker import Tracker
@@ -79,6 +81,8 @@ class Session:
         self._pump: Pump | None = None
         self._resume_by_s: float | None = None
         self._hold_by_s: float | None = None
+        self._concluding = threading.Event()
+        self._concluded_row: int | None = None
 
     # What an engine does.
 
@@ -106,16 +110,25 @@ class Session:
         self._course.begin()
         self._recorder.event("start", "cycle start")
         self.motion.start()
-        self.wait_motion(path.position[-1])
+        self.wait_motion(path.position[-1], lambda now: self._is_line_done(now, path))
 
-    def wait_motion(self, goal: NDArray[np.float64]) -> None:
+    def wait_motion(
+        self,
+        goal: NDArray[np.float64],
+        may_end: Callable[[MotionStatus], bool] = lambda _: False,
+    ) -> None:
         """Wait until the machine stands where it was sent.
+
+        may_end : tells while the machine moves whether the rest is to be left out
 
         Raises Fault if it stands elsewhere: the motion ended early.
         """
         grace_by_s = self._clock() + self.limits.confirm_s
         while True:
             status = self.tick()
+            if status is not None and may_end(status):
+                self._end_motion()
+                return
             if status is None or status.state not in _STANDS or self._control.standing:
                 if status is not None and status.state is MotionState.RUNNING:
                     grace_by_s = self._clock() + 10 * self.limits.poll_s
@@ -182,6 +195,45 @@ class Session:
             return
         if self._control.release(*HoldReason, text="resume"):
             self.motion.resume()
+
+    def conclude(self) -> None:
+        """Enough is known: finish the line or point under way, leave out the rest."""
+        self._concluding.set()
+
+    @property
+    def is_concluding(self) -> bool:
+        """Whether the rest is to be left out."""
+        return self._concluding.is_set()
+
+    def leave_out_rest(self) -> None:
+        """Write down that the rest of the rows is not driven."""
+        self._course.is_cut_short = True
+        text = f"row {self._course.row + 1}: enough is known, the rest is left out"
+        self._recorder.event("concluded", text)
+
+    def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
+        """Tell whether the line that was under way at the wish has been driven."""
+        moving = status.state is MotionState.RUNNING and not self._control.standing
+        if not self.is_concluding or not moving:
+            return False
+        if self._concluded_row is None:
+            self._concluded_row = status.line
+        away = np.abs(np.array(status.position) - path.position[status.line])
+        arrived = bool((away <= self.limits.arrival).all())
+        return arrived or status.line > self._concluded_row
+
+    def _end_motion(self) -> None:
+        """Let the controller forget the rest of its path; wait until it stands."""
+        self.leave_out_rest()
+        stand_by_s = self._clock() + self.limits.confirm_s
+        while True:
+            with contextlib.suppress(ConnectionLost, DeviceTimeout):
+                self.motion.abort()
+            status = self.tick()
+            if status is not None and status.state in _STANDS:
+                return
+            if self._clock() > stand_by_s:
+                raise UNSTOPPED
 
     # The watch.
 

@@ -21,4 +21,7 @@ def step_through(
             session.approach(position, feed)
         session.record_for(session.limits.settle_s + float(points.dwell_s[row]))
         session.point_done(row)
+        if session.is_concluding and row + 1 < len(points):
+            session.leave_out_rest()
+            break
     session.finish()

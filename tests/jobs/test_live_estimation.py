@@ -104,6 +104,28 @@ def test_the_latest_estimates_of_a_few_jobs_are_remembered():
 
 
 @pytest.mark.timeout(120)
+def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
+    settings = load_settings(
+        data_dir=tmp_path / "data", simulated=True, simulated_speed=SPEED, port=0
+    )
+    with open_service(settings) as service:
+        wait_until(lambda: service.cell.status.state == "disconnected")
+        wish = Wish(Kind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
+        job, _ = service.dispatcher.create(wish)
+        wait_until(lambda: service.store.get(job.id).state == "ready")
+        service.dispatcher.arm(job.id, service.store.get(job.id).version)
+        wait_until(lambda: service.store.get(job.id).is_final, 100.0)
+        ended = service.store.get(job.id)
+        assert ended.state == "succeeded"
+        last = service.feed.estimate(job.id)
+        run = service.runs.get(ended.run_id)
+        assert service.results.joinpath(job.id, "result.json").is_file()
+    assert 4 <= last["done"] < last["total"]
+    assert last["volumetric_uncertainty_um"] <= 25.0
+    assert run.lost_samples == 0
+
+
+@pytest.mark.timeout(120)
 def test_tables_tighten_live_and_end_at_the_result(tmp_path):
     """The whole service on simulated devices, faster than real."""
     settings = load_settings(
