@@ -116,13 +116,18 @@ def demo(
         list[str] | None,
         typer.Option(help="What goes wrong; `truepath simulate --help` lists faults."),
     ] = None,
+    target_um: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="End early at this volumetric uncertainty, µm."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
     _compute_on_one_thread()
     from app.cli.demo import Demo
 
-    Demo(output, feed, minutes, speed, seed, tuple(fault or ())).run(as_json=json)
+    faults = tuple(fault or ())
+    Demo(output, feed, minutes, speed, seed, faults, target_um).run(as_json=json)
 
 
 @app.command(

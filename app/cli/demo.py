@@ -43,6 +43,7 @@ class Demo:
     minutes : how long the path may take on the machine's clock; None for the usual path
     speed : the simulated devices' clock, times the real one
     faults : what goes wrong, in the words of the simulators
+    target_um : volumetric uncertainty at which the rest of the path is left out
     """
 
     output: Path
@@ -51,6 +52,7 @@ class Demo:
     speed: float
     seed: int
     faults: tuple[str, ...] = ()
+    target_um: float | None = None
 
     def run(self, *, as_json: bool) -> None:
         """Measure, analyse, compare with the truth, and print what came of it."""
@@ -87,7 +89,7 @@ class Demo:
         )
         order = Order("demo", str(run_file), machine, path)
         with progress("measure") as report:
-            closed = follow(Cell(config), order, report)
+            closed = follow(Cell(config), order, report, target_um=self.target_um)
         return open_run(run_file), int(closed["lost_samples"])
 
     def _summary(

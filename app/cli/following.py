@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from app.cli.terminal import Report
 from app.errors import MeasurementFailed
+from app.jobs.live_estimation import LiveEstimation, LiveOrder
 from app.measurement.cell import Cell, CellEvent, Order
 
 SILENCE_S = 30.0  # without a word from the cell process: something is broken
 _ENDED_BADLY = frozenset({"aborted", "failed", "faulted"})
 
 
-def follow(cell: Cell, order: Order, report: Report) -> Mapping[str, Any]:
+def follow(
+    cell: Cell, order: Order, report: Report, *, target_um: float | None = None
+) -> Mapping[str, Any]:
     """Measure and return what the cell said of the closed Run.
+
+    target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
 
     Raises DeviceError if the devices do not answer, MeasurementFailed if the
     measurement ended before its path did. Stops the machine on the way out in any case.
@@ -23,20 +30,41 @@ def follow(cell: Cell, order: Order, report: Report) -> Mapping[str, Any]:
     cell.start()
     try:
         cell.connect()
-        cell.begin(order)
-        return _until_closed(cell, report)
+        with _live_estimation(order, target_um) as live:
+            cell.begin(replace(order, live=live is not None))
+            return _until_closed(cell, report, live, target_um or 0.0)
     finally:
         cell.close()
 
 
-def _until_closed(cell: Cell, report: Report) -> Mapping[str, Any]:
+@contextmanager
+def _live_estimation(
+    order: Order, target_um: float | None
+) -> Iterator[LiveEstimation | None]:
+    if target_um is None:
+        yield None
+        return
+    live = LiveEstimation(LiveOrder(order.machine, order.commanded), lambda _: None)
+    try:
+        live.start()
+        yield live
+    finally:
+        live.close()
+
+
+def _until_closed(
+    cell: Cell, report: Report, live: LiveEstimation | None, target_um: float
+) -> Mapping[str, Any]:
+    concluded = False
     said = MeasurementFailed("the measurement ended early")
     outcome = ""
     heard_s = time.monotonic()
     while time.monotonic() - heard_s < SILENCE_S:
         for event in cell.poll(0.2):
             heard_s = time.monotonic()
-            if event.kind == "progress":
+            if event.kind == "block" and live is not None:
+                live.offer(event.body["samples"])
+            elif event.kind == "progress":
                 report(*_progress(event))
             elif event.kind == "fault":
                 said = MeasurementFailed(_fault(event))
@@ -46,6 +74,10 @@ def _until_closed(cell: Cell, report: Report) -> Mapping[str, Any]:
                 if outcome:
                     raise said
                 return event.body
+        reached_um = float("inf") if live is None else live.volumetric_uncertainty_um
+        if reached_um <= target_um and not concluded:
+            cell.conclude()
+            concluded = True
         if not cell.alive:
             raise MeasurementFailed("the cell process has died; its Run can be opened")
     raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")

@@ -39,6 +39,19 @@ def test_the_main_job_ends_in_tables_that_the_truth_confirms(tmp_path, summary):
     assert len(read_bundle(out / "bundle").tracker) == said["samples"]
 
 
+@pytest.mark.timeout(120)
+@pytest.mark.xdist_group("devices")
+def test_a_target_ends_the_measurement_early_with_tables(tmp_path, summary):
+    out = tmp_path / "out"
+    fast = ["--speed", "8", "--feed", "6000", "--target-um", "10"]
+    assert run(["demo", *fast, "-o", str(out), "--json"]) == 0
+    said = summary()
+    whole_s = travel_time_s(read_bundle(out / "bundle").commanded)
+    assert said["samples"] < 0.9 * 500 * whole_s
+    assert said["lost_samples"] == 0
+    assert said["against_truth"]["after_um"] < 12.0
+
+
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
