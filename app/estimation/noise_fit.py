@@ -28,7 +28,7 @@ from app.numerics.rigid import RigidTransform
 _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
 # Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
 _COARSE_MM = 35.0
-_CELLS = 1500  # as many tell the noise to a few parts in a hundred
+_CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [1e-6, 0.1]])
@@ -53,7 +53,7 @@ def fit_noise(
     prior, result = fitted(information(problem, noise), first_guess(model))
     small = coarser(problem, _merge(seen))
     noise = _minimised(_residual_cost(small, result.theta), noise, step=0.7, calls=80)
-    return _minimised(_evidence_cost(small, prior), noise, step=0.3, calls=40)
+    return _minimised(_evidence_cost(small, prior), noise, step=0.3, calls=30)
 
 
 def residual_noise(
