@@ -28,6 +28,10 @@ class Port(ABC):
         """Descriptors that become readable when there is something to do."""
 
     @abstractmethod
+    def blocked_descriptors(self) -> list[int]:
+        """Descriptors that become writable when waiting bytes can go on."""
+
+    @abstractmethod
     def receive(self) -> bytes | None:
         """Return what has come; b"" if nothing has, None if the host has gone."""
 
@@ -68,6 +72,10 @@ class PtyPort(Port):
     def descriptors(self) -> list[int]:
         """Return the master."""
         return [self._master]
+
+    def blocked_descriptors(self) -> list[int]:
+        """Return the master while bytes wait."""
+        return [self._master] if self._waiting else []
 
     def receive(self) -> bytes | None:
         """Read what the host has written."""
@@ -138,6 +146,12 @@ class TcpPort(Port):
         if self._host is not None:
             descriptors.append(self._host.fileno())
         return descriptors
+
+    def blocked_descriptors(self) -> list[int]:
+        """Return the connection while bytes wait."""
+        if self._host is None or not self._waiting:
+            return []
+        return [self._host.fileno()]
 
     def receive(self) -> bytes | None:
         """Take a new host, or what the present one has sent."""

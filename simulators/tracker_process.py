@@ -56,10 +56,12 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
             port.disconnect()
             device.forget_host()
         _converse(device, port, now_s, wall_s)
+        due = b""
         if timeline is not None:
-            port.send(device.due(timeline, now_s, wall_s, port.waiting_bytes))
+            due = device.due(timeline, now_s, wall_s, port.waiting_bytes)
+        port.send(due)
         wake_s = _next_wake(wake_s, wall_s, streaming=device.streaming)
-        _wait([life.descriptor, *port.descriptors()], wake_s)
+        _wait([life.descriptor, *port.descriptors()], port, wake_s)
 
 
 def _converse(device: TrackerDevice, port: Port, now_s: float, wall_s: float) -> None:
@@ -80,8 +82,11 @@ def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
     return last_s + steps * PERIOD_S
 
 
-def _wait(descriptors: list[int], until_s: float) -> None:
-    select.select(descriptors, [], [], max(until_s - time.monotonic(), 0.0))
+def _wait(descriptors: list[int], port: Port, until_s: float) -> None:
+    # Bytes that wait go on as soon as there is room, not at the next period: the reply
+    # to a new host stands behind what the last one has left unread.
+    blocked = port.blocked_descriptors()
+    select.select(descriptors, blocked, [], max(until_s - time.monotonic(), 0.0))
 
 
 def _port(link: dict[str, Any]) -> Port:
