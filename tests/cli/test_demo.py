@@ -24,7 +24,6 @@ def machine():
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.xdist_group("devices")
 def test_the_main_job_ends_in_tables_that_the_truth_confirms(tmp_path, summary):
     out = tmp_path / "out"
     assert run(["demo", *FAST, "-o", str(out), "--json"]) == 0
@@ -40,7 +39,6 @@ def test_the_main_job_ends_in_tables_that_the_truth_confirms(tmp_path, summary):
 
 
 @pytest.mark.timeout(120)
-@pytest.mark.xdist_group("devices")
 def test_a_target_ends_the_measurement_early_with_tables(tmp_path, summary):
     out = tmp_path / "out"
     fast = ["--speed", "8", "--feed", "6000", "--target-um", "10"]
@@ -62,7 +60,6 @@ def test_a_target_ends_the_measurement_early_with_tables(tmp_path, summary):
         ("tracker:silence@1s", "no sample has come for"),
     ],
 )
-@pytest.mark.xdist_group("devices")
 def test_a_device_that_fails_is_one_line_and_a_one(fault, said, tmp_path, capsys):
     arguments = ["demo", *FAST, "-o", str(tmp_path / "out"), "--fault", fault]
     assert run(arguments) == 1

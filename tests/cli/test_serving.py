@@ -109,7 +109,6 @@ class Lines:
 
 
 @pytest.mark.timeout(180)
-@pytest.mark.xdist_group("devices")
 def test_make_run_calibrates_at_once_and_says_where_to_look(tmp_path):
     """The command of `make run`, its device clocks three times faster."""
     service = subprocess.Popen(
