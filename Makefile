@@ -27,7 +27,7 @@ setup: .venv/ready ## make .venv with everything in it
 
 .PHONY: run
 run: setup ## service, page and simulated devices; calibrates on the fly at once
-	$(BIN)/truepath serve --simulated --measure
+	$(BIN)/truepath serve --simulated --measure --data-dir var
 
 .PHONY: check
 check: setup ## format, lint, import contracts, types
@@ -64,6 +64,6 @@ validation: setup ## both papers again, and past them (about ten minutes)
 
 .PHONY: clean
 clean: ## remove everything that was made
-	rm -rf .venv build dist *.egg-info .coverage .coverage.* htmlcov \
+	rm -rf .venv var build dist *.egg-info .coverage .coverage.* htmlcov \
 	  .pytest_cache .ruff_cache .hypothesis .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
