@@ -58,10 +58,6 @@ bench: setup ## the numbers that count, as ratios
 validation: setup ## both papers reproduced and random machines; writes docs/validation.md
 	$(SINGLE) $(BIN)/python validation/run.py
 
-.PHONY: validation
-validation: setup ## both papers again, and past them (about ten minutes)
-	$(BIN)/python validation/run.py
-
 .PHONY: clean
 clean: ## remove everything that was made
 	rm -rf .venv var build dist *.egg-info .coverage .coverage.* htmlcov \

@@ -132,6 +132,7 @@ def test_make_lists_its_targets(root):
         text=True,
         check=True,
     )
+    assert not listed.stderr, "a rule that make warns about"
     for target in ("run", "test", "test-long", "check", "bench", "setup", "clean"):
         assert re.search(rf"^  make {target} +\w", listed.stdout, re.MULTILINE), target
 
