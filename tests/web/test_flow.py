@@ -48,6 +48,16 @@ def test_the_task_runs_from_connect_to_result(panel, service):
     expect(page.locator(".key", has_text="k = 2")).to_be_visible()
 
 
+def test_the_uncertainty_is_told_while_the_machine_moves(panel, service):
+    service.connected = True
+    job = service.new_job("measure-otf", state="running", stage="measuring")["id"]
+    page = panel.open()
+    page.wait_for_url(f"**/#/run/{job}")
+    service.advance(job, 11.0)
+    service.tell("estimate", {"job_id": job, "volumetric_uncertainty_um": 2.15})
+    expect(page.locator("#uncertainty")).to_have_text("U = 4.3 µm (k = 2)")
+
+
 def test_who_comes_after_the_run_finds_its_result(panel, service):
     job = service.new_job("measure-otf")["id"]
     service.finish(job)

@@ -50,7 +50,7 @@ export function createActions(store, go) {
   function follow(job) {
     const { job: before } = store.get();
     const other = before?.id !== job.id;
-    const forgotten = { live: null, plan: null, result: null };
+    const forgotten = { live: null, estimate: null, plan: null, result: null };
     store.set({ job, ...(other ? forgotten : {}) });
     fetchPlan();
     fetchResult();

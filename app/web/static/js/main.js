@@ -19,7 +19,7 @@ const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null,
-  live: null, problem: null, busy: null, asked: null,
+  live: null, estimate: null, problem: null, busy: null, asked: null,
   link: { stale: false, last: null },
 });
 const go = (address) => {
@@ -90,6 +90,7 @@ function hear(type, data) {
     store.set({ job: { ...job, stage, progress, health } });
   }
   if (type === "live" && own) store.set({ live: data });
+  if (type === "estimate" && own) store.set({ estimate: data });
 }
 
 let linked = {};

@@ -16,7 +16,7 @@ export function listen(hear, age) {
 
   function open() {
     source = new EventSource(links.events);
-    for (const type of ["tick", "job", "progress", "live"]) {
+    for (const type of ["tick", "job", "progress", "live", "estimate"]) {
       source.addEventListener(type, (event) => receive(type, event));
     }
     source.addEventListener("error", reopen);

@@ -5,7 +5,7 @@ import { holdToConfirm } from "../hold.js";
 import { card, errorNotice, head, kindOf, notice, tile, wordOf } from "../parts.js";
 import { drawStrip } from "../plots/strip-chart.js";
 import { duration, known, number, t } from "../texts.js";
-import { figure, unitOf } from "../units.js";
+import { figure, quantity, unitOf } from "../units.js";
 import { pathCard } from "./path-card.js";
 
 const STAGES = {
@@ -130,15 +130,16 @@ function progressCard(stages) {
   const bar = h("i");
   const meter = h("div", { class: "meter", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100,
     "aria-label": t("run.progress") }, bar);
-  const count = h("p", { class: "quiet number" });
+  const count = h("span", { class: "quiet number" });
+  const uncertainty = h("output", { class: "number", id: "uncertainty" });
   const element = card(null, list,
     h("div", { class: "big-progress" }, percent,
       h("span", {}, h("span", { class: "quiet" }, t("run.remaining")), h("br"), remaining)),
-    meter, count);
+    meter, h("p", { class: "beside" }, count, uncertainty));
   element.style.display = "grid";
   return { element, update };
 
-  function update({ job }) {
+  function update({ job, estimate }) {
     const now = job.progress ?? {};
     const stage = hasEnded(job) ? null : job.stage;
     markStages(job, stage);
@@ -153,6 +154,8 @@ function progressCard(stages) {
     write(count, now.unit && now.total && isActive(job)
       ? t("run.count", { done: number(now.done), total: number(now.total),
         unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");
+    const sigma = isActive(job) ? estimate?.volumetric_uncertainty_um : null;
+    write(uncertainty, sigma ? t("run.uncertainty", { value: quantity(2 * sigma, "error") }) : "");
   }
 
   function markStages(job, stage) {
