@@ -131,7 +131,7 @@ function progressCard(stages) {
   const meter = h("div", { class: "meter", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100,
     "aria-label": t("run.progress") }, bar);
   const count = h("span", { class: "quiet number" });
-  const uncertainty = h("output", { class: "number", id: "uncertainty" });
+  const uncertainty = h("span", { class: "number", id: "uncertainty" });
   const element = card(null, list,
     h("div", { class: "big-progress" }, percent,
       h("span", {}, h("span", { class: "quiet" }, t("run.remaining")), h("br"), remaining)),
