@@ -13,8 +13,8 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -77,7 +77,8 @@ class LiveEstimation:
 
     def start(self) -> None:
         """Start the process."""
-        self._process.start()
+        with _no_interrupts():
+            self._process.start()
         for end in self._others:
             end.close()
         self._feeder.start()
@@ -128,6 +129,16 @@ class LiveEstimation:
                     continue
                 self.volumetric_uncertainty_um = body["volumetric_uncertainty_um"]
                 self._show({**body, "dropped_blocks": self.dropped_blocks})
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Let a child inherit that Ctrl+C is not for it, from its first instruction."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def main(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
