@@ -11,7 +11,7 @@ from fastapi import APIRouter, FastAPI
 
 from app.api import documentation, events, jobs, machine, problems, runs
 from app.api.documentation import SCHEMA_PATH
-from app.api.models import PREFIX
+from app.api.models.base import PREFIX
 from app.api.security import Guard
 from app.api.service import Service
 

@@ -20,7 +20,7 @@ from fastapi import APIRouter, Depends, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
-from app.api.models import job_out
+from app.api.models.job import job_out
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.jobs.feed import Notice

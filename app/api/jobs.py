@@ -14,15 +14,10 @@ from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
 from app.api.conditional import Version, etag
-from app.api.models import (
-    PREFIX,
-    JobOut,
-    JobPage,
-    JobRequest,
-    PlanOut,
-    Stopped,
-    job_out,
-)
+from app.api.models.base import PREFIX
+from app.api.models.job import JobOut, JobPage, Stopped, job_out
+from app.api.models.job_request import JobRequest
+from app.api.models.plan import PlanOut
 from app.api.paging import After, Limit, cursor, link_next, place
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep

@@ -5,16 +5,13 @@ from __future__ import annotations
 from fastapi import APIRouter
 from starlette.exceptions import HTTPException
 
-from app.api.models import (
-    Alive,
-    CellOut,
+from app.api.models.machine import (
     Connection,
     MachineOut,
     MachineSummary,
-    Ready,
-    SystemOut,
     connection_out,
 )
+from app.api.models.system import Alive, CellOut, Ready, SystemOut
 from app.api.problems import answers
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from app.errors import NotFound

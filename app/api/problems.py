@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from app.api import failures
 from app.api.failures import BY_STATUS, INTERNAL, KINDS, MEDIA_TYPE, Kind
-from app.api.models import Problem
+from app.api.models.problem import Problem
 
 MAX_ERRORS = 20
 

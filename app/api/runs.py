@@ -10,7 +10,8 @@ from typing import Annotated
 from fastapi import APIRouter, File, Request, Response, UploadFile
 from fastapi.responses import FileResponse
 
-from app.api.models import PREFIX, RunOut, RunPage, run_out
+from app.api.models.base import PREFIX
+from app.api.models.run import RunOut, RunPage, run_out
 from app.api.paging import After, Limit, cursor, link_next, place
 from app.api.problems import answers
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep

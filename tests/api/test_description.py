@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 from app import errors as app_errors
 from app.api import failures
 from app.api.application import create_application
-from app.api.models import JobRequest
+from app.api.models.job_request import JobRequest
 from app.api.openapi import description
 from app.api.problems import kind_of_status
 from app.jobs import errors as job_errors

@@ -1,0 +1,4 @@
+"""Bodies of requests and answers, a resource a file.
+
+Keys name their unit; readers take further keys.
+"""

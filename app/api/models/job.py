@@ -1,0 +1,150 @@
+"""Jobs as clients see them."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+
+from app.api.failures import problem_of_failure
+from app.api.models.base import JOB_ID, PREFIX
+from app.api.models.problem import Problem
+from app.jobs.job import Health, Job, Progress
+from app.jobs.transitions import State
+
+
+class JobProgress(BaseModel):
+    """How far the stage is."""
+
+    done: float
+    total: float
+    unit: str = Field(examples=["lines"])
+    eta_s: float | None
+    stage: str = Field(examples=["measuring"])
+    elapsed_s: float
+    position: list[float] = Field(description="Axis positions in mm and deg.")
+
+
+class JobHealth(BaseModel):
+    """What the tracker's link has seen."""
+
+    samples: int
+    lost_samples: int
+    crc_errors: int
+
+
+class ResultLinks(BaseModel):
+    """Where the result is."""
+
+    result: str
+    error_tables_json: str
+    error_tables_csv: str
+    report_html: str
+
+
+class JobLinks(BaseModel):
+    """Where else to look."""
+
+    self: str
+    events: str
+    plan: str
+    run: str | None
+
+
+class JobOut(BaseModel):
+    """A job. `version` counts its changes of state; send it as If-Match."""
+
+    id: str = Field(examples=[JOB_ID])
+    kind: str = Field(examples=["measure-otf"])
+    state: str = Field(examples=["ready"], description="One of " + ", ".join(State))
+    desired_state: str = Field(examples=["ready"])
+    version: int = Field(examples=[3])
+    stage: str = Field(examples=["measuring"])
+    progress: JobProgress
+    health: JobHealth
+    perpendicular_only: bool
+    created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
+    started: str | None
+    ended: str | None
+    run_id: str | None
+    result: ResultLinks | None
+    error: Problem | None = Field(
+        description="Why it ended badly; in an unfinished job, why it stands."
+    )
+    links: JobLinks
+
+
+class JobPage(BaseModel):
+    """Jobs, the newest first."""
+
+    items: list[JobOut]
+    next: str | None = Field(description="`after` of the next page.")
+
+
+class Stopped(BaseModel):
+    """The jobs that a blanket abort has reached."""
+
+    jobs: list[JobOut]
+
+
+def job_out(job: Job) -> JobOut:
+    """Return a job as clients see it."""
+    failure = job.failure
+    return JobOut(
+        id=job.id,
+        kind=str(job.kind),
+        state=str(job.state),
+        desired_state=job.desired_state,
+        version=job.version,
+        stage=str(job.stage),
+        progress=progress_out(str(job.stage), job.progress),
+        health=health_out(job.health),
+        perpendicular_only=job.perpendicular_only,
+        created=job.created,
+        started=job.started,
+        ended=job.ended,
+        run_id=job.run_id,
+        result=_result_links(job.id) if job.has_result else None,
+        error=Problem(**problem_of_failure(failure)) if failure else None,
+        links=_job_links(job),
+    )
+
+
+def progress_out(stage: str, progress: Progress) -> JobProgress:
+    """Return the progress as clients see it."""
+    return JobProgress(
+        done=progress.done,
+        total=progress.total,
+        unit=progress.unit,
+        eta_s=progress.eta_s,
+        stage=stage,
+        elapsed_s=progress.elapsed_s,
+        position=list(progress.position),
+    )
+
+
+def health_out(health: Health) -> JobHealth:
+    """Return the health of the stream as clients see it."""
+    return JobHealth(
+        samples=health.samples,
+        lost_samples=health.lost_samples,
+        crc_errors=health.crc_errors,
+    )
+
+
+def _result_links(job_id: str) -> ResultLinks:
+    at = f"{PREFIX}/jobs/{job_id}/result"
+    return ResultLinks(
+        result=at,
+        error_tables_json=f"{at}/error-tables.json",
+        error_tables_csv=f"{at}/error-tables.csv",
+        report_html=f"{at}/report.html",
+    )
+
+
+def _job_links(job: Job) -> JobLinks:
+    at = f"{PREFIX}/jobs/{job.id}"
+    return JobLinks(
+        self=at,
+        events=f"{at}/events",
+        plan=f"{at}/plan",
+        run=f"{PREFIX}/runs/{job.run_id}" if job.run_id else None,
+    )

@@ -1,0 +1,87 @@
+"""What is asked of a new job."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from app.api.models.base import JOB_ID, Feed, Identifier, Taken, TargetUm
+from app.api.models.plan import Point, Waypoint
+from app.jobs.dispatcher import Wish
+from app.jobs.job import Kind
+from app.jobs.plans import MAX_ROWS
+
+
+class JobRequest(Taken):
+    """What is to be done."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {"kind": "measure-otf"},
+                {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
+                {
+                    "kind": "measure-otf",
+                    "feed_mm_min": 2500,
+                    "path": [
+                        {"x_mm": 0, "y_mm": 0, "z_mm": 0, "dwell_s": 1},
+                        {"x_mm": 400, "y_mm": 300, "z_mm": 200, "dwell_s": 1},
+                    ],
+                },
+            ]
+        },
+    )
+
+    kind: Literal["measure-otf", "measure-standstill", "analyse"]
+    run_id: Identifier | None = Field(None, description="The Run to analyse.")
+    path: list[Waypoint] | None = Field(
+        None,
+        min_length=2,
+        max_length=MAX_ROWS,
+        description="On the fly: lines in order; without it the default path.",
+    )
+    points: list[Point] | None = Field(
+        None,
+        min_length=1,
+        max_length=MAX_ROWS,
+        description="Standstill: points in order; without it the default points.",
+    )
+    feed_mm_min: Feed | None = Field(
+        None, description="Feed of the default path, and of rows that state none."
+    )
+    perpendicular_only: bool = Field(
+        False, description="Leave out what is seen along each line."
+    )
+    target_um: TargetUm | None = Field(
+        None, description="End early, in order, at this volumetric_uncertainty_um."
+    )
+
+    @model_validator(mode="after")
+    def _fits_its_kind(self) -> Self:
+        allowed = {
+            "measure-otf": {"path", "feed_mm_min", "target_um"},
+            "measure-standstill": {"points", "target_um"},
+            "analyse": {"run_id"},
+        }[self.kind]
+        for name in ("run_id", "path", "points", "feed_mm_min", "target_um"):
+            if getattr(self, name) is not None and name not in allowed:
+                raise ValueError(f"{name} is not for a job of kind {self.kind}")
+        if self.kind == "analyse" and self.run_id is None:
+            raise ValueError("a job of kind analyse needs a run_id")
+        return self
+
+    def wish(self) -> Wish:
+        """Return the request as the dispatcher takes it."""
+        rows = self.path if self.path is not None else self.points
+        return Wish(
+            kind=Kind(self.kind),
+            run_id=self.run_id,
+            rows=None
+            if rows is None
+            else [r.model_dump(exclude_none=True) for r in rows],
+            feed_mm_min=self.feed_mm_min,
+            perpendicular_only=self.perpendicular_only,
+            target_um=self.target_um,
+        )
