@@ -47,7 +47,9 @@ def test_more_noise_than_was_weighed_shows_in_the_trials(fit):
     trials = prepared(fit, NOISE, outputs, 1)
     louder = prepared(fit, loud, outputs, 1)
     mismatched = type(trials)(**{**vars(trials), "noise": loud})
-    assert block(mismatched, 0).std(axis=1) == pytest.approx(2.0 * linear, rel=0.25)
+    louder_by = block(mismatched, 0).std(axis=1) / linear
+    assert (louder_by > 1.25).all()  # shapes that only the prior knows are no louder
+    assert (louder_by < 2.1).all()
     assert louder.weighted.shape == trials.weighted.shape
 
 
