@@ -16,7 +16,7 @@ from app.estimation.monte_carlo import Mapper, Propagated, volume_by_trials
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import first_noise, fit_noise
 from app.estimation.observability import observability
-from app.estimation.prior import first_guess, fitted
+from app.estimation.prior import first_guess, fitted, with_unknown_strengths
 from app.estimation.problem import Problem, pose_problem, refined_pose
 
 
@@ -65,7 +65,8 @@ def _packed(
     perpendicular_only: bool,
     trials: Propagated | None,
 ) -> Estimate:
-    problem, result, seen = fit.problem, fit.result, fit.problem.seen
+    problem, seen = fit.problem, fit.problem.seen
+    result = with_unknown_strengths(fit.prior, fit.result)
     size = problem.machine_model.size
     pose = problem.model.slices["tracker-pose"]
     return Estimate(

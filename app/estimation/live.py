@@ -25,7 +25,12 @@ from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, information, posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import first_noise, fit_noise, residual_noise
-from app.estimation.prior import BendingPrior, first_guess, fitted
+from app.estimation.prior import (
+    BendingPrior,
+    first_guess,
+    fitted,
+    with_unknown_strengths,
+)
 from app.estimation.problem import pose_problem, refined_pose
 from app.estimation.recursive import Linearisation, Recursive, begun
 from app.estimation.volumetric_map import volumetric_gram
@@ -100,7 +105,8 @@ class LiveEstimator:
         size = self._model.size
         data = _weakened(self._sums.information(), _pose_parameters(self._model))
         self._prior, result = fitted(data, self._prior)
-        covariance = result.covariance[:size, :size]
+        widened = with_unknown_strengths(self._prior, result)
+        covariance = widened.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))
         return LiveEstimate(
             self._model,

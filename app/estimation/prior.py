@@ -4,6 +4,11 @@ Each error motion is charged for its bending energy, as the elastic beam of
 brunn-hanebeck-2005 (eq. 12–13) would charge it; straight lines are free. The strengths
 maximise the evidence: MacKay's fixed point, strength = γ / (θᵀKθ), where γ counts the
 shapes that the data rather than the prior determine.
+
+Few data would let a motion pass for perfectly straight, with far too small an
+uncertainty. The log strengths of motions of a kind therefore scatter about a common
+centre, as guides of one machine are alike, and what the strengths themselves are not
+known to widens the covariance (Kass & Steffey 1989).
 """
 
 from __future__ import annotations
@@ -24,6 +29,7 @@ from app.kinematics.model import MachineModel
 
 _ROUNDS = 40
 _SETTLED = 0.05
+_SPREAD = 1.2  # τ: standard deviation of log strength within a kind
 _STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
 
 
@@ -96,13 +102,64 @@ def evidence_cost(data: Information, prior: BendingPrior, result: Posterior) -> 
     )
 
 
+def with_unknown_strengths(prior: BendingPrior, result: Posterior) -> Posterior:
+    """Return the posterior with what is not known of the strengths themselves.
+
+    Over log strengths of variance v the mean moves by ∂θ/∂l = −C P θ, and the expected
+    covariance is C + v/2 ∂²C/∂l² = C + v (C P C P C − C P C / 2), to second order.
+    """
+    C = result.covariance
+    total = C.copy()
+    for name, charge in prior.charges.items():
+        part = prior.model.slices[name]
+        P = prior.strength[name] * charge.form
+        free = charge.rank - float(np.sum(P * C[part, part]))
+        variance = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
+        pull = C[:, part] @ P
+        moved = pull @ result.theta[part]
+        bent = P @ C[part, part] @ P - 0.5 * P
+        total += variance * (np.outer(moved, moved) + C[:, part] @ bent @ C[part, :])
+    return replace(result, covariance=total)
+
+
 def _next_strength(prior: BendingPrior, result: Posterior) -> dict[str, float]:
+    usual = _usual_strength(prior)
     strength: dict[str, float] = {}
     for name, charge in prior.charges.items():
         part, old = prior.model.slices[name], prior.strength[name]
         theta, spread = result.theta[part], result.covariance[part, part]
         free = charge.rank - old * float(np.sum(spread * charge.form))
-        # An effect that is nothing within the noise keeps a finite strength.
-        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
-        strength[name] = max(free, 0.05) / energy
+        energy = float(theta @ charge.form @ theta)
+        if charge.kind:
+            centre = usual[charge.kind] / charge.usual
+            strength[name] = _pooled_strength(free, energy, centre)
+        else:
+            # An effect that is nothing within the noise keeps a finite strength.
+            energy += _STRAIGHT * charge.usual
+            strength[name] = max(free, 0.05) / energy
     return strength
+
+
+def _usual_strength(prior: BendingPrior) -> dict[str, float]:
+    """Return the geometric mean strength of a kind, for an effect of usual 1."""
+    found: dict[str, list[float]] = {}
+    for name, charge in prior.charges.items():
+        relative = np.log(prior.strength[name] * charge.usual)
+        found.setdefault(charge.kind, []).append(float(relative))
+    return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
+
+
+def _pooled_strength(free: float, energy: float, centre: float) -> float:
+    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the strength λ.
+
+    Increasing and convex in log λ: Newton's steps from above go straight to the root.
+    """
+    x = max(0.0, 0.5 * free * _SPREAD**2)  # log(λ / centre), above the root
+    for _ in range(_ROUNDS):
+        pull = centre * np.exp(x) * energy
+        slope = pull + 2.0 / _SPREAD**2
+        step = (pull + 2.0 * x / _SPREAD**2 - free) / slope
+        x -= step
+        if abs(step) < 1e-6:
+            break
+    return centre * float(np.exp(x))

@@ -78,7 +78,7 @@ def test_a_five_axis_machine_is_found_within_its_uncertainty(name, rigid_free):
     assert share < 0.05
     assert inside > 0.85
     z = deviations(result, truth)
-    assert (np.abs(z) < 2.0).mean() > 0.85
+    assert (np.abs(z) < 2.0).mean() > 0.9
 
 
 @pytest.mark.long
@@ -89,7 +89,9 @@ def test_ten_random_machines_are_recovered_within_their_uncertainties():
         run, truth = measured(("head-table", "trunnion")[seed % 2], 50 + seed)
         z = deviations(estimate(align(run)), truth)
         inside.append((np.abs(z) < 2.0).mean())
-    assert 0.88 < np.mean(inside) <= 1.0
+        assert np.abs(z).max() < 4.5
+    assert np.mean(inside) > 0.93
+    assert min(inside) > 0.88
 
 
 def content(name, stands_on, targets):

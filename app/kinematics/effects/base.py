@@ -139,11 +139,13 @@ class Charge:
 
     form : (p, p) K; rank : shapes that it charges; the others are free
     usual : θᵀKθ of an effect of usual size
+    kind : effects of a kind are of like strength; empty for one on its own
     """
 
     form: Float64[np.ndarray, "p p"]
     rank: int
     usual: float
+    kind: str = ""
 
 
 class Effect(ABC):

@@ -66,7 +66,10 @@ class ErrorMotion(Effect):
         usual = usual_size(self.symbol) ** 2 * (2.0 * np.pi / length) ** 4 * length / 2
         form = self.gauge.T @ self.spline.bending() @ self.gauge
         free = 1 if self.spline.period else 2
-        return Charge(form, self.spline.size - free, usual)
+        kind = "turn" if is_turn(self.symbol) else "shift"
+        if isinstance(self.axis, RotaryAxis):
+            kind += " of a rotary axis"
+        return Charge(form, self.spline.size - free, usual, kind)
 
 
 def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
