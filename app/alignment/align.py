@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from app.alignment.cleaning import valid_samples
-from app.alignment.observations import Observations, Pass
+from app.alignment.course import Course, course_of
+from app.alignment.observations import Observations
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
 from app.alignment.stops import find_stops
 from app.alignment.stretches import (
+    Stretch,
     joined,
+    looks_at_standstills,
     moving_stretch,
-    nominal_places_mm,
     standing_stretches,
 )
 from app.errors import AlignmentError
-from app.kinematics.machine import RotaryAxis
 from app.measurement.run import Run
-from app.planning.configurations import Configurations
-from drivers.interfaces.records import Path
 
 _FEWEST_SAMPLES = 100
-_SLOW_POSITIONING_MM_S = 10.0  # slowest traverse between points worth telling from rest
 
 
 def align(run: Run) -> Observations:
@@ -37,51 +37,48 @@ def align(run: Run) -> Observations:
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    _require_straight_lines(run)
-    nominal_mm = nominal_places_mm(
-        run.machine, run.commanded.position, run.commanded.target
-    )
-    stops = find_stops(time_s, tracker_mm, slowest_mm_s(run.commanded))
+    course = course_of(run.machine, run.commanded)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
-    matching = match_stops(stops, nominal_mm, ordered_by=commanded)
+    _require_motion(course, commanded)
+    stops = find_stops(time_s, tracker_mm, course.slowest_mm_s)
+    matching = match_stops(stops, course.place_mm, ordered_by=commanded)
     stream = Stream(time_s, tracker_mm, matching.pose)
+    parts: list[Stretch] = []
+    if looks_at_standstills(run):
+        parts = standing_stretches(run, stops, matching, stream, course)
     if run.mode == "standstill":
-        parts = standing_stretches(run, stops, matching, stream)
-        return joined(run, parts, matching.pose, ())
-    passes = cut_into_passes(stream, stops, matching, nominal_mm)
+        return joined(run, _some_standing(parts), matching.pose, ())
+    passes = cut_into_passes(stream, stops, matching, course)
     if not passes:
         raise AlignmentError(
             "no stretch at constant feed was found between the standstills; use longer "
             "lines or a lower feed"
         )
-    moving = [
-        moving_stretch(run, line, each, stream, nominal_mm)
+    parts += [
+        moving_stretch(run, line, each, stream, course.curve(each.row))
         for line, each in enumerate(passes)
     ]
+    parts.sort(key=lambda part: float(part.cells.time_s[0]))
     in_run = tuple(
-        Pass(p.row, int(valid[p.first]), int(valid[p.last - 1]) + 1, p.speed_mm_s)
+        replace(p, first=int(valid[p.first]), last=int(valid[p.last - 1]) + 1)
         for p in passes
     )
-    return joined(run, moving, matching.pose, in_run)
+    return joined(run, parts, matching.pose, in_run)
 
 
-def _require_straight_lines(run: Run) -> None:
-    """Refuse lines on which rotary axes turn: their places are not on a line."""
-    if run.mode == "standstill":
-        return
-    for column, axis in enumerate(run.machine.axes):
-        step = np.diff(run.commanded.position[:, column])
-        if isinstance(axis, RotaryAxis) and step.any():
-            row = int(np.flatnonzero(step)[0]) + 2
-            raise AlignmentError(
-                f"path.csv row {row + 1}: {axis.name} turns on the way; on the fly "
-                "only straight axes are measured: turn between standstill points, "
-                "in points.csv"
-            )
+def _some_standing(parts: list[Stretch]) -> list[Stretch]:
+    if not parts:
+        raise AlignmentError(
+            "the machine never stood still long enough; dwell at least 0.2 s at a point"
+        )
+    return parts
 
 
-def slowest_mm_s(commanded: Path | Configurations) -> float:
-    """Return the slowest commanded motion."""
-    if isinstance(commanded, Path):
-        return float(np.min(commanded.feed_mm_min)) / 60.0
-    return _SLOW_POSITIONING_MM_S
+def _require_motion(course: Course, commanded: str) -> None:
+    """Refuse what moves no target: the rotary axes turn about it, or on other sides."""
+    if len(course.first) < 3:
+        raise AlignmentError(
+            f"{commanded} hardly moves the target where the tracker stands: it is on "
+            "the axis that turns, or not carried by the axes that move; measure a "
+            "target 50 mm or more off the axis, or move other axes"
+        )

@@ -17,13 +17,15 @@ class Pass:
 
     row : row of the path that the machine moved towards
     first, last : indices of its samples in the Run
-    speed_mm_s : as measured
+    speed_mm_s : as measured; the mean along the line where it is a curve
+    share : of the line that was done at the middle of its time
     """
 
     row: int
     first: int
     last: int
     speed_mm_s: float
+    share: float
 
 
 @dataclass(frozen=True, slots=True)

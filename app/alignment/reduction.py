@@ -3,11 +3,13 @@
 Within a cell the machine error is as good as straight, so its mean loses nothing but
 the noise. A cell's nominal position is its place on its own commanded line by a
 constant feed; the phase and speed of that feed are parameters of the solve. Takes no
-clock of the controller.
+clock of the controller. What the nominal motion itself does within a cell is taken off
+before the mean and put back after it, so that a cell on an arc lies on the arc.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +19,9 @@ from app.kinematics.machine import TrackerNoise
 
 CELL_MM = 8.0
 CELL_S = 0.25
+CELL_DEG = 3.0
+Way = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n 3"]]
+
 _OUTLIER = 6.0  # of the samples' own standard deviation
 
 
@@ -36,25 +41,35 @@ class Cells:
     freedom: Float64[np.ndarray, "2"]
 
 
+def cell_count(span_s: float, speed_mm_s: float = 0.0, turn_deg_s: float = 0.0) -> int:
+    """Return into how many cells of equal time a stretch of the stream is cut."""
+    most = max(1.0 / CELL_S, speed_mm_s / CELL_MM, turn_deg_s / CELL_DEG)
+    return max(1, int(np.ceil(span_s * most)))
+
+
 def reduce_to_cells(
     time_s: Float64[np.ndarray, " n"],
     tracker_mm: Float64[np.ndarray, "n 3"],
-    velocity_mm_s: Float64[np.ndarray, "3"],
+    way: Way,
     noise: TrackerNoise,
+    cells: int,
 ) -> Cells:
-    """Cut a pass (or a standstill, velocity 0) into cells of equal time; average.
+    """Cut a pass or a standstill into cells of equal time; average.
 
-    velocity_mm_s : (3,) in the tracker's frame
+    way : where the target should be at given times, in the tracker's frame, from any
+        origin
     """
-    cell = _cell_of(time_s, float(np.linalg.norm(velocity_mm_s)))
+    span = float(time_s[-1] - time_s[0]) + 1e-9
+    cell = ((time_s - time_s[0]) / span * cells).astype(np.int64)
+    rest_mm = tracker_mm - way(time_s)
     good = np.ones(len(time_s), bool)
     for _ in range(2):
-        means = _means(time_s[good], tracker_mm[good], cell[good])
-        scatter = _scatter(time_s, tracker_mm, cell, means, velocity_mm_s, noise)
+        means = _means(time_s[good], rest_mm[good], cell[good], way)
+        scatter = _scatter(time_s, rest_mm, cell, means, noise)
         limit = _OUTLIER * np.maximum(1.0, 1.4826 * np.median(np.abs(scatter), axis=0))
         good = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
-    means = _means(time_s[good], tracker_mm[good], cell[good])
-    scatter = _scatter(time_s, tracker_mm, cell, means, velocity_mm_s, noise)[good]
+    means = _means(time_s[good], rest_mm[good], cell[good], way)
+    scatter = _scatter(time_s, rest_mm, cell, means, noise)[good]
     filled = means.count > 0
     free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
     square = (scatter**2).sum(axis=0)
@@ -69,48 +84,44 @@ def reduce_to_cells(
 
 @dataclass(frozen=True, slots=True)
 class _Means:
+    """rest_mm : of what is left without the nominal motion; tracker_mm : with it."""
+
     time_s: Float64[np.ndarray, " c"]
+    rest_mm: Float64[np.ndarray, "c 3"]
     tracker_mm: Float64[np.ndarray, "c 3"]
     count: Float64[np.ndarray, " c"]
 
 
-def _cell_of(
-    time_s: Float64[np.ndarray, " n"], speed_mm_s: float
-) -> Int64[np.ndarray, " n"]:
-    span = float(time_s[-1] - time_s[0]) + 1e-9
-    cells = max(1, int(np.ceil(max(span / CELL_S, span * speed_mm_s / CELL_MM))))
-    return ((time_s - time_s[0]) / span * cells).astype(np.int64)
-
-
 def _means(
     time_s: Float64[np.ndarray, " n"],
-    tracker_mm: Float64[np.ndarray, "n 3"],
+    rest_mm: Float64[np.ndarray, "n 3"],
     cell: Int64[np.ndarray, " n"],
+    way: Way,
 ) -> _Means:
     size = int(cell[-1]) + 1 if len(cell) else 0
     count = np.bincount(cell, minlength=size).astype(float)
     safe = np.maximum(count, 1.0)
     # About the first sample, so that sums keep their digits.
-    origin_s, origin_mm = time_s[0], tracker_mm[0]
+    origin_s, origin_mm = time_s[0], rest_mm[0]
     time = np.bincount(cell, time_s - origin_s, size) / safe + origin_s
-    point = np.column_stack(
-        [np.bincount(cell, column, size) for column in (tracker_mm - origin_mm).T]
+    total = np.column_stack(
+        [np.bincount(cell, column, size) for column in (rest_mm - origin_mm).T]
     )
-    return _Means(time, point / safe[:, None] + origin_mm, count)
+    rest = total / safe[:, None] + origin_mm
+    return _Means(time, rest, rest + way(time), count)
 
 
 def _scatter(
     time_s: Float64[np.ndarray, " n"],
-    tracker_mm: Float64[np.ndarray, "n 3"],
+    rest_mm: Float64[np.ndarray, "n 3"],
     cell: Int64[np.ndarray, " n"],
     means: _Means,
-    velocity_mm_s: Float64[np.ndarray, "3"],
     noise: TrackerNoise,
 ) -> Float64[np.ndarray, "n 3"]:
     """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
     known = np.minimum(cell, len(means.count) - 1)
     lag = time_s - means.time_s[known]
-    off = tracker_mm - means.tracker_mm[known] - lag[:, None] * velocity_mm_s
+    off = rest_mm - means.rest_mm[known]
     off -= lag[:, None] * _slope(lag, off, known)[known]
     frame = beam_frame(means.tracker_mm)[known]
     sigma = noise.sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[known]

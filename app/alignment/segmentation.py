@@ -3,6 +3,9 @@
 Between two matched standstills lies the line between their waypoints. Where standstills
 are missing from the stream, the rough pose tells the lines apart. What is near a change
 of direction (ramps, settling) is left out: there the place on the line is not known.
+
+A line on which rotary axes turn is a curve of the target, whose speed changes on the
+way. What is even at a constant feed is the share of the line that is done a second.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.course import HARDLY_MM, Course, Curve
 from app.alignment.observations import Pass
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops, speed_mm_s
@@ -23,6 +27,9 @@ _ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
 _STEADY = 0.02  # relative change of speed that counts as a ramp
 _SPEED_NOISE_MM_S = 0.8
 _SHORTEST_S = 0.1
+_FEWEST_SAMPLES = 20
+_SLOW_PACE = 0.2  # of its mean speed: slower than this the target tells no share
+_AGREES = 0.05  # what is gone and how fast belong together
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,29 +45,32 @@ class Stream:
         return self.pose.inverse().apply(self.tracker_mm[first:last])
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What was driven of a line: samples from first to last, and where it began.
+
+    origin : sample at which the line began; below 0 where it is not known
+    """
+
+    row: int
+    first: int
+    last: int
+    origin: int = -1
+
+
 def cut_into_passes(
-    stream: Stream,
-    stops: Stops,
-    matching: Matching,
-    waypoint_mm: Float64[np.ndarray, "w 3"],
+    stream: Stream, stops: Stops, matching: Matching, course: Course
 ) -> tuple[Pass, ...]:
     """Return the passes in the order of time; `first` and `last` index `stream`."""
-    found: list[Pass] = []
-    for row, first, last in _stretches(stream, stops, matching, waypoint_mm):
-        steady = _steady_part(stream, first, last, waypoint_mm[row - 1 : row + 1])
-        if steady is not None:
-            begin, end, speed = steady
-            found.append(Pass(row, begin, end, speed))
-    return tuple(found)
+    parts = _parts(stream, stops, matching, course)
+    passes = (_steady_part(stream, part, course.curve(part.row)) for part in parts)
+    return tuple(p for p in passes if p is not None)
 
 
-def _stretches(
-    stream: Stream,
-    stops: Stops,
-    matching: Matching,
-    waypoint_mm: Float64[np.ndarray, "w 3"],
-) -> Iterator[tuple[int, int, int]]:
-    """Yield (row, first, last) of what was driven between neighbouring standstills."""
+def _parts(
+    stream: Stream, stops: Stops, matching: Matching, course: Course
+) -> Iterator[_Part]:
+    """Yield what was driven between neighbouring standstills."""
     matched = dict(zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True))
     order = sorted(matched)
     for here, there in pairwise(order):
@@ -71,76 +81,87 @@ def _stretches(
             if last - first < 3:
                 continue
             if b == a + 1:
-                yield b, first, last
+                row = int(course.first[b])
+                yield _Part(row, first, last, int(stops.last[here]))
             else:
-                yield from _told_by_place(stream, first, last, waypoint_mm, a, b)
+                rows = range(int(course.last[a]) + 1, int(course.first[b]) + 1)
+                yield from _told_by_place(stream, first, last, course, rows)
 
 
 def _told_by_place(
-    stream: Stream,
-    first: int,
-    last: int,
-    waypoint_mm: Float64[np.ndarray, "w 3"],
-    a: int,
-    b: int,
-) -> Iterator[tuple[int, int, int]]:
-    """Yield the stretches of the lines from a to b where their corners are lost."""
+    stream: Stream, first: int, last: int, course: Course, rows: range
+) -> Iterator[_Part]:
+    """Yield the stretches of lines whose corners are lost."""
     points = stream.points_mm(first, last)
-    away = np.stack(
-        [
-            _distance(points, waypoint_mm[r - 1], waypoint_mm[r])
-            for r in range(a + 1, b + 1)
-        ]
-    )
+    away = np.stack([course.curve(row).nearest(points)[1] for row in rows])
     nearest = np.argmin(away, axis=0)
     nearest[away.min(axis=0) > _ON_LINE_MM] = -1
-    for k in range(b - a):
+    for k, row in enumerate(rows):
         mine = np.flatnonzero(nearest == k)
         if len(mine) > 2:
-            yield a + 1 + k, first + int(mine[0]), first + int(mine[-1]) + 1
+            yield _Part(row, first + int(mine[0]), first + int(mine[-1]) + 1)
 
 
-def _distance(
-    points: Float64[np.ndarray, "n 3"],
-    begin: Float64[np.ndarray, "3"],
-    end: Float64[np.ndarray, "3"],
-) -> Float64[np.ndarray, " n"]:
-    length = float(np.linalg.norm(end - begin))
-    d = (end - begin) / max(length, 1e-12)
-    along = np.clip((points - begin) @ d, 0.0, length)
-    return np.linalg.norm(points - begin - along[:, None] * d, axis=1)
-
-
-def _steady_part(
-    stream: Stream, first: int, last: int, ends_mm: Float64[np.ndarray, "2 3"]
-) -> tuple[int, int, float] | None:
-    """Return first, last and speed of the part at constant feed, without ramps."""
-    if float(np.linalg.norm(ends_mm[1] - ends_mm[0])) < _ON_LINE_MM:
-        return None  # the target changed, the machine stood
+def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
+    """Return the part at constant feed, without ramps; None where there is none."""
+    if curve.length_mm < HARDLY_MM:
+        return None  # the target changed, or hardly moves
+    first, last = part.first, part.last
     time, points = stream.time_s[first:last], stream.points_mm(first, last)
-    on = _distance(points, ends_mm[0], ends_mm[1]) < _ON_LINE_MM
-    if on.sum() < 20 or time[-1] - time[0] < _SHORTEST_S:
+    share, away = curve.nearest(points, _travelled_mm(stream, part, curve))
+    on = away < _ON_LINE_MM
+    if on.sum() < _FEWEST_SAMPLES or time[-1] - time[0] < _SHORTEST_S:
         return None
-    speed = speed_mm_s(time, points)
-    middle = (time > _part(time, 0.3)) & (time < _part(time, 0.7)) & on
+    speed, pace = speed_mm_s(time, points), curve.pace(share)
+    told = on & (pace > _SLOW_PACE)
+    middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & told
     if middle.sum() < 10:
-        middle = on
-    plateau = float(np.median(speed[middle]))
-    tolerance = max(_STEADY * plateau, _SPEED_NOISE_MM_S)
-    steady = np.abs(speed - plateau) < tolerance
+        middle = told
+    if not middle.any():
+        return None
+    plateau = float(np.median(speed[middle] / pace[middle]))
+    tolerance = np.maximum(_STEADY * plateau * pace, _SPEED_NOISE_MM_S)
+    steady = (np.abs(speed - plateau * pace) < tolerance) & (pace > _SLOW_PACE)
     begin, end = np.flatnonzero(steady)[[0, -1]] if steady.any() else (0, 0)
     # As long again as half the ramp, for what settles after it.
     t0 = time[begin] + 0.5 * (time[begin] - time[0]) + 0.02
     t1 = time[end] - 0.5 * (time[-1] - time[end]) - 0.02
     inside = np.flatnonzero((time >= t0) & (time <= t1) & on)
-    if len(inside) < 20 or t1 - t0 < _SHORTEST_S:
+    if len(inside) < _FEWEST_SAMPLES or t1 - t0 < _SHORTEST_S:
         return None
-    length = ends_mm[1] - ends_mm[0]
-    along = points[inside] @ (length / np.linalg.norm(length))
-    lag = time[inside] - time[inside].mean()
-    speed = float(lag @ along / (lag @ lag))
-    return first + int(inside[0]), first + int(inside[-1]) + 1, speed
+    rate, middle_share = _even_feed(time[inside], share[inside], pace[inside])
+    mean_speed = rate * curve.length_mm
+    gone_mm = float(np.ptp(share[inside])) * curve.length_mm
+    if abs(mean_speed - plateau) > _AGREES * plateau or gone_mm < HARDLY_MM:
+        return None
+    a, b = first + int(inside[0]), first + int(inside[-1]) + 1
+    return Pass(part.row, a, b, mean_speed, middle_share)
 
 
-def _part(time_s: Float64[np.ndarray, " n"], fraction: float) -> float:
+def _travelled_mm(
+    stream: Stream, part: _Part, curve: Curve
+) -> Float64[np.ndarray, " n"] | None:
+    """Return how far the target has gone since its line began, if that is asked."""
+    if curve.bend is None or part.origin < 0:
+        return None
+    time = stream.time_s[part.origin : part.last]
+    step = np.diff(time, prepend=time[:1])
+    speed = speed_mm_s(time, stream.tracker_mm[part.origin : part.last])
+    return np.cumsum(speed * step)[part.first - part.origin :]
+
+
+def _even_feed(
+    time_s: Float64[np.ndarray, " n"],
+    share: Float64[np.ndarray, " n"],
+    pace: Float64[np.ndarray, " n"],
+) -> tuple[float, float]:
+    """Return the share done a second, and the share at the middle of the time."""
+    weight = pace**2 / (pace @ pace)
+    lag = time_s - weight @ time_s
+    rate = float((weight * lag) @ share / ((weight * lag) @ lag))
+    middle = 0.5 * (time_s[0] + time_s[-1]) - weight @ time_s
+    return rate, float(weight @ share + rate * middle)
+
+
+def _quantile(time_s: Float64[np.ndarray, " n"], fraction: float) -> float:
     return float(time_s[0] + fraction * (time_s[-1] - time_s[0]))

@@ -12,6 +12,7 @@ from app.alignment.stops import (
     SAME_PLACE_MM,
     SPEED_BLOCK,
     Stops,
+    left_in_between,
     rest_position_mm,
     speed_mm_s,
     standstill_speed_mm_s,
@@ -129,13 +130,19 @@ class StopStream:
         inside = self.part(begin, min(last, begin + _ENOUGH))[1]
         stop = Stop(first, last, rest_position_mm(inside))
         before = self.stops[-1] if self.stops else None
-        if before is None or (
-            first > before.first and _away_mm(stop, before) > SAME_PLACE_MM
-        ):
+        if before is None or self._is_another(stop, before):
             self.stops.append(stop)
             return
         longer = stop if last - first >= before.last - before.first else before
         self.stops[-1] = Stop(before.first, last, longer.position_mm)
+
+    def _is_another(self, stop: Stop, before: Stop) -> bool:
+        if stop.first <= before.first:
+            return False
+        if float(np.linalg.norm(stop.position_mm - before.position_mm)) > SAME_PLACE_MM:
+            return True
+        between = self.part(max(before.last, self._dropped), stop.first)[1]
+        return left_in_between(between, before.position_mm)
 
 
 def as_stops(stops: list[Stop], origin: int) -> Stops:
@@ -145,10 +152,6 @@ def as_stops(stops: list[Stop], origin: int) -> Stops:
         np.array([s.last - origin for s in stops]),
         np.array([s.position_mm for s in stops]),
     )
-
-
-def _away_mm(a: Stop, b: Stop) -> float:
-    return float(np.linalg.norm(a.position_mm - b.position_mm))
 
 
 def _runs(

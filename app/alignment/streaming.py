@@ -8,21 +8,21 @@ which waypoint a standstill is, among the next few in the order of the path.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from app.alignment.align import slowest_mm_s
 from app.alignment.cleaning import valid_samples
+from app.alignment.course import course_of
 from app.alignment.observations import Observations, Pass
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import SKIP, TOLERANCE_MM, Matching, match_stops
 from app.alignment.stop_stream import StopStream, as_stops
-from app.alignment.stops import Stops
 from app.alignment.stretches import (
     Stretch,
     joined,
+    looks_at_standstills,
     moving_stretch,
-    nominal_places_mm,
     standing_stretches,
 )
 from app.errors import AlignmentError
@@ -46,11 +46,10 @@ class StreamingAlignment:
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        self._nominal_mm = nominal_places_mm(
-            machine, commanded.position, commanded.target
-        )
+        self._course = course_of(machine, commanded)
+        self._place_mm = self._course.place_mm
         self._raw = TrackerSamples.empty()
-        self._stream = StopStream(slowest_mm_s(commanded))
+        self._stream = StopStream(self._course.slowest_mm_s)
         self._known = 0  # standstills that have been looked at
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._delivered = 0  # matched standstills up to which all is handed on
@@ -115,7 +114,7 @@ class StreamingAlignment:
         stops = self._stream.stops
         if not 3 <= len(stops) <= _TRIES:
             return
-        nominal_mm = self._nominal_mm[: len(stops) + _TRIES]
+        nominal_mm = self._place_mm[: len(stops) + _TRIES]
         names = "path.csv" if self._run.mode == "otf" else "points.csv"
         try:
             found = match_stops(as_stops(stops, 0), nominal_mm, ordered_by=names)
@@ -128,7 +127,7 @@ class StreamingAlignment:
     def _is_wide(self, points_mm: np.ndarray) -> bool:
         """Tell whether points fix a pose for the whole volume, not a line only."""
         spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
-        volume = float(np.linalg.norm(np.ptp(self._nominal_mm, axis=0)))
+        volume = float(np.linalg.norm(np.ptp(self._place_mm, axis=0)))
         return bool(spread[1] > _WIDE * volume)
 
     def _match_by_place(self, index: int) -> None:
@@ -137,7 +136,7 @@ class StreamingAlignment:
         if index <= latest:
             return
         begin = waypoint + 1
-        ahead = self.pose.apply(self._nominal_mm[begin : begin + SKIP + 1])
+        ahead = self.pose.apply(self._place_mm[begin : begin + SKIP + 1])
         place = self._stream.stops[index].position_mm
         near = np.flatnonzero(np.linalg.norm(ahead - place, axis=1) < TOLERANCE_MM)
         if len(near):
@@ -145,7 +144,7 @@ class StreamingAlignment:
             waypoints = [w for _, w in self._matched]
             stops = [self._stream.stops[k] for k, _ in self._matched]
             places = np.array([stop.position_mm for stop in stops])
-            self.pose = fit_rigid(self._nominal_mm[waypoints], places)
+            self.pose = fit_rigid(self._place_mm[waypoints], places)
 
     def _between(self, here: tuple[int, int], there: tuple[int, int]) -> list[Stretch]:
         """Return the passes between two matched standstills, or the first of them."""
@@ -159,29 +158,21 @@ class StreamingAlignment:
         ends = np.array([0, len(stops) - 1]), np.array([here[1], there[1]])
         matching = Matching(*ends, self.pose)
         block = as_stops(stops, origin)
-        if self._run.mode == "standstill":
-            first = Matching(ends[0][:1], ends[1][:1], self.pose)
-            return self._standing(block, first, stream)
         found: list[Stretch] = []
-        for each in cut_into_passes(stream, block, matching, self._nominal_mm):
-            line = len(self._passes)
-            part = moving_stretch(self._run, line, each, stream, self._nominal_mm)
-            self._passes.append(
-                Pass(each.row, each.first + origin, each.last + origin, each.speed_mm_s)
-            )
-            found.append(part)
+        if looks_at_standstills(self._run):
+            first = Matching(ends[0][:1], ends[1][:1], self.pose)
+            found = standing_stretches(self._run, block, first, stream, self._course)
+        if self._run.mode == "standstill":
+            return found
+        for each in cut_into_passes(stream, block, matching, self._course):
+            line, curve = len(self._passes), self._course.curve(each.row)
+            found.append(moving_stretch(self._run, line, each, stream, curve))
+            first, last = each.first + origin, each.last + origin
+            self._passes.append(replace(each, first=first, last=last))
         return found
 
-    def _standing(
-        self, stops: Stops, matching: Matching, stream: Stream
-    ) -> list[Stretch]:
-        try:
-            return standing_stretches(self._run, stops, matching, stream)
-        except AlignmentError:
-            return []  # too short
-
     def _last_standstill(self) -> list[Stretch]:
-        if self._run.mode == "otf" or not self._matched:
+        if not looks_at_standstills(self._run) or not self._matched:
             return []
         last = self._matched[-1]
         return self._between(last, last)

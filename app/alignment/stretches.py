@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from app.alignment.course import Course, Curve
 from app.alignment.observations import Observations, Pass
-from app.alignment.reduction import Cells, reduce_to_cells
+from app.alignment.reduction import Cells, cell_count, reduce_to_cells
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops
-from app.errors import AlignmentError
-from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.effects.base import Conditions
 from app.kinematics.machine import Machine
 from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform
@@ -28,16 +28,18 @@ _CREEP_MM = 0.03  # several times what the air does in a second
 class Stretch:
     """Cells of one pass (`line` counts passes) or of one standstill (`line` is −1).
 
-    row : of the commanded path or points; velocity_mm_s : (3,), 0 at a standstill
+    row : of the commanded path or points; velocity_mm_s : (n, 3), 0 at a standstill
     position_mm : (n, axes) nominal; line_time_s : (n,) from the middle of the pass
+    line_speed_mm_s : mean speed along the line
     """
 
     cells: Cells
     row: int
     line: int
-    velocity_mm_s: Float64[np.ndarray, "3"]
+    velocity_mm_s: Float64[np.ndarray, "n 3"]
     position_mm: Float64[np.ndarray, "n a"]
     line_time_s: Float64[np.ndarray, " n"]
+    line_speed_mm_s: float = 0.0
 
 
 def offsets_mm(
@@ -46,15 +48,6 @@ def offsets_mm(
     """Return the offset of the target measured at each commanded row."""
     names = targets or [""] * rows
     return np.array([machine.target(name).offset_mm for name in names], np.float64)
-
-
-def nominal_places_mm(
-    machine: Machine, position: Float64[np.ndarray, "n a"], targets: Sequence[str]
-) -> Float64[np.ndarray, "n 3"]:
-    """Return where the target of each row should be, where the tracker stands."""
-    at = standstill(machine, position, offsets_mm(machine, targets, len(position)))
-    aside = on_workpiece(machine, targets, len(position))
-    return at.seen_by(machine.tracker.stands_on, aside).point_mm
 
 
 def on_workpiece(
@@ -66,58 +59,109 @@ def on_workpiece(
 
 
 def moving_stretch(
-    run: Run,
-    line: int,
-    each: Pass,
-    stream: Stream,
-    nominal_mm: Float64[np.ndarray, "w 3"],
+    run: Run, line: int, each: Pass, stream: Stream, curve: Curve
 ) -> Stretch:
     """Return the cells of one pass; their places follow from a constant feed."""
-    begin, end = nominal_mm[each.row - 1], nominal_mm[each.row]
-    length = float(np.linalg.norm(end - begin))
-    direction = (end - begin) / length
     part = slice(each.first, each.last)
+    time = stream.time_s[part]
+    middle, rate = 0.5 * float(time[0] + time[-1]), each.speed_mm_s / curve.length_mm
+    rotation = stream.pose.rotation
+
+    def way(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        return curve.point_mm(each.share + rate * (time_s - middle)) @ rotation.T
+
+    count = cell_count(
+        float(time[-1] - time[0]),
+        each.speed_mm_s * curve.fastest(),
+        rate * curve.turn_deg,
+    )
     cells = reduce_to_cells(
-        stream.time_s[part],
-        stream.tracker_mm[part],
-        stream.pose.rotation @ (direction * each.speed_mm_s),
-        run.machine.tracker,
+        time, stream.tracker_mm[part], way, run.machine.tracker, count
     )
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
-    along = (stream.pose.inverse().apply(cells.tracker_mm) - begin) @ direction
-    place, feed = _straight_line(line_time, along, cells.count, each.speed_mm_s)
-    fraction = (place + feed * line_time) / length
+    share = each.share + rate * (cells.time_s - middle)
+    late, slow = _timing(curve, share, stream.pose.inverse(), cells, line_time)
+    share, rate = share + late + slow * line_time, rate + slow
     rows = run.commanded.position[each.row - 1 : each.row + 1]
-    position = rows[0] + fraction[:, None] * (rows[1] - rows[0])
-    return Stretch(cells, each.row, line, direction * feed, position, line_time)
+    return Stretch(
+        cells,
+        each.row,
+        line,
+        curve.slope_mm(share) * rate,
+        rows[0] + share[:, None] * (rows[1] - rows[0]),
+        line_time,
+        curve.length_mm * rate,
+    )
+
+
+def _timing(
+    curve: Curve,
+    share: Float64[np.ndarray, " n"],
+    to_workpiece: RigidTransform,
+    cells: Cells,
+    line_time_s: Float64[np.ndarray, " n"],
+) -> tuple[float, float]:
+    """Return by how much the cells are ahead, at mid line and more every second.
+
+    In shares of the line, by least squares along it; one cell tells no speed.
+    """
+    slope = curve.slope_mm(share)
+    off = to_workpiece.apply(cells.tracker_mm) - curve.point_mm(share)
+    square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
+    ahead = np.einsum("ni,ni->n", off, slope) / square
+    if len(share) < 2:
+        return float(ahead[0]), 0.0
+    weight = cells.count * square
+    weight /= weight.sum()
+    lag = line_time_s - weight @ line_time_s
+    slow = float((weight * lag) @ ahead / ((weight * lag) @ lag))
+    return float(weight @ ahead) - slow * float(weight @ line_time_s), slow
+
+
+def looks_at_standstills(run: Run) -> bool:
+    """Tell whether standstills are measured, not only what is driven between them.
+
+    On a line, phase and speed are free: of a target that an axis turns, nothing then
+    tells the angle that its arcs begin at. The stops between lines do.
+    """
+    return run.mode == "standstill" or bool(run.machine.rotary_axes)
 
 
 def standing_stretches(
-    run: Run, stops: Stops, matching: Matching, stream: Stream
+    run: Run, stops: Stops, matching: Matching, stream: Stream, course: Course
 ) -> list[Stretch]:
-    """Return the cells of every matched standstill, settling left out."""
+    """Return the cells of every matched standstill, settling left out.
+
+    Not of those at which an axis may have turned unseen.
+    """
     found: list[Stretch] = []
-    for stop, row in zip(matching.stop, matching.waypoint, strict=True):
+    for stop, place in zip(matching.stop, matching.waypoint, strict=True):
         first, last = int(stops.first[stop]), int(stops.last[stop])
+        row = int(course.first[place])
+        if last - first < _FEWEST_SAMPLES or row != course.last[place]:
+            continue
         time = stream.time_s[first:last]
         settled = (time > time[0] + _SETTLE_S) & (time < time[-1] - _SETTLE_S)
         inside = first + np.flatnonzero(settled)
         if len(inside) < _FEWEST_SAMPLES or _creeps(stream.tracker_mm[inside]):
             continue
+        span = float(stream.time_s[inside[-1]] - stream.time_s[inside[0]])
         cells = reduce_to_cells(
             stream.time_s[inside],
             stream.tracker_mm[inside],
-            np.zeros(3),
+            _at_rest,
             run.machine.tracker,
+            cell_count(span),
         )
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
-        found.append(Stretch(cells, int(row), -1, np.zeros(3), position, np.zeros(n)))
-    if not found:
-        raise AlignmentError(
-            "the machine never stood still long enough; dwell at least 0.2 s at a point"
-        )
+        still = np.zeros((n, 3))
+        found.append(Stretch(cells, row, -1, still, position, np.zeros(n)))
     return found
+
+
+def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+    return np.zeros((len(time_s), 3))
 
 
 def _creeps(tracker_mm: Float64[np.ndarray, "n 3"]) -> bool:
@@ -137,7 +181,8 @@ def joined(
     sizes = [len(p.cells.time_s) for p in parts]
     row = np.repeat(np.array([p.row for p in parts]), sizes)
     line = np.repeat(np.array([p.line for p in parts]), sizes)
-    velocity = np.repeat(np.array([p.velocity_mm_s for p in parts]), sizes, axis=0)
+    velocity = np.concatenate([p.velocity_mm_s for p in parts])
+    mean_speed = np.repeat(np.array([p.line_speed_mm_s for p in parts]), sizes)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     targets = run.commanded.target
     names = [targets[p.row] for p in parts for _ in p.cells.time_s] if targets else []
@@ -152,6 +197,7 @@ def joined(
         _approach(run.commanded.position)[row],
         run.machine.tracker.stands_on,
         on_workpiece(run.machine, names, len(row)),
+        mean_speed if run.machine.rotary_axes else None,
     )
     count = np.concatenate([p.cells.count for p in parts])
     return Observations(
@@ -166,21 +212,6 @@ def joined(
         int(count.sum()),
         len(run.tracker),
     )
-
-
-def _straight_line(
-    time_s: Float64[np.ndarray, " n"],
-    along_mm: Float64[np.ndarray, " n"],
-    weight: Float64[np.ndarray, " n"],
-    speed_mm_s: float,
-) -> tuple[float, float]:
-    """Return place at time 0 and speed; the given speed where one cell tells none."""
-    if len(time_s) < 2:
-        return float(along_mm[0]), speed_mm_s
-    place, feed = np.polynomial.polynomial.polyfit(
-        time_s, along_mm, 1, w=np.sqrt(weight)
-    )
-    return float(place), float(feed)
 
 
 def _scatter(parts: list[Stretch]) -> Float64[np.ndarray, "2"]:

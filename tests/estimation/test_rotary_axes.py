@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.errors import AlignmentError
 from app.estimation.batch import estimate
 from app.estimation.identifiable import identifiable_model
 from app.estimation.volumetric_map import volumetric_map
@@ -13,7 +12,7 @@ from app.kinematics.effects.error_motion import ErrorMotion
 from app.measurement.machine_file import machine_from_json
 from app.measurement.run import Run
 from app.planning.configurations import Configurations
-from drivers.interfaces.records import Path, TrackerSamples
+from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
@@ -131,18 +130,3 @@ def test_targets_on_the_table_alone_do_not_say_where_its_axis_is():
     # Motions show; the location has nothing to refer to but the pose of the tracker.
     assert {f"E{d}C" for d in "XYZABC"} <= names
     assert {"XOC", "YOC", "AOC", "BOC"} <= set(said)
-
-
-def test_lines_on_which_an_axis_turns_are_refused_with_the_remedy():
-    run, _ = measured("head-table", 3, points=30)
-    n = len(run.commanded)
-    path = Path(
-        run.commanded.axes,
-        run.commanded.position,
-        np.full(n, 3000.0),
-        run.commanded.dwell_s,
-        run.commanded.target,
-    )
-    turning = Run(run.name, run.machine, path, run.tracker)
-    with pytest.raises(AlignmentError, match=r"path\.csv row 3: B turns"):
-        align(turning)

@@ -1,0 +1,243 @@
+"""The nominal way of the target: where it stands, and its curve on the way to each row.
+
+All axes move together from row to row, so a line in axis positions is a straight line
+of the target only where no rotary axis carries it or the observer; else it is an arc,
+or the curve that a turn and a travel make together. Its place on that curve is told by
+the share of the line that is done, which grows evenly at a constant feed: along a curve
+the target's own speed need not be constant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.interpolate import CubicSpline
+from scipy.spatial import KDTree
+
+from app.kinematics.effects.base import standstill
+from app.kinematics.machine import Machine, RotaryAxis
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path
+
+HARDLY_MM = 1.0  # a target that moves less far is not looked at on the way
+_STRAIGHT_MM = 1e-6
+_NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
+_BRANCH = 0.05  # weight of what was travelled against what is near
+_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The target's nominal way along one line; `share` runs from 0 to 1.
+
+    length_mm : along the curve; turn_deg : by how much rotary axes turn, all together
+    bend : points over shares; None where the target goes straight at an even speed
+    """
+
+    begin_mm: Float64[np.ndarray, "3"]
+    end_mm: Float64[np.ndarray, "3"]
+    length_mm: float
+    turn_deg: float
+    bend: CubicSpline | None = None
+
+    def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        """Return where the target should be."""
+        if self.bend is None:
+            return self.begin_mm + share[:, None] * (self.end_mm - self.begin_mm)
+        return self.bend(share)
+
+    def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        """Return its derivative by the share."""
+        if self.bend is None:
+            return np.tile(self.end_mm - self.begin_mm, (len(share), 1))
+        return self.bend(share, 1)
+
+    def pace(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Return the target's speed in units of its mean speed on the line."""
+        if self.bend is None:
+            return np.ones(len(share))
+        return np.linalg.norm(self.bend(share, 1), axis=1) / self.length_mm
+
+    def fastest(self) -> float:
+        """Return the highest pace."""
+        return 1.0 if self.bend is None else float(self.pace(self.bend.x).max())
+
+    def nearest(
+        self,
+        point_mm: Float64[np.ndarray, "n 3"],
+        travelled_mm: Float64[np.ndarray, " n"] | None = None,
+    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Return the share nearest to each point, and how far in mm the point is off.
+
+        travelled_mm : way since the beginning of the line: a rough one tells the
+            branches apart where the curve comes back to a place
+        """
+        if self.bend is None:
+            chord = self.end_mm - self.begin_mm
+            square = max(float(chord @ chord), 1e-24)
+            share = (point_mm - self.begin_mm) @ chord / square
+            near = np.clip(share, 0.0, 1.0)
+        else:
+            share = near = self._nearest_bent(self.bend, point_mm, travelled_mm)
+        return share, np.linalg.norm(point_mm - self.point_mm(near), axis=1)
+
+    def _nearest_bent(
+        self,
+        bend: CubicSpline,
+        point_mm: Float64[np.ndarray, "n 3"],
+        travelled_mm: Float64[np.ndarray, " n"] | None,
+    ) -> Float64[np.ndarray, " n"]:
+        node = bend(bend.x)
+        step = np.linalg.norm(np.diff(node, axis=0), axis=1)
+        run = np.concatenate([[0.0], np.cumsum(step)])
+        if travelled_mm is None:
+            travelled_mm, run = np.zeros(len(point_mm)), np.zeros(len(run))
+        tree = KDTree(np.column_stack([node, _BRANCH * run]))
+        sought = np.column_stack([point_mm, _BRANCH * travelled_mm])
+        share = bend.x[tree.query(sought)[1]]
+        most = 1.5 * float(bend.x[1])
+        for _ in range(2):
+            slope = bend(share, 1)
+            off = np.einsum("ni,ni->n", point_mm - bend(share), slope)
+            square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
+            share = np.clip(share + np.clip(off / square, -most, most), 0.0, 1.0)
+        return share
+
+
+@dataclass(frozen=True)
+class Course:
+    """The commanded rows as the tracker should see them.
+
+    begin_mm, end_mm : (w, 3) ends of the line towards each row, of that row's target
+    length_mm, turn_deg : (w,); bends : curves of the rows that are not straight
+    slowest_mm_s : mean speed of the slowest line
+    first, last : (p,) rows at each place, in order: on rows between them the target
+        hardly moves, so that one standstill is seen
+    """
+
+    begin_mm: Float64[np.ndarray, "w 3"]
+    end_mm: Float64[np.ndarray, "w 3"]
+    length_mm: Float64[np.ndarray, " w"]
+    turn_deg: Float64[np.ndarray, " w"]
+    bends: dict[int, CubicSpline]
+    slowest_mm_s: float
+    first: Int64[np.ndarray, " p"]
+    last: Int64[np.ndarray, " p"]
+
+    @property
+    def place_mm(self) -> Float64[np.ndarray, "p 3"]:
+        """Where the target should stand, one place after another."""
+        return self.end_mm[self.first]
+
+    def curve(self, row: int) -> Curve:
+        """Return the way towards a row."""
+        return Curve(
+            self.begin_mm[row],
+            self.end_mm[row],
+            float(self.length_mm[row]),
+            float(self.turn_deg[row]),
+            self.bends.get(row),
+        )
+
+
+def course_of(machine: Machine, commanded: Path | Configurations) -> Course:
+    """Return the course of a path, or the places of standstill points."""
+    n = len(commanded)
+    end_mm = _seen_mm(machine, commanded, np.arange(n), commanded.position)
+    if isinstance(commanded, Configurations):
+        rows, none = np.arange(n), np.zeros(n)
+        slowest = _SLOWEST_TRAVERSE_MM_S
+        return Course(end_mm, end_mm, none, none, {}, slowest, rows, rows)
+    before = np.concatenate([commanded.position[:1], commanded.position[:-1]])
+    begin_mm = _seen_mm(machine, commanded, np.arange(n), before)
+    length_mm = np.linalg.norm(end_mm - begin_mm, axis=1)
+    is_rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
+    step = commanded.position - before
+    turn_deg = np.abs(step[:, is_rotary]).sum(axis=1)
+    bends = _bends(machine, commanded, before, turn_deg)
+    for row, bend in bends.items():
+        length_mm[row] = _length_mm(bend)
+    speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
+    moved = np.concatenate([[True], length_mm[1:] >= HARDLY_MM])
+    if commanded.target:
+        moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
+    first = np.flatnonzero(moved)
+    last = np.append(first[1:], n) - 1
+    return Course(
+        begin_mm, end_mm, length_mm, turn_deg, bends, float(speed.min()), first, last
+    )
+
+
+def _seen_mm(
+    machine: Machine,
+    commanded: Path | Configurations,
+    row: Int64[np.ndarray, " n"],
+    position: Float64[np.ndarray, "n a"],
+) -> Float64[np.ndarray, "n 3"]:
+    """Return where the targets of rows should be, at positions of the axes."""
+    names = commanded.target or [""]
+    targets = [machine.target(name) for name in names]
+    which = row if commanded.target else np.zeros(len(row), np.int64)
+    offset = np.array([t.offset_mm for t in targets], np.float64)[which]
+    aside = np.array([t.on == "workpiece" for t in targets])[which]
+    at = standstill(machine, position, offset)
+    return at.seen_by(machine.tracker.stands_on, aside).point_mm
+
+
+def _bends(
+    machine: Machine,
+    commanded: Path,
+    before: Float64[np.ndarray, "w a"],
+    turn_deg: Float64[np.ndarray, " w"],
+) -> dict[int, CubicSpline]:
+    """Return the curves of rows on which the target does not go straight and evenly."""
+    rows = np.flatnonzero(turn_deg)
+    if not len(rows):
+        return {}
+    nodes = _NODES + np.ceil(turn_deg[rows]).astype(np.int64)
+    shares = [np.linspace(0.0, 1.0, count) for count in nodes]
+    row, share = np.repeat(rows, nodes), np.concatenate(shares)
+    step = commanded.position[row] - before[row]
+    point = _seen_mm(machine, commanded, row, before[row] + share[:, None] * step)
+    parts = np.split(point, np.cumsum(nodes)[:-1])
+    return {
+        int(row): CubicSpline(at, points)
+        for row, at, points in zip(rows, shares, parts, strict=True)
+        if _is_bent(at, points)
+    }
+
+
+def _is_bent(
+    share: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3"]
+) -> bool:
+    chord = points[0] + share[:, None] * (points[-1] - points[0])
+    return bool(np.abs(points - chord).max() > _STRAIGHT_MM)
+
+
+def _length_mm(bend: CubicSpline) -> float:
+    """Return the length of a curve: its mean slope by Simpson's rule."""
+    slope = np.linalg.norm(bend(np.linspace(0.0, 1.0, 2 * len(bend.x) - 1), 1), axis=1)
+    weight = np.full(len(slope), 2.0)
+    weight[1::2] = 4.0
+    weight[[0, -1]] = 1.0
+    return float(weight @ slope / weight.sum())
+
+
+def _speed_mm_s(
+    commanded: Path,
+    step: Float64[np.ndarray, "w a"],
+    is_rotary: np.ndarray,
+    length_mm: Float64[np.ndarray, " w"],
+) -> Float64[np.ndarray, " w"]:
+    """Return the target's mean speed to each row; infinite where it hardly moves.
+
+    The feed is of the linear axes, in deg/min of the rotary ones where none moves.
+    """
+    straight = np.linalg.norm(step[:, ~is_rotary], axis=1)
+    fed = straight + np.linalg.norm(step[:, is_rotary], axis=1) * (straight == 0.0)
+    moves = (length_mm >= HARDLY_MM) & (fed > 0.0)
+    speed = np.full(len(fed), np.inf)
+    speed[moves] = (commanded.feed_mm_min / 60.0 * length_mm)[moves] / fed[moves]
+    return speed
