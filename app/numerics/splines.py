@@ -62,14 +62,20 @@ class CubicSpline:
         rows[n, left + 1] += 1.0 / h
         return rows
 
-    def bending(self) -> Float64[np.ndarray, "k k"]:
-        """Return K with aᵀ K a = ∫ S''² dt, the beam's energy (eq. 12–13)."""
+    def bending(
+        self, weight: Float64[np.ndarray, " s"] | None = None
+    ) -> Float64[np.ndarray, "k k"]:
+        """Return K with aᵀ K a = ∫ w S''² dt, the beam's energy (eq. 12–13).
+
+        weight : w, stiffness of the beam in each interval of the knots; 1 if left out
+        """
         h, left, right = self._spans()
+        stiff = h if weight is None else h * weight
         M = self.curvature_map
         L, R = M[left], M[right]
-        third = (h / 3.0)[:, None]
+        third = (stiff / 3.0)[:, None]
         energy = (L * third).T @ L + (R * third).T @ R
-        cross = (L * (h / 6.0)[:, None]).T @ R
+        cross = (L * (stiff / 6.0)[:, None]).T @ R
         return energy + cross + cross.T
 
     def gram(self) -> Float64[np.ndarray, "k k"]:
