@@ -85,7 +85,7 @@ def identifiable_model(
         for s in ordered
     )
     squareness = squareness_between(tuple(travels))
-    tool = tool_orientation(np.unique(offsets_mm, axis=0))
+    tool = tool_orientation(machine, np.unique(offsets_mm, axis=0))
     return MachineModel(machine, (*motions, *squareness, *tool)), tuple(merged)
 
 

@@ -144,7 +144,7 @@ def _candidates(machine: Machine, targets: Sequence[Target]) -> list[Effect]:
     if len(part) and machine.tracker.stands_on == "base":
         found += workpiece_placement(part)
     if len(tool):
-        found += tool_orientation(tool)
+        found += tool_orientation(machine, tool)
     for axis in machine.rotary_axes:
         found += axis_locations(axis)
     return found

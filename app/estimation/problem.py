@@ -102,7 +102,15 @@ def coarser(problem: Problem, merge: int) -> Problem:
     at = replace(
         firsts.at, time_s=mean(seen.at.time_s), line_time_s=mean(seen.at.line_time_s)
     )
-    merged = replace(firsts, at=at, tracker_mm=mean(seen.tracker_mm), count=count)
+    travel = mean(seen.direction)  # on an arc it turns on the way
+    speed = np.linalg.norm(travel, axis=1, keepdims=True)
+    merged = replace(
+        firsts,
+        at=at,
+        tracker_mm=mean(seen.tracker_mm),
+        count=count,
+        direction=travel / np.maximum(speed, 1e-12),
+    )
     # Averaged in the workpiece frame, where a line keeps its direction.
     local = mean(np.matmul(np.swapaxes(problem.frame, 1, 2), problem.rows))
     frame = beam_frame(merged.tracker_mm) @ problem.pose.rotation

@@ -1,9 +1,12 @@
 """What one, two and three tool offsets can tell apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from app.estimation.identifiable import identifiable_model
+from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
@@ -56,3 +59,20 @@ def test_a_turn_about_a_target_on_the_spindle_axis_moves_nothing():
     _, merged = identifiable_model(machine("", "XYZ"), np.array(ONE))
     said = {m.symbol: str(m) for m in merged}
     assert "does not move the target" in said["ECZ"]
+
+
+def test_how_other_targets_sit_is_no_error_of_the_first_one():
+    # T1 is the last in any order of coordinates.
+    places = {
+        "T1": (60.0, 50.0, -20.0),
+        "T2": (0.0, 0.0, -200.0),
+        "T3": (0.0, 60.0, -90.0),
+    }
+    targets = tuple(Target(name, "tool", at) for name, at in places.items())
+    mill = replace(machine("", "XYZ"), targets=targets)
+    model, _ = identifiable_model(mill, np.array(list(places.values())), intervals=4)
+    turn = model.slices["tool-orientation"]
+    for name, at in places.items():
+        still = standstill(mill, np.full((1, 3), 50.0), np.array([at]))
+        moved = np.abs(model.jacobian(still)[:, :, turn]).max()
+        assert (moved == 0.0) == (name == "T1")

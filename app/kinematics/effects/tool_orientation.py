@@ -12,18 +12,21 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.machine import Machine
 from app.numerics.rigid import cross_matrix
 
 
 @dataclass(frozen=True)
 class ToolOrientation(Effect):
-    """A small turn of all offsets about the first target.
+    """A small turn of all offsets about the machine's first target on the tool.
 
-    first_mm : offset of the first target
+    The volumetric error is stated for that target: how the others sit is none of it.
+
+    about_mm : offset of the first target
     turns : (3, p) turns that the offsets can show; p = 2 where they lie on one line
     """
 
-    first_mm: tuple[float, float, float]
+    about_mm: tuple[float, float, float]
     turns: Float64[np.ndarray, "3 p"]
 
     @property
@@ -39,19 +42,18 @@ class ToolOrientation(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return turn × (offset − first offset)."""
-        columns = cross_matrix(at.offset_mm - np.array(self.first_mm)) @ self.turns
+        columns = cross_matrix(at.offset_mm - np.array(self.about_mm)) @ self.turns
         return columns if at.is_plain else at.chain.tool_frame @ columns
 
 
 def tool_orientation(
-    offsets_mm: Float64[np.ndarray, "t 3"],
+    machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]
 ) -> tuple[ToolOrientation, ...]:
     """Return the effect for the measured offsets; none where there is but one."""
-    arms = offsets_mm - offsets_mm[0]
-    _, size, direction = np.linalg.svd(arms)
+    _, size, direction = np.linalg.svd(offsets_mm - offsets_mm[0])
     if size[0] < 1e-6:
         return ()
     on_a_line = len(size) < 2 or size[1] < 1e-6 * size[0]
     turns = direction[1:].T if on_a_line else direction.T
-    x, y, z = (float(v) for v in offsets_mm[0])
-    return (ToolOrientation((x, y, z), turns),)
+    first = next(t for t in machine.targets if t.on == "tool")
+    return (ToolOrientation(first.offset_mm, turns),)
