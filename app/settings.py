@@ -64,6 +64,12 @@ class Settings(BaseSettings):
     motion_options: dict[str, Option] = Field(default_factory=dict)
 
     analysis_workers: int = Field(1, ge=1, le=64)
+    executor: Literal["processes", "dask"] = "processes"
+    """Who computes what can be cut into blocks, such as Monte Carlo trials."""
+    executor_workers: int = Field(0, ge=0, le=1024)
+    """Blocks under way together; 0 is one a core, or a thread of the Dask cluster."""
+    dask_scheduler: str = ""
+    """Address of the Dask scheduler, `tcp://host:8786`."""
     max_upload_mb: int = Field(512, ge=1, le=65536)
     max_streams: int = Field(64, ge=1, le=10_000)
     """Event streams open at one time; each browser tab holds one."""

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Literal, NoReturn
 
 import typer
 
@@ -164,15 +164,24 @@ def analyse(
             help="Hold the uncertainty against GUM Supplement 1 trials.",
         ),
     ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the trials.")] = 1,
+    digits: Annotated[
+        int,
+        typer.Option(min=1, max=2, help="Digits of an uncertainty the trials settle."),
+    ] = 1,
+    interval: Annotated[
+        Literal["symmetric", "shortest"],
+        typer.Option(help="Form of the trials' coverage intervals."),
+    ] = "symmetric",
     json: Json = False,
 ) -> None:
     """A measurement to error tables with their uncertainty, and a report."""
     _compute_on_one_thread()
     from app.cli.science import analyse_bundle
+    from app.numerics.adaptive_trials import TrialPlan
 
-    analyse_bundle(
-        bundle, output, perpendicular_only, monte_carlo=monte_carlo, as_json=json
-    )
+    plan = TrialPlan(seed, digits, interval) if monte_carlo else None
+    analyse_bundle(bundle, output, perpendicular_only, monte_carlo=plan, as_json=json)
 
 
 @app.command()

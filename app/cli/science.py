@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from app.cli.summary import print_result, summarised
 from app.cli.terminal import print_json, progress, say
 from app.errors import BadInput
-from app.estimation.monte_carlo import Mapper
 from app.jobs.analysis import analyse, predict_points, write_analysis
+from app.jobs.workers import Ordered, opened, workers_of
 from app.measurement.bundle import read_bundle
+from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.prediction import Prediction
+from app.settings import load_settings
 
 
 def analyse_bundle(
@@ -24,19 +24,24 @@ def analyse_bundle(
     output: Path,
     perpendicular_only: bool,
     *,
-    monte_carlo: bool,
+    monte_carlo: TrialPlan | None,
     as_json: bool,
 ) -> None:
-    """Analyse a measurement bundle and write the three files of a result."""
+    """Analyse a measurement bundle and write the three files of a result.
+
+    monte_carlo : trials to hold the uncertainty against; the settings say who computes
+    """
     if output.exists() and not output.is_dir():
         raise BadInput(f"{output}: is a file; name a folder for the results")
-    with progress("analyse") as report, _trials(monte_carlo) as mapper:
+    workers = nullcontext(map) if monte_carlo is None else _workers()
+    with progress("analyse") as report, workers as mapper:
         report(0.0, "reading")
         run = read_bundle(bundle)
         analysis = analyse(
             run,
             perpendicular_only=perpendicular_only,
-            monte_carlo=mapper,
+            monte_carlo=monte_carlo,
+            mapper=mapper,
             progress=report,
         )
         report(1.0, "writing")
@@ -47,14 +52,8 @@ def analyse_bundle(
         print_result(analysis.result, output)
 
 
-@contextmanager
-def _trials(wanted: bool) -> Iterator[Mapper | None]:
-    """Give blocks of trials to a process a core."""
-    if not wanted:
-        yield None
-        return
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        yield pool.map
+def _workers() -> AbstractContextManager[Ordered[Any]]:
+    return opened(workers_of(load_settings()))
 
 
 def predict_file(result: Path, points: Path, output: Path, *, as_json: bool) -> None:

@@ -28,6 +28,7 @@ def summarised(result: Result, folder: Path) -> dict[str, Any]:
         "squareness_urad": result["squareness_urad"],
         "residual_rms_um": result["residuals"]["rms_um"],
         "observability": result["observability"],
+        "monte_carlo": _verdict(result),
         "files": [str(path) for path in _files(folder)],
     }
 
@@ -47,8 +48,31 @@ def print_result(result: Result, folder: Path) -> None:
     for statement in result["observability"]["unobservable"]:
         print(f"not seen by this measurement: {statement}")
     print(f"residuals {result['residuals']['rms_um']:.2f} µm rms")
+    if (trials := result["monte_carlo"]) is not None:
+        print(_worded(trials))
     for path in _files(folder):
         print(path)
+
+
+def _verdict(result: Result) -> dict[str, Any] | None:
+    """Return what the trials say, without their tables."""
+    trials = result["monte_carlo"]
+    if trials is None:
+        return None
+    return {
+        key: value
+        for key, value in trials.items()
+        if not isinstance(value, Mapping | list)
+    }
+
+
+def _worded(trials: Result) -> str:
+    count = f"{trials['trials']:,} trials"
+    if not trials["settled"]:
+        return f"{count} did not settle: the linear uncertainty is not validated"
+    share = f"{100.0 * trials['largest_disagreement']:.1f} % at most"
+    verdict = "agrees with" if trials["agrees"] else "does not agree with"
+    return f"linear uncertainty {verdict} {count} (JCGM 101); u differs by {share}"
 
 
 def _spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,7 +13,6 @@ from app.estimation.direction import Fit, best_fit
 from app.estimation.estimate import Estimate, Observability, Residuals
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information
-from app.estimation.monte_carlo import Mapper, Propagated, volume_by_trials
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import first_noise, fit_noise
 from app.estimation.observability import observability
@@ -24,14 +24,13 @@ def estimate(
     seen: Observations,
     *,
     perpendicular_only: bool = False,
-    monte_carlo: Mapper | None = None,
+    keep_fit: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
     """Estimate all error motions that the observations can tell.
 
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
-    monte_carlo : computes blocks of trials, if the uncertainty is to be held against
-        propagation by Monte Carlo
+    keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
     progress : told the share done, 0 to 1
 
     Raises Unidentifiable if the lines do not determine the error motions.
@@ -49,9 +48,9 @@ def estimate(
     fit = best_fit(seen, machine_model, pose, noise)
     observable = observability(seen, pose, noise)
     told(0.9)
-    trials = volume_by_trials(fit, noise, run=monte_carlo) if monte_carlo else None
     told(1.0)
-    return _packed(fit, noise, observable, perpendicular_only, trials)
+    packed = _packed(fit, noise, observable, perpendicular_only)
+    return replace(packed, fit=fit) if keep_fit else packed
 
 
 def _untold(share: float) -> None:
@@ -63,7 +62,6 @@ def _packed(
     noise: NoiseModel,
     observable: Observability,
     perpendicular_only: bool,
-    trials: Propagated | None,
 ) -> Estimate:
     problem, seen = fit.problem, fit.problem.seen
     result = with_unknown_strengths(fit.prior, fit.result)
@@ -86,7 +84,6 @@ def _packed(
         seen.used,
         seen.offered,
         len(np.unique(seen.row)),
-        trials,
     )
 
 

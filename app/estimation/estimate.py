@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.monte_carlo import Propagated
+from app.estimation.direction import Fit
 from app.estimation.noise import NoiseModel
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
@@ -54,7 +54,7 @@ class Estimate:
         integrated out
     strength : prior strength of each error motion's bending, found from the data
     direction : `none`, `constant` or `tables`: what the direction of approach does
-    trials : what Monte Carlo says of the volumetric uncertainty, if it was asked
+    fit : what it was solved from, if that was to be kept
     pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
     about
         `centre_mm`
@@ -76,4 +76,4 @@ class Estimate:
     used_samples: int
     offered_samples: int
     lines: int
-    trials: Propagated | None = None
+    fit: Fit | None = None

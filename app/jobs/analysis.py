@@ -8,21 +8,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from app.alignment.align import align
 from app.errors import BundleError
 from app.estimation.batch import estimate
-from app.estimation.monte_carlo import Mapper
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
+from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.reporting.error_tables_csv import error_tables_csv
 from app.reporting.findings import Findings, Provenance, find
+from app.reporting.held_trials import held_against_trials
 from app.reporting.points_csv import predicted_csv, read_points
 from app.reporting.prediction import Prediction, predict
 from app.reporting.report_html import report_html
@@ -32,8 +33,19 @@ from app.reporting.run_account import account_of
 Progress = Callable[[float, str], None]
 
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
-_ALIGNED, _ESTIMATED = 0.1, 0.9  # share of the work that is then done
 _LARGEST = 1 << 30  # bytes of a result file or of points
+
+
+class _Shares(NamedTuple):
+    """Share of the work that is done with each stage."""
+
+    aligned: float
+    solved: float
+    tried: float
+
+
+_SHARES = _Shares(0.1, 0.9, 0.9)
+_SHARES_WITH_TRIALS = _Shares(0.01, 0.09, 0.98)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,32 +65,45 @@ def analyse(
     run: Run,
     *,
     perpendicular_only: bool = False,
-    monte_carlo: Mapper | None = None,
+    monte_carlo: TrialPlan | None = None,
+    mapper: Mapper = map,
     progress: Progress | None = None,
 ) -> Analysis:
     """Analyse a Run.
 
     perpendicular_only : leave out what is measured along the travel
-    monte_carlo : computes blocks of trials that the uncertainty is held against
-    progress : told the share done and the stage: aligning, estimating, reporting
+    monte_carlo : the trials that the uncertainty is held against, if it is to be
+    mapper : computes blocks of trials, here or elsewhere
+    progress : told the share done and the stage: aligning, estimating, validating where
+        trials are run, reporting
 
     Raises EstimationError if the data do not carry the answer.
     """
     told = progress or (lambda share, stage: None)
+    shares = _SHARES if monte_carlo is None else _SHARES_WITH_TRIALS
+
+    def solved(share: float) -> None:
+        told(shares.aligned + share * (shares.solved - shares.aligned), "estimating")
+
+    def tried(share: float) -> None:
+        told(shares.solved + share * (shares.tried - shares.solved), "validating")
+
     told(0.0, "aligning")
     seen = align(run)
-    told(_ALIGNED, "estimating")
+    solved(0.0)
     estimated = estimate(
         seen,
         perpendicular_only=perpendicular_only,
-        monte_carlo=monte_carlo,
-        progress=lambda share: told(
-            _ALIGNED + share * (_ESTIMATED - _ALIGNED), "estimating"
-        ),
+        keep_fit=monte_carlo is not None,
+        progress=solved,
     )
-    told(_ESTIMATED, "reporting")
+    trials = None
+    if monte_carlo is not None:
+        tried(0.0)
+        trials = held_against_trials(estimated, monte_carlo, mapper, tried)
+    told(shares.tried, "reporting")
     provenance = Provenance(account_of(run), version("truepath"), datetime.now(UTC))
-    found = find(estimated, provenance)
+    found = find(replace(estimated, fit=None), provenance, trials)
     analysis = Analysis(
         found, result_json(found), error_tables_csv(found.tables), report_html(found)
     )

@@ -68,6 +68,10 @@ class WorkerDied(TruepathError):
     """A computing process ended without an answer: killed, or out of memory."""
 
 
+class WorkersAway(TruepathError):
+    """Nobody computes at the address that was set."""
+
+
 class TaskFailed(TruepathError):
     """A task in another process raised.
 

@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int64
 from app.estimation.estimate import Estimate
 from app.kinematics.effects.base import standstill
 from app.reporting.error_tables import MILLI, ErrorTables, error_tables
+from app.reporting.held_trials import HeldTrials
 from app.reporting.run_account import RunAccount
 from app.reporting.volumetric_error import VolumetricError, volumetric_error
 
@@ -55,7 +56,7 @@ class NoiseFound:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """An estimate and what follows from it."""
+    """An estimate and what follows from it; what trials say of it, if they were run."""
 
     estimate: Estimate
     provenance: Provenance
@@ -63,9 +64,12 @@ class Findings:
     volumetric: VolumetricError
     by_line: LineResiduals
     noise: NoiseFound
+    trials: HeldTrials | None = None
 
 
-def find(estimate: Estimate, provenance: Provenance) -> Findings:
+def find(
+    estimate: Estimate, provenance: Provenance, trials: HeldTrials | None = None
+) -> Findings:
     """Return the findings of an estimate."""
     parts = estimate.model, estimate.theta, estimate.covariance
     return Findings(
@@ -75,6 +79,7 @@ def find(estimate: Estimate, provenance: Provenance) -> Findings:
         volumetric_error(*parts),
         residuals_by_line(estimate),
         noise_found(estimate),
+        trials,
     )
 
 

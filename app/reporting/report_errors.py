@@ -111,7 +111,7 @@ def volumetric(number: int, found: Findings) -> str:
 def _validity(found: Findings) -> str:
     if found.tables.any_tool:
         return "All motions are told apart: the tables hold for any tool."
-    return "The tables hold for the measured target offset only (section 6)."
+    return "The tables hold for the measured target offset only (section 7)."
 
 
 def _overview(found: Findings) -> str:

@@ -83,7 +83,7 @@ def _tiles(found: Findings) -> str:
             "Residual of the model",
             "the model explains the measurement"
             if ratio <= GOOD_FIT
-            else "the model lacks something, see section 5",
+            else "the model lacks something, see section 6",
             "good" if ratio <= GOOD_FIT else "warn",
         ),
         tile(
@@ -92,7 +92,7 @@ def _tiles(found: Findings) -> str:
             "Error motions told apart",
             "all of them"
             if known == motions
-            else "the others need another target, see section 6",
+            else "the others need another target, see section 7",
         ),
     )
     return f'<div class="tiles">{"".join(tiles)}</div>\n'

@@ -17,6 +17,7 @@ from app.reporting.html_parts import (
     section,
     table,
 )
+from app.reporting.report_trials import trials
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
 _K = 2.0
@@ -120,6 +121,7 @@ def validation(number: int, found: Findings) -> str:
         "lines that this run did not use (face and space diagonals by ISO 230-6, "
         "positioning by ISO 230-2, circles by ISO 230-4) and compare with this "
         "report.</p>",
+        "" if found.trials is None else trials(found.trials),
     )
 
 

@@ -28,6 +28,7 @@ from app.reporting.error_tables import (
 )
 from app.reporting.findings import Findings
 from app.reporting.model_json import model_from_json, model_to_json
+from app.reporting.trials_json import trials_json
 
 SCHEMA = "result/1"
 MODES = ("otf", "standstill")
@@ -76,7 +77,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             for s in found.tables.squareness
         },
         "direction": _direction_json(found),
-        "monte_carlo": _monte_carlo_json(found),
+        "monte_carlo": None if found.trials is None else trials_json(found.trials),
         **_locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
@@ -133,24 +134,6 @@ def _table_json(table: ErrorTable) -> dict[str, Any]:
         f"position_{table.position_unit}": table.position_mm.tolist(),
         f"value_{table.unit}": table.value.tolist(),
         f"uncertainty_{table.unit}": table.uncertainty.tolist(),
-    }
-
-
-def _monte_carlo_json(found: Findings) -> dict[str, Any] | None:
-    trials = found.estimate.trials
-    if trials is None:
-        return None
-    return {
-        "of": "x, y and z of the volumetric error at one position after another",
-        "trials": trials.trials,
-        "seed": trials.seed,
-        "settled": trials.settled,
-        "position_mm": trials.position_mm.tolist(),
-        "uncertainty_um": (MILLI * trials.sigma).tolist(),
-        "linear_uncertainty_um": (MILLI * trials.linear).tolist(),
-        "interval_95_low_um": (MILLI * trials.low).tolist(),
-        "interval_95_high_um": (MILLI * trials.high).tolist(),
-        "largest_disagreement": trials.disagreement,
     }
 
 

@@ -1,0 +1,239 @@
+"""Blocks of a sum on processes and on Dask: the same answer on either."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+from concurrent.futures import BrokenExecutor
+from functools import partial
+
+import psutil
+import pytest
+from scripted_cell import wait_until
+
+from app.errors import BadInput
+from app.jobs.errors import WorkersAway
+from app.jobs.workers import ProcessWorkers, Workers, in_order, opened
+
+TASKS = """
+import os, time
+import numpy as np
+from app.numerics.adaptive_trials import BLOCK, kept
+
+def block(widths, number):
+    rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(number,)))
+    drawn = widths[:, None] * rng.uniform(-1.0, 1.0, (len(widths), BLOCK))
+    return kept(np.cumsum(drawn, axis=0), "symmetric")
+
+def about(number):
+    return number, os.getpid(), os.environ.get("OPENBLAS_NUM_THREADS")
+
+def fail(number):
+    raise ValueError(f"no block {number}")
+
+def crash(number):
+    os._exit(9)
+
+def sleep(file, number):
+    with open(f"{file}{number}", "w") as mark:
+        mark.write(str(os.getpid()))
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module")
+def tasks(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("blocks")
+    (folder / "block_tasks.py").write_text(TASKS)
+    sys.path.insert(0, str(folder))
+    yield importlib.import_module("block_tasks")
+    sys.path.remove(str(folder))
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """A real Dask scheduler with two workers, in threads of this process."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def settled(tasks):
+    """Return what adaptive trials make of blocks that somebody else computes."""
+    import numpy as np
+
+    from app.numerics.adaptive_trials import TrialPlan, propagate
+
+    draw = partial(tasks.block, np.array([0.9, 0.5, 3.0]))
+    plan = TrialPlan(seed=3, digits=2, most_blocks=9)
+
+    def run(mapper):
+        told = propagate(draw, plan, mapper)
+        return (
+            told.trials,
+            told.mean.tobytes(),
+            told.sigma.tobytes(),
+            told.low.tobytes(),
+        )
+
+    return run
+
+
+def test_the_answer_is_the_same_whoever_computes_and_however_many(settled, scheduler):
+    alone = settled(map)
+    for workers in (
+        Workers(count=1),
+        Workers(count=3),
+        Workers("dask", scheduler=scheduler),
+        Workers("dask", count=5, scheduler=scheduler),
+    ):
+        with opened(workers) as mapper:
+            assert settled(mapper) == alone, workers
+
+
+def test_blocks_come_in_order_from_processes_with_one_thread_each(tasks):
+    with opened(Workers(count=2)) as mapper:
+        told = list(mapper(tasks.about, range(6)))
+    assert [number for number, _, _ in told] == list(range(6))
+    assert os.getpid() not in {pid for _, pid, _ in told}
+    assert {threads for _, _, threads in told} == {"1"}
+
+
+def test_no_more_is_under_way_than_there_are_workers(tasks):
+    class Counting(ProcessWorkers):
+        asked = 0
+
+        def submit(self, fn, /, *args, **kwargs):
+            self.asked += 1
+            return super().submit(fn, *args, **kwargs)
+
+    pool = Counting(2)
+    blocks = in_order(pool, 2)(tasks.about, range(100))
+    next(iter(blocks))
+    assert pool.asked == 2
+    pool.shutdown()
+
+
+@pytest.mark.parametrize("kind", ["processes", "dask"])
+def test_what_a_block_raises_comes_back(tasks, scheduler, kind):
+    workers = Workers(kind, count=1, scheduler=scheduler)
+    with opened(workers) as mapper, pytest.raises(ValueError, match="no block 0"):
+        list(mapper(tasks.fail, range(3)))
+
+
+def test_a_worker_that_dies_is_told_not_waited_for(tasks):
+    with (
+        opened(Workers(count=1)) as mapper,
+        pytest.raises(BrokenExecutor, match="a worker has died"),
+    ):
+        list(mapper(tasks.crash, range(3)))
+
+
+def test_what_is_under_way_is_dropped_at_the_end(tasks, tmp_path):
+    mark = str(tmp_path / "mark")
+    with opened(Workers(count=2)) as mapper:
+        blocks = mapper(partial(tasks.sleep, mark), range(2))
+        asking = threading.Thread(target=lambda: _until_broken(blocks))
+        asking.start()
+        wait_until(lambda: len(list(tmp_path.iterdir())) == 2, "both")
+        wait_until(lambda: all(f.read_text() for f in tmp_path.iterdir()))
+        workers = [int(f.read_text()) for f in tmp_path.iterdir()]
+    asking.join(10)
+    assert not asking.is_alive()
+    assert not any(psutil.pid_exists(pid) for pid in workers)
+
+
+def test_workers_end_with_whoever_asked_even_if_it_is_killed(tasks, tmp_path):
+    program = textwrap.dedent(
+        f"""
+        import sys, time
+        sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
+        import block_tasks
+        from app.jobs.workers import Workers, opened
+
+        if __name__ == "__main__":
+            with opened(Workers(count=1)) as mapper:
+                print(next(iter(mapper(block_tasks.about, range(2))))[1], flush=True)
+                time.sleep(60)
+        """
+    )
+    file = tmp_path / "program.py"
+    file.write_text(program)
+    with subprocess.Popen(
+        [sys.executable, file],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as parent:
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        parent.kill()
+        _, said = parent.communicate(timeout=10)
+
+    def gone():
+        try:
+            return psutil.Process(worker).status() == psutil.STATUS_ZOMBIE
+        except psutil.NoSuchProcess:
+            return True
+
+    wait_until(gone, "the worker's end")
+    assert "leaked" not in said
+
+
+def test_a_scheduler_that_is_not_there_is_named(free_tcp_port, monkeypatch):
+    monkeypatch.setattr("app.jobs.dask_workers.ANSWER_S", 0.5)
+    address = f"tcp://127.0.0.1:{free_tcp_port}"
+    with (
+        pytest.raises(WorkersAway, match=f"no Dask scheduler answers at {address}"),
+        opened(Workers("dask", scheduler=address)),
+    ):
+        pass
+
+
+def test_a_scheduler_without_workers_is_named():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=0,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        workers = Workers("dask", scheduler=cluster.scheduler_address)
+        with pytest.raises(WorkersAway, match="has no workers"), opened(workers):
+            pass
+
+
+def test_dask_without_an_address_or_its_package_is_bad_input(monkeypatch):
+    with pytest.raises(BadInput, match="setting dask_scheduler: is empty"):
+        Workers("dask").check()
+    monkeypatch.setattr("app.jobs.workers.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"install truepath\[dask\]"):
+        Workers("dask", scheduler="tcp://127.0.0.1:8786").check()
+
+
+def test_dask_is_imported_only_where_it_is_chosen():
+    program = (
+        "import sys, app.main, app.cli.science, app.jobs.science, app.jobs.workers\n"
+        "assert 'app.jobs.workers' in sys.modules\n"
+        "assert not {'distributed', 'dask'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+def _until_broken(blocks):
+    try:
+        list(blocks)
+    except BrokenExecutor:
+        return
+    raise AssertionError("nothing was dropped")
