@@ -8,7 +8,7 @@ from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import error_motions as symbols_of
 from app.kinematics.symbols import meaning
 from app.reporting.error_tables import ErrorTable
-from app.reporting.figures import SIGN, axis_figure, volume_figure
+from app.reporting.figures import SIGN, axis_figure
 from app.reporting.findings import Findings
 from app.reporting.html_parts import (
     drawing,
@@ -18,6 +18,7 @@ from app.reporting.html_parts import (
     section,
     table,
 )
+from app.reporting.volume_figure import volume_figure
 from app.reporting.volumetric_error import Spread
 
 _K = 2.0
