@@ -16,9 +16,10 @@ from stochastic_splines import bending, drawn, independent, learnt, sigma, stack
 
 from app.numerics.design_criteria import Belief
 from app.numerics.splines import natural_spline
-from app.planning.next_configuration import next_configuration
+from app.planning.next_configuration import SearchSpace, next_configuration
 
 AXES, POINTS = 3, 7
+STARTS = 24  # summits are many once little is left to learn
 KNOTS = np.linspace(0.0, 1.0, POINTS)
 SPLINE = natural_spline(KNOTS)
 VARIANCE = 1e-4
@@ -59,8 +60,11 @@ def procedure(prior) -> Course:
     belief = stacked([prior(SPLINE)] * AXES)
     truth = drawn(belief, rng, DRAWS)
     course = Course([belief], [], truth, [np.zeros_like(truth)], 0.0)
+    axes = SearchSpace((KNOTS,) * AXES, (3,) * AXES)
     for number in range(MEASUREMENTS):
-        best = next_configuration(belief, height, [KNOTS] * AXES, VARIANCE, seed=number)
+        best = next_configuration(
+            belief, height, axes, VARIANCE, starts=STARTS, seed=number
+        )
         dense = float(belief.drops(_dense_rows(), VARIANCE).max())
         row = height(best.position[None])[0]
         measured = truth @ row + np.sqrt(VARIANCE) * rng.standard_normal(DRAWS)

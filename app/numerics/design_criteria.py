@@ -2,30 +2,39 @@
 
 A belief has a covariance C of control values; its quality is the integrated variance
 J = tr(G C), G the Gram matrix of the splines (brunn-hanebeck-2005, eq. 24–26, 34–36).
-One scalar measurement with row h and noise variance σ² lowers J by
+A measurement of r values at once, with rows H and noise variance σ² each, lowers J by
 
-    hᵀ C G C h / (σ² + hᵀ C h).
+    f = tr(S⁻¹ M),    S = σ² I + H C Hᵀ,    M = H C G C Hᵀ,
 
-Between two neighbouring knots of an axis h is a cubic of the position, whatever other
-axes add, so this is a ratio of sextics, and the best place is an end of the interval or
-a root of its derivative: a polynomial of tenth order (eq. 27).
+for one value hᵀ C G C h / (σ² + hᵀ C h). Between two neighbouring knots of an axis H is
+a polynomial of the position, a cubic where the axis is straight, whatever other axes
+add. So f = N / D, D = det S, is a ratio of polynomials (sextics for one value), and the
+best place is an end of the interval or a root of N'D − N D', of tenth order for one
+value (eq. 27).
+
+Monomial coefficients of that order lose their digits, which is where the paper suspects
+its own numbers. Here a polynomial is its values at Chebyshev nodes of its interval, and
+roots are eigenvalues of the colleague matrix of its Chebyshev series. Most intervals
+need none: by Ehlich and Zeller (1964) a polynomial of degree m, known at 4m nodes, goes
+beyond the range of those values by no more than the factor 1 / cos(π/8), which rules
+an interval out whose N − f* D stays below 0, f* being the best node of all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
-from numpy.polynomial import polynomial
+from jaxtyping import Float64, Int64
+from numpy.polynomial import chebyshev
 
-Rows = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n p"]]
+Rows = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n *r p"]]
 
-_NEGLIGIBLE = 1e-14  # a coefficient relative to the largest: rounding, no term
-# Cubic coefficients from values at four places of the unit interval.
-_PLACES = np.array([0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0])
-_FROM_VALUES = np.linalg.inv(np.vander(_PLACES, 4, increasing=True))
+_NEGLIGIBLE = 1e-15  # a coefficient relative to the largest: rounding, no term
+_DENSER = 4  # nodes for each order of a polynomial whose range they tell
+_BEYOND = 1.0 / np.cos(np.pi / (2 * _DENSER))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,19 +50,34 @@ class Belief:
         return float(np.sum(self.gram * self.covariance))
 
     def drops(
-        self, rows: Float64[np.ndarray, "n p"], noise_variance: float
+        self, rows: Float64[np.ndarray, "n *r p"], noise_variance: float
     ) -> Float64[np.ndarray, " n"]:
-        """Return by how much J falls for each row, measured alone."""
-        moved = rows @ self.covariance
-        gained = np.einsum("np,np->n", moved @ self.gram, moved)
-        return gained / (noise_variance + np.einsum("np,np->n", moved, rows))
+        """Return by how much J falls for each measurement, made alone.
 
-    def after(self, row: Float64[np.ndarray, " p"], noise_variance: float) -> Belief:
-        """Return what is known after one scalar measurement (eq. 22–23, 32–33)."""
-        gain = self.covariance @ row / (noise_variance + row @ self.covariance @ row)
-        left = np.eye(len(row)) - np.outer(gain, row)
+        rows : (n, p), or (n, r, p) for r values at once
+        """
+        flat = rows.reshape(-1, rows.shape[-1])
+        moved = flat @ self.covariance
+        gained = moved @ self.gram
+        if rows.ndim == 2:
+            drop = np.einsum("np,np->n", gained, moved)
+            return drop / (noise_variance + np.einsum("np,np->n", moved, rows))
+        moved, gained = moved.reshape(rows.shape), gained.reshape(rows.shape)
+        spread = moved @ np.swapaxes(rows, 1, 2)
+        spread += noise_variance * np.eye(rows.shape[1])
+        return _traces(spread, gained @ np.swapaxes(moved, 1, 2))
+
+    def after(self, rows: Float64[np.ndarray, "*r p"], noise_variance: float) -> Belief:
+        """Return what is known after one measurement (eq. 22–23, 32–33).
+
+        rows : (p,), or (r, p) for r values at once
+        """
+        H = rows.reshape(-1, rows.shape[-1])
+        noise = noise_variance * np.eye(len(H))
+        gain = np.linalg.solve(H @ self.covariance @ H.T + noise, H @ self.covariance).T
+        left = np.eye(H.shape[1]) - gain @ H
         covariance = left @ self.covariance @ left.T
-        covariance += noise_variance * np.outer(gain, gain)
+        covariance += noise_variance * (gain @ gain.T)
         return Belief((covariance + covariance.T) / 2.0, self.gram)
 
 
@@ -70,50 +94,188 @@ def best_place(
     rows: Rows,
     borders: Float64[np.ndarray, " b"],
     noise_variance: float,
+    *,
+    degree: int = 3,
 ) -> BestPlace:
     """Return the exact optimum over an axis (eq. 27).
 
-    rows : measurement rows at places of the axis, cubic between neighbouring borders
+    rows : at places of the axis, (n, p) or (n, r, p), polynomials of the given degree
+        between neighbouring borders
     borders : increasing; the ends of the axis and every knot between them
     """
-    low, length = borders[:-1], np.diff(borders)
-    samples = low[:, None] + _PLACES * length[:, None]
-    values = rows(samples.ravel()).reshape(len(low), len(_PLACES), -1)
-    weight = known.covariance @ known.gram @ known.covariance
-    places = [borders]
-    for begin, span, cubic in zip(low, length, _FROM_VALUES @ values, strict=True):
-        gained = _quadratic_form(cubic, weight)
-        spread = _quadratic_form(cubic, known.covariance)
-        spread[0] += noise_variance
-        places.append(begin + span * _stationary(gained, spread))
-    candidates = np.concatenate(places)
-    drops = known.drops(rows(candidates), noise_variance)
-    best = int(np.argmax(drops))
-    return BestPlace(float(candidates[best]), float(drops[best]))
+    pieces = _pieces(known, rows, borders, noise_variance, degree)
+    order = 2 * degree * pieces.values
+    nodes = _dense_nodes(_DENSER * order)
+    spread, gained = pieces.at(_dense_products(degree + 1, _DENSER * order))
+    drops = _traces(spread, gained)
+    piece, node = np.unravel_index(int(np.argmax(drops)), drops.shape)
+    found = [(float(drops[piece, node]), int(piece), float(nodes[node]))]
+    for index in _worth_solving(drops, spread):
+        # A place too many costs nothing: the best is chosen by its value.
+        roots = _roots(pieces.slopes(int(index), 2 * order - 1, degree))
+        values, _ = _products(degree + 1, roots)
+        risen = _traces(*pieces.at(values, np.array([index])))[0]
+        found += zip(risen.tolist(), [int(index)] * len(roots), roots, strict=True)
+    drop, piece, unit = max(found)
+    at = pieces.low[piece] + 0.5 * (unit + 1.0) * pieces.length[piece]
+    return BestPlace(float(at), drop)
 
 
-def _quadratic_form(
-    cubic: Float64[np.ndarray, "4 p"], matrix: Float64[np.ndarray, "p p"]
-) -> Float64[np.ndarray, "7"]:
-    """Return the coefficients of h(u)ᵀ M h(u), a sextic, lowest first."""
-    products = cubic @ matrix @ cubic.T
-    return np.array([np.trace(products[::-1], offset=k) for k in range(-3, 4)])
+@dataclass(frozen=True, slots=True)
+class _Pieces:
+    """S and M of every interval, as quadratic forms of rows at d + 1 nodes.
 
-
-def _stationary(
-    above: Float64[np.ndarray, "7"], below: Float64[np.ndarray, "7"]
-) -> Float64[np.ndarray, " r"]:
-    """Return the places in the unit interval where above / below may be stationary.
-
-    Real parts of all roots, complex ones too: a double root splits into a pair by
-    rounding, and a place too many costs nothing, as the best is chosen by its value.
+    spread, gained : (i, r, r, (d + 1)²), rows scaled so that their noise is 1
     """
-    slope = polynomial.polysub(
-        polynomial.polymul(polynomial.polyder(above), below),
-        polynomial.polymul(above, polynomial.polyder(below)),
-    )[:11]  # the terms of eleventh order cancel
-    known = np.flatnonzero(np.abs(slope) > _NEGLIGIBLE * np.abs(slope).max())
-    if not len(known):
+
+    low: Float64[np.ndarray, " i"]
+    length: Float64[np.ndarray, " i"]
+    spread: Float64[np.ndarray, "i r r kk"]
+    gained: Float64[np.ndarray, "i r r kk"]
+
+    @property
+    def values(self) -> int:
+        """Values measured at once."""
+        return self.spread.shape[1]
+
+    def at(
+        self,
+        products: Float64[np.ndarray, "kk n"],
+        intervals: Int64[np.ndarray, " i"] | slice = slice(None),
+    ) -> tuple[Float64[np.ndarray, "i n r r"], Float64[np.ndarray, "i n r r"]]:
+        """Return S and M of intervals, by products of Lagrange's polynomials."""
+        noise = np.eye(self.values)
+        spread = _forms(self.spread[intervals], products) + noise
+        return spread, _forms(self.gained[intervals], products)
+
+    def slopes(self, index: int, count: int, degree: int) -> Float64[np.ndarray, " n"]:
+        """Return D² f', a polynomial, at Chebyshev's nodes of an interval."""
+        values, slopes = _node_products(degree + 1, count)
+        spread, gained = self.spread[[index]], self.gained[[index]]
+        S = _forms(spread, values)[0] + np.eye(self.values)
+        M, dS, dM = (
+            _forms(form, products)[0]
+            for form, products in ((gained, values), (spread, slopes), (gained, slopes))
+        )
+        if self.values == 1:
+            return (dM * S - M * dS)[:, 0, 0]
+        solved = np.asarray(np.linalg.solve(S, M), np.float64)
+        slope = _traces(S, dM - dS @ solved)
+        D = np.linalg.det(S)
+        return slope * (D / D.max()) ** 2
+
+
+def _pieces(
+    known: Belief,
+    rows: Rows,
+    borders: Float64[np.ndarray, " b"],
+    noise_variance: float,
+    degree: int,
+) -> _Pieces:
+    low, length = borders[:-1], np.diff(borders)
+    nodes = _nodes(degree + 1)
+    places = low[:, None] + 0.5 * (nodes + 1.0) * length[:, None]
+    found = rows(places.ravel())
+    p = found.shape[-1]
+    r = found.size // (len(found) * p)
+    # Noise first scaled to 1: a determinant of many small numbers would vanish.
+    H = found.reshape(-1, p) / np.sqrt(noise_variance)
+    moved = H @ known.covariance
+    shape = (len(low), degree + 1, r, degree + 1, r)
+    flat = (len(low), -1, p)
+    spread = moved.reshape(flat) @ np.swapaxes(H.reshape(flat), 1, 2)
+    gained = (moved @ known.gram).reshape(flat) @ np.swapaxes(moved.reshape(flat), 1, 2)
+    spread, gained = (
+        form.reshape(shape).transpose(0, 2, 4, 1, 3).reshape(len(low), r, r, -1)
+        for form in (spread, gained)
+    )
+    return _Pieces(low, length, spread, gained)
+
+
+def _forms(
+    forms: Float64[np.ndarray, "i r r kk"], products: Float64[np.ndarray, "kk n"]
+) -> Float64[np.ndarray, "i n r r"]:
+    """Return the quadratic forms at places, by products of Lagrange's polynomials."""
+    return (forms @ products).transpose(0, 3, 1, 2)
+
+
+def _worth_solving(
+    drops: Float64[np.ndarray, "i n"], spread: Float64[np.ndarray, "i n r r"]
+) -> Int64[np.ndarray, " s"]:
+    """Return the intervals in which f may exceed the best of all nodes."""
+    D = spread[..., 0, 0] if spread.shape[-1] == 1 else np.linalg.det(spread)
+    beyond = (drops - drops.max()) * D
+    middle = 0.5 * (beyond.max(axis=1) + beyond.min(axis=1))
+    half = 0.5 * np.ptp(beyond, axis=1)
+    return np.flatnonzero(middle + _BEYOND * half >= 0.0)
+
+
+def _traces(
+    spread: Float64[np.ndarray, "*n r r"], gained: Float64[np.ndarray, "*n r r"]
+) -> Float64[np.ndarray, "*n"]:
+    """Return tr(S⁻¹ M)."""
+    if spread.shape[-1] == 1:
+        return gained[..., 0, 0] / spread[..., 0, 0]
+    return np.trace(np.linalg.solve(spread, gained), axis1=-2, axis2=-1)
+
+
+def _roots(values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " r"]:
+    """Return the roots of a polynomial, known at nodes, inside [−1, 1].
+
+    Real parts of complex ones too: a double root splits into a pair by rounding.
+    """
+    series = _series_map(len(values)) @ values
+    known = np.flatnonzero(np.abs(series) > _NEGLIGIBLE * np.abs(series).max())
+    if not len(known) or known[-1] == 0:
         return np.empty(0)
-    roots = np.real(polynomial.polyroots(slope[: known[-1] + 1]))
-    return roots[(roots > 0.0) & (roots < 1.0)]
+    roots = np.real(chebyshev.chebroots(series[: known[-1] + 1]))
+    return roots[np.abs(roots) <= 1.0]
+
+
+@lru_cache
+def _nodes(count: int) -> Float64[np.ndarray, " n"]:
+    """Return Chebyshev's nodes in [−1, 1]."""
+    return np.cos(np.pi * (np.arange(count) + 0.5) / count)
+
+
+@lru_cache
+def _series_map(count: int) -> Float64[np.ndarray, "n n"]:
+    """Return the map from values at the nodes to the Chebyshev series."""
+    waves = np.cos(np.pi * np.outer(np.arange(count), np.arange(count) + 0.5) / count)
+    waves[0] *= 0.5
+    return 2.0 / count * waves
+
+
+def _products(
+    size: int, at: Float64[np.ndarray, " n"]
+) -> tuple[Float64[np.ndarray, "kk n"], Float64[np.ndarray, "kk n"]]:
+    """Return products of Lagrange's polynomials over `size` nodes, and their slopes.
+
+    A quadratic form of a polynomial's values at the nodes is linear in them.
+    """
+    series = _series_map(size)
+    values = chebyshev.chebvander(at, size - 1) @ series
+    slopes = chebyshev.chebvander(at, size - 2) @ chebyshev.chebder(series)
+    product = values[:, :, None] * values[:, None, :]
+    slope = slopes[:, :, None] * values[:, None, :]
+    slope = slope + np.swapaxes(slope, 1, 2)
+    return product.reshape(len(at), size**2).T, slope.reshape(len(at), size**2).T
+
+
+@lru_cache
+def _node_products(
+    size: int, count: int
+) -> tuple[Float64[np.ndarray, "kk n"], Float64[np.ndarray, "kk n"]]:
+    return _products(size, _nodes(count))
+
+
+@lru_cache
+def _dense_nodes(count: int) -> Float64[np.ndarray, " n"]:
+    """Return Chebyshev's nodes and the ends of the interval."""
+    return np.concatenate([[-1.0], _nodes(count), [1.0]])
+
+
+@lru_cache
+def _dense_products(size: int, count: int) -> Float64[np.ndarray, "kk n"]:
+    products, _ = _products(size, _dense_nodes(count))
+    return products

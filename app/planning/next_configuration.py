@@ -1,117 +1,196 @@
-"""The configuration to measure next: where one scalar measurement lowers J most.
+"""The configuration to measure next: where one measurement lowers J most.
 
 On one axis the optimum is exact (`best_place`). On several, one axis after another is
 set to its optimum while the others stand, until nothing rises any more; from several
-starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37).
+starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37). Starts are
+the best of a dense search, which also certifies the answer: nothing that it looked at
+is better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.machine import LinearAxis
 from app.kinematics.model import MachineModel
 from app.numerics.design_criteria import Belief, best_place
 
-PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n p"]]
+PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
 
 _DRAWS = 50  # places judged for each that climbs
+_CLIMB_ON = 0.4  # of those that have climbed each axis once
 _ROUNDS = 30
-_RISEN = 1e-9  # relative rise of a round that is worth another
+_RISEN = 1e-4  # relative rise of a round that is worth another
+# A turn moves levers like a cosine: this order follows it to 1e-7 over 60 deg.
+_DEGREE_OF_TURN = 9
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSpace:
+    """The axes to search.
+
+    borders : for each axis its ends and every knot between them
+    degrees : of a row's polynomial between two borders; 3 for a straight axis
+    """
+
+    borders: tuple[Float64[np.ndarray, " b"], ...]
+    degrees: tuple[int, ...]
+
+    def draws(self, count: int, seed: int) -> Float64[np.ndarray, "n a"]:
+        """Return random positions, the same for the same seed."""
+        low = np.array([b[0] for b in self.borders])
+        high = np.array([b[-1] for b in self.borders])
+        rng = np.random.default_rng(seed)
+        return rng.uniform(low, high, (count, len(low)))
 
 
 @dataclass(frozen=True, slots=True)
 class NextConfiguration:
-    """Axis positions, and by how much a measurement there lowers J."""
+    """Axis positions, and by how much a measurement there lowers J.
+
+    searched : the best that the dense search over all axes came upon
+    """
 
     position: Float64[np.ndarray, " a"]
     drop: float
+    searched: float
 
 
 def next_configuration(
     known: Belief,
     rows: PositionRows,
-    borders: Sequence[Float64[np.ndarray, " b"]],
+    axes: SearchSpace,
     noise_variance: float,
     *,
-    starts: int = 12,
+    starts: int = 8,
     seed: int = 0,
 ) -> NextConfiguration:
     """Return the best configuration found; the same seed gives the same.
 
-    rows : measurement rows at axis positions, along each axis cubic between borders
-    borders : for each axis its ends and every knot between them
+    rows : (n, p), or (n, r, p) for r values at once, at axis positions; along each axis
+        polynomials between its borders
     """
-    low = np.array([b[0] for b in borders])
-    high = np.array([b[-1] for b in borders])
-    draws = np.random.default_rng(seed).uniform(low, high, (_DRAWS * starts, len(low)))
-    # Random places are judged cheaply, the best of them climb.
-    first = np.argsort(-known.drops(rows(draws), noise_variance))[:starts]
-    summits = [_climbed(known, rows, borders, noise_variance, draws[i]) for i in first]
-    return max(summits, key=lambda summit: summit.drop)
+    draws = axes.draws(_DRAWS * starts, seed)
+    drops = known.drops(rows(draws), noise_variance)
+    first = np.argsort(-drops)[:starts]
+    climb = _Climb(known, rows, axes, noise_variance)
+    slopes = sorted((climb.once(draws[i]) for i in first), key=lambda s: -s.drop)
+    summits = [climb.to_the_top(slope) for slope in slopes[: ceil(_CLIMB_ON * starts)]]
+    top = max(summits, key=lambda summit: summit.drop)
+    return NextConfiguration(top.position, top.drop, float(drops[first[0]]))
+
+
+def climbed_from(
+    known: Belief,
+    rows: PositionRows,
+    axes: SearchSpace,
+    noise_variance: float,
+    start: Float64[np.ndarray, " a"],
+) -> NextConfiguration:
+    """Return the summit above a configuration that is already good."""
+    searched = float(known.drops(rows(start[None]), noise_variance)[0])
+    climb = _Climb(known, rows, axes, noise_variance)
+    top = climb.to_the_top(climb.once(start))
+    return NextConfiguration(top.position, top.drop, searched)
 
 
 def point_rows(
-    model: MachineModel, direction: Float64[np.ndarray, "3"]
+    model: MachineModel, direction: Float64[np.ndarray, "3"] | None = None
 ) -> PositionRows:
-    """Return rows of measuring a point's displacement along one direction.
+    """Return rows of measuring a point's displacement, along one direction or in all.
 
-    Turns of an axis act on levers that are straight in the positions of the others, so
-    along each axis a row is cubic between its knots.
+    Turns of an axis act on levers that are straight in the positions of straight axes,
+    so along these a row is cubic between its knots.
     """
 
-    def rows(position: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "n p"]:
+    def rows(position: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "n *r p"]:
         columns = model.jacobian(standstill(model.machine, position))
-        return np.einsum("d,ndp->np", direction, columns)
+        if direction is None:
+            return columns
+        return np.tensordot(columns, direction, axes=(1, 0))
 
     return rows
 
 
-def knot_borders(model: MachineModel) -> list[Float64[np.ndarray, " b"]]:
-    """Return the ends of each axis and every knot of its error motions."""
+def search_space(model: MachineModel) -> SearchSpace:
+    """Return the axes of a machine, the knots of their error motions between ends."""
     borders: list[Float64[np.ndarray, " b"]] = []
-    for axis in model.machine.linear_axes:
+    for axis in model.machine.axes:
         knots = [
             effect.spline.knots
             for effect in model.effects
             if isinstance(effect, ErrorMotion) and effect.axis.name == axis.name
         ]
-        ends = np.array([axis.min_mm, axis.max_mm])
+        ends = np.array([axis.low, axis.high])
         borders.append(np.unique(np.concatenate([ends, *knots])))
-    return borders
+    degrees = [
+        3 if isinstance(axis, LinearAxis) else _DEGREE_OF_TURN
+        for axis in model.machine.axes
+    ]
+    return SearchSpace(tuple(borders), tuple(degrees))
 
 
-def _climbed(
-    known: Belief,
-    rows: PositionRows,
-    borders: Sequence[Float64[np.ndarray, " b"]],
-    noise_variance: float,
-    start: Float64[np.ndarray, " a"],
-) -> NextConfiguration:
-    """Set one axis after another to its optimum until nothing rises any more."""
-    position, drop = start.copy(), 0.0
-    for _ in range(_ROUNDS):
-        before = drop
-        for axis, border in enumerate(borders):
-            along = _along(rows, position, axis)
-            best = best_place(known, along, border, noise_variance)
-            position[axis], drop = best.at, best.drop
-        if drop <= before * (1.0 + _RISEN):
-            break
-    return NextConfiguration(position, drop)
+@dataclass(frozen=True, slots=True)
+class _Reached:
+    """A configuration on the way up; `idle` turns in a row have not raised it."""
+
+    position: Float64[np.ndarray, " a"]
+    drop: float
+    turn: int = 0
+    idle: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Climb:
+    """Sets one axis after another to its optimum while the others stand."""
+
+    known: Belief
+    rows: PositionRows
+    axes: SearchSpace
+    noise_variance: float
+
+    def once(self, start: Float64[np.ndarray, " a"]) -> _Reached:
+        """Return what is reached from a start when each axis had its turn."""
+        here = _Reached(start, 0.0)
+        for _ in self.axes.borders:
+            here = self._turned(here)
+        return here
+
+    def to_the_top(self, here: _Reached) -> _Reached:
+        """Return the summit: every axis stands at its optimum."""
+        count = len(self.axes.borders)
+        while here.idle < count - 1 and here.turn < _ROUNDS * count:
+            here = self._turned(here)
+        return here
+
+    def _turned(self, here: _Reached) -> _Reached:
+        axis = here.turn % len(self.axes.borders)
+        best = best_place(
+            self.known,
+            _along(self.rows, here.position, axis),
+            self.axes.borders[axis],
+            self.noise_variance,
+            degree=self.axes.degrees[axis],
+        )
+        position = here.position.copy()
+        position[axis] = best.at
+        idle = here.idle + 1 if best.drop <= here.drop * (1.0 + _RISEN) else 0
+        return _Reached(position, max(best.drop, here.drop), here.turn + 1, idle)
 
 
 def _along(
     rows: PositionRows, position: Float64[np.ndarray, " a"], axis: int
-) -> Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n p"]]:
+) -> Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n *r p"]]:
     """Return the rows over one axis while the others stand."""
 
-    def at(place: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
+    def at(place: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n *r p"]:
         positions = np.tile(position, (len(place), 1))
         positions[:, axis] = place
         return rows(positions)

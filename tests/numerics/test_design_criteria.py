@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from app.numerics.design_criteria import Belief, best_place
 from app.numerics.splines import cyclic_spline, natural_spline
@@ -43,17 +45,80 @@ def test_the_order_of_measurements_does_not_matter(rng):
     assert there == pytest.approx(back, abs=1e-12)
 
 
-@pytest.mark.parametrize("seen", [0, 1, 4, 9])
-@pytest.mark.parametrize("variance", [1e-4, 1e-2, 1.0])
-def test_the_exact_optimum_is_no_worse_than_a_dense_search(rng, seen, variance):
-    known = belief(rng, seen, variance)
-    best = best_place(known, SPLINE.basis, KNOTS, variance)
-    at = np.linspace(0.0, 6.0, 60_001)
-    drops = known.drops(SPLINE.basis(at), variance)
-    assert best.drop >= drops.max() * (1.0 - 1e-12)
-    assert best.drop == pytest.approx(drops.max(), rel=1e-6)
-    there = known.drops(SPLINE.basis(np.array([best.at])), variance)[0]
-    assert best.drop == pytest.approx(there, rel=1e-12)
+def a_case(knots, seed, seen, log_variance, values):
+    """A spline over any knots, independent values, some measurements made."""
+    spline = natural_spline(np.concatenate([[0.0], np.cumsum(knots)]))
+    rng = np.random.default_rng(seed)
+    known = Belief(np.diag(rng.uniform(0.1, 2.0, spline.size)), spline.gram())
+    for row in spline.basis(rng.uniform(0.0, spline.knots[-1], seen)):
+        known = known.after(row, 10.0**log_variance)
+    turn = rng.normal(size=(values, spline.size, spline.size))
+    mix = np.eye(spline.size) if values == 1 else turn / spline.size
+
+    def rows(at):
+        found = np.einsum("np,rpq->nrq", spline.basis(at), np.atleast_3d(mix.T).T)
+        return found[:, 0] if values == 1 else found
+
+    return known, rows, spline.knots, 10.0**log_variance
+
+
+CASES = {
+    "knots": st.lists(st.floats(0.1, 3.0), min_size=2, max_size=12),
+    "seed": st.integers(0, 2**32 - 1),
+    "seen": st.integers(0, 14),
+    "log_variance": st.floats(-6.0, 0.5),
+}
+
+
+def assert_exact(known, rows, knots, variance, dense=100_000):
+    """The best place equals a dense search, itself refined about its own best."""
+    best = best_place(known, rows, knots, variance)
+    at = np.linspace(knots[0], knots[-1], dense)
+    near = at[np.argmax(known.drops(rows(at), variance))] + np.linspace(-1, 1, 2001) * (
+        at[1] - at[0]
+    )
+    near = np.clip(near, knots[0], knots[-1])
+    searched = known.drops(rows(near), variance).max()
+    assert abs(best.drop - searched) <= 1e-9 * known.integrated_variance
+    there = known.drops(rows(np.array([best.at])), variance)[0]
+    assert best.drop == pytest.approx(there, rel=1e-9)
+
+
+@given(**CASES)
+@settings(deadline=None, max_examples=40)
+def test_the_exact_optimum_equals_a_dense_search(knots, seed, seen, log_variance):
+    assert_exact(*a_case(knots, seed, seen, log_variance, 1))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+@given(**CASES)
+@settings(deadline=None, max_examples=1000)
+def test_the_exact_optimum_equals_a_dense_search_in_a_thousand_cases(
+    knots, seed, seen, log_variance
+):
+    assert_exact(*a_case(knots, seed, seen, log_variance, 1))
+
+
+@given(**CASES, values=st.integers(2, 3))
+@settings(deadline=None, max_examples=20)
+def test_several_values_at_once_have_an_exact_optimum_too(
+    knots, seed, seen, log_variance, values
+):
+    assert_exact(*a_case(knots, seed, seen, log_variance, values), dense=10_000)
+
+
+def test_values_measured_at_once_tell_what_they_tell_one_by_one(rng):
+    known = belief(rng, 2)
+    rows = SPLINE.basis(np.array([0.7, 4.9, 5.1]))
+    at_once = known.after(rows, 0.01)
+    one_by_one = known
+    for row in rows:
+        one_by_one = one_by_one.after(row, 0.01)
+    assert at_once.covariance == pytest.approx(one_by_one.covariance, abs=1e-12)
+    promised = known.drops(rows[None], 0.01)[0]
+    fell = known.integrated_variance - at_once.integrated_variance
+    assert fell == pytest.approx(promised, rel=1e-12)
 
 
 def test_what_other_axes_add_leaves_the_optimum_exact(rng):
