@@ -9,6 +9,7 @@ import numpy as np
 from app.alignment.cleaning import valid_samples
 from app.alignment.course import Course, course_of
 from app.alignment.observations import Observations
+from app.alignment.plausibility import require_units
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
 from app.alignment.stops import find_stops
@@ -40,6 +41,7 @@ def align(run: Run) -> Observations:
     course = course_of(run.machine, run.commanded)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
     _require_motion(course, commanded)
+    require_units(time_s, tracker_mm, course.place_mm, run.machine.tracker.rate_hz)
     stops = find_stops(time_s, tracker_mm, course.slowest_mm_s)
     matching = match_stops(stops, course.place_mm, ordered_by=commanded)
     stream = Stream(time_s, tracker_mm, matching.pose)
