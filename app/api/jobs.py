@@ -157,7 +157,7 @@ def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
     plan = service.store.plan(job_id)
     if plan is None:
         plan = service.runs.get(job.run_id or "").plan
-    return PlanOut(**plan)
+    return PlanOut(**{**plan, "target_um": job.target_um})
 
 
 @results.get("/{job_id}/estimate", operation_id="get_estimate", responses=answers(404))
@@ -166,13 +166,15 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
 
     Values in µm and µrad with standard uncertainties; `volumetric_uncertainty_um` is
     the root mean square, over the axis travel, of the standard uncertainty of the
-    volumetric error. What counts in the end is `/result`.
+    volumetric error; `course` says how it came down. What counts in the end is
+    `/result`.
     """
     job = service.store.get(job_id)
-    estimate = service.feed.estimate(job.id)
-    if estimate is None:
+    estimates = service.feed.estimates
+    newest = estimates.newest(job.id)
+    if newest is None:
         raise NotFound(f"job {job_id} ({job.state}) has no live estimate yet")
-    return {"job_id": job.id, **estimate}
+    return {"job_id": job.id, **newest, "course": estimates.course(job.id)}
 
 
 @results.get(

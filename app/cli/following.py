@@ -10,7 +10,8 @@ from typing import Any
 
 from app.cli.terminal import Report
 from app.errors import MeasurementFailed
-from app.jobs.live_estimation import LiveEstimation, LiveOrder
+from app.jobs.live_estimation import LiveEstimation
+from app.jobs.live_process import LiveOrder
 from app.measurement.cell import Cell, CellEvent, Order
 
 SILENCE_S = 30.0  # without a word from the cell process: something is broken
@@ -74,13 +75,17 @@ def _until_closed(
                 if outcome:
                     raise said
                 return event.body
-        reached_um = float("inf") if live is None else live.volumetric_uncertainty_um
-        if reached_um <= target_um and not concluded:
+        if not concluded and _has_reached(live, target_um):
             cell.conclude()
             concluded = True
         if not cell.alive:
             raise MeasurementFailed("the cell process has died; its Run can be opened")
     raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
+
+
+def _has_reached(live: LiveEstimation | None, target_um: float) -> bool:
+    newest = live.newest if live is not None else None
+    return newest is not None and newest["volumetric_uncertainty_um"] <= target_um
 
 
 def _progress(event: CellEvent) -> tuple[float, str, str]:

@@ -13,6 +13,7 @@ from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
 from app.jobs.executor import Computation
 from app.jobs.feed import Feed, Notice
 from app.jobs.job import (
+    EarlyEnd,
     Failure,
     Health,
     Job,
@@ -190,6 +191,14 @@ class Control:
             )
 
         return self._noted(self._store.change(self.job_id, change))
+
+    def conclude(self, early_end: EarlyEnd) -> None:
+        """Note that the measurement leaves out the rest of its plan, and why."""
+
+        def change(job: Job) -> Job:
+            return job if job.is_final else replace(job, early_end=early_end)
+
+        self._store.change(self.job_id, change)
 
     def link_run(self, run_id: str) -> None:
         """Note which Run the job has made."""

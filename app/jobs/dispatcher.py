@@ -144,11 +144,8 @@ class Dispatcher:
         if machine is None or self._shop.cell is None:
             raise NoMachine("no machine is set up; give the service a machine_file")
         commanded = plan_motion(machine, wish.kind, wish.rows, wish.feed_mm_min)
-        only = wish.perpendicular_only
-        plan = plan_json(commanded)
-        if wish.target_um is not None:
-            plan["target_um"] = wish.target_um
-        return NewJob(wish.kind, None, only, plan)
+        only, target_um = wish.perpendicular_only, wish.target_um
+        return NewJob(wish.kind, None, only, target_um, plan_json(commanded))
 
     def _begin(self, job: Job) -> None:
         control = Control(job, self._shop.store, self._feed)

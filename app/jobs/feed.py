@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from app.jobs.estimates import Estimates
 from app.jobs.store import StoredEvent
-
-ESTIMATES = 16
-"""Jobs whose latest live estimate is remembered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +31,14 @@ class Feed:
     """Fans notices out.
 
     Listeners are called by the thread that tells: they return at once.
+
+    estimates : what the notices `estimate` have said
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
-        self._estimates: OrderedDict[str, Mapping[str, Any]] = OrderedDict()
+        self.estimates = Estimates()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Add a listener; call what is returned to remove it."""
@@ -55,20 +54,9 @@ class Feed:
     def tell(self, notice: Notice) -> None:
         """Pass a notice to every listener."""
         if notice.type == "estimate" and notice.job_id is not None:
-            self._remember(notice.job_id, notice.body)
+            self.estimates.note(notice.job_id, notice.body)
         for listener in self._listeners:
             listener(notice)
-
-    def estimate(self, job_id: str) -> Mapping[str, Any] | None:
-        """Return the latest live estimate of a job, if it is remembered."""
-        return self._estimates.get(job_id)
-
-    def _remember(self, job_id: str, estimate: Mapping[str, Any]) -> None:
-        with self._lock:
-            self._estimates[job_id] = estimate
-            self._estimates.move_to_end(job_id)
-            while len(self._estimates) > ESTIMATES:
-                self._estimates.popitem(last=False)
 
     def tell_stored(self, event: StoredEvent) -> None:
         """Pass on an event that the catalogue has kept."""

@@ -62,6 +62,19 @@ class Health:
 
 
 @dataclass(frozen=True, slots=True)
+class EarlyEnd:
+    """Why the rest of the plan was left out: the target uncertainty was reached.
+
+    reached_um : volumetric uncertainty (k = 1) at that moment
+    done, total : finished lines or points that told it, and those of the plan
+    """
+
+    reached_um: float
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
 class Failure:
     """Why a job did not succeed.
 
@@ -77,7 +90,10 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One job. `seq` orders jobs; wall-clock times are for people."""
+    """One job. `seq` orders jobs; wall-clock times are for people.
+
+    target_um : volumetric uncertainty (k = 1) at which the measurement may end early
+    """
 
     seq: int
     id: str
@@ -91,6 +107,8 @@ class Job:
     ended: str | None = None
     run_id: str | None = None
     perpendicular_only: bool = False
+    target_um: float | None = None
+    early_end: EarlyEnd | None = None
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None
@@ -113,6 +131,7 @@ class NewJob:
     kind: Kind
     run_id: str | None = None
     perpendicular_only: bool = False
+    target_um: float | None = None
     plan: Json | None = None
 
 
@@ -125,7 +144,7 @@ def job_json(job: Job) -> dict[str, Any]:
 
 def job_from_json(content: Json) -> Job:
     """Return the record that `job_json` wrote."""
-    failure = content["failure"]
+    failure, early_end = content["failure"], content.get("early_end")
     return Job(
         **{
             **content,
@@ -135,6 +154,7 @@ def job_from_json(content: Json) -> Job:
             "progress": progress_from_json(content["progress"]),
             "health": Health(**content["health"]),
             "failure": Failure(**failure) if failure else None,
+            "early_end": EarlyEnd(**early_end) if early_end else None,
         }
     )
 

@@ -1,51 +1,40 @@
-"""The estimate of a measurement under way, in a process of its own.
+"""The estimate of a measurement under way, made by a process of its own.
 
 Committed blocks go in through a short queue that drops what the process cannot take in
 time, and counts it: a slow estimate never delays the measurement, and the analysis of
-the closed Run misses nothing. Answers come out as they are made, at least twice a
-second. What fails in there ends the live estimate and nothing else.
+the closed Run misses nothing. What fails in there ends the live estimate and nothing
+else.
+
+Showing is not solving: an estimate is shown as soon as it is made, and again every
+`PERIOD_S` with its age until a newer one is there. However long a solve takes, whoever
+looks on hears more than twice a second, and knows how old it is what he sees.
 """
 
 from __future__ import annotations
 
-import os
 import queue
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
 import structlog
 
-from app.jobs.executor import BELOW_THE_CELL, limit_threads
-from app.kinematics.machine import Machine
-from app.planning.configurations import Configurations
-from drivers.interfaces.records import Path, TrackerSamples
+from app.jobs.executor import limit_threads
+from app.jobs.live_process import LiveOrder, main
+from drivers.interfaces.records import TrackerSamples
 
 log = structlog.get_logger(__name__)
 
-PERIOD_S = 0.25  # with a busy processor, still twice a second
-_LEAST_S = 0.05
+PERIOD_S = 0.25
 WAITING_BLOCKS = 100  # about ten seconds of the stream
 FINISH_S = 20.0
-_MICRO = 1e3  # mm to µm
 
 Show = Callable[[Mapping[str, Any]], None]
-
-
-@dataclass(frozen=True, slots=True)
-class LiveOrder:
-    """What is measured."""
-
-    machine: Machine
-    commanded: Path | Configurations
-    perpendicular_only: bool = False
 
 
 class LiveEstimation:
@@ -53,6 +42,7 @@ class LiveEstimation:
 
     show : told every estimate, in the words of `GET /jobs/{id}/estimate`; from a thread
         of its own; must return at once
+    newest : the newest estimate in the same words, None before the first
     """
 
     def __init__(self, order: LiveOrder, show: Show) -> None:
@@ -64,16 +54,15 @@ class LiveEstimation:
         self._process: BaseProcess = context.Process(
             target=main, args=(taken, given, order), name="live-estimate", daemon=True
         )
-        self._show = show
         self._queue: queue.Queue[TrackerSamples | None] = queue.Queue(WAITING_BLOCKS)
-        self._feeder = threading.Thread(
-            target=self._feed, name="live-feeder", daemon=True
-        )
-        self._listener = threading.Thread(
-            target=self._listen, name="live-listener", daemon=True
+        self._shown = _Shown(show, lambda: self.dropped_blocks)
+        self._threads = (
+            threading.Thread(target=self._feed, name="live-feeder", daemon=True),
+            threading.Thread(target=self._listen, name="live-listener", daemon=True),
+            threading.Thread(target=self._shown.run, name="live-teller", daemon=True),
         )
         self.dropped_blocks = 0
-        self.volumetric_uncertainty_um = float("inf")
+        self.newest: Mapping[str, Any] | None = None
 
     def start(self) -> None:
         """Start the process."""
@@ -81,8 +70,8 @@ class LiveEstimation:
             self._process.start()
         for end in self._others:
             end.close()
-        self._feeder.start()
-        self._listener.start()
+        for thread in self._threads:
+            thread.start()
 
     def offer(self, samples: TrackerSamples) -> None:
         """Hand over a committed block. Never waits: what has no room is dropped."""
@@ -95,7 +84,7 @@ class LiveEstimation:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
             self._queue.put(None, timeout=timeout_s)
-            self._listener.join(timeout_s)
+            self._shown.ended.wait(timeout_s)
 
     def close(self) -> None:
         """End the process, whatever it does. Idempotent."""
@@ -103,10 +92,10 @@ class LiveEstimation:
             return
         self._process.kill()
         self._process.join()
-        self._listener.join()
         with suppress(queue.Full):
             self._queue.put_nowait(None)  # the feeder notices, or finds the pipe broken
-        self._feeder.join(FINISH_S)
+        for thread in self._threads:
+            thread.join(FINISH_S)
         for end in (self._blocks, self._answers):
             end.close()
 
@@ -120,15 +109,56 @@ class LiveEstimation:
                     return
 
     def _listen(self) -> None:
-        """Body of a thread: what the process says is shown."""
+        """Body of a thread: what the process says is to be shown."""
         with suppress(EOFError, OSError):
             while True:
                 body = self._answers.recv()
                 if "error" in body:
                     log.warning("no live estimate any more", reason=body["error"])
                     continue
-                self.volumetric_uncertainty_um = body["volumetric_uncertainty_um"]
-                self._show({**body, "dropped_blocks": self.dropped_blocks})
+                self.newest = body
+                self._shown.renew(body)
+        self._shown.end()
+
+
+class _Shown:
+    """Shows the newest estimate at once, and again until there is a newer one."""
+
+    def __init__(self, show: Show, dropped_blocks: Callable[[], int]) -> None:
+        self._show, self._dropped_blocks = show, dropped_blocks
+        self._changed = threading.Condition()
+        self._body: Mapping[str, Any] | None = None
+        self._made_s = 0.0
+        self._is_new = self._is_over = False
+        self.ended = threading.Event()
+
+    def renew(self, body: Mapping[str, Any]) -> None:
+        """Take the newest estimate."""
+        with self._changed:
+            self._body, self._made_s, self._is_new = body, time.monotonic(), True
+            self._changed.notify()
+
+    def end(self) -> None:
+        """No estimate follows."""
+        with self._changed:
+            self._is_over = True
+            self._changed.notify()
+
+    def run(self) -> None:
+        """Body of a thread, until the end."""
+        is_over = False
+        while not is_over:
+            with self._changed:
+                self._changed.wait_for(lambda: self._is_new or self._is_over, PERIOD_S)
+                body, is_new, is_over = self._body, self._is_new, self._is_over
+                age_s = time.monotonic() - self._made_s
+                self._is_new = False
+            if body is not None and (is_new or not is_over):
+                dropped = self._dropped_blocks()
+                self._show(
+                    {**body, "age_s": round(age_s, 3), "dropped_blocks": dropped}
+                )
+        self.ended.set()
 
 
 @contextmanager
@@ -139,83 +169,3 @@ def _no_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def main(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
-    """Body of the process: ends with its parent, or after the last block."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(BELOW_THE_CELL)
-    try:
-        _estimate(blocks, answers, order)
-    except (EOFError, OSError):
-        return
-    except Exception as error:  # told, and the end of the live estimate alone
-        with suppress(OSError):
-            answers.send({"error": f"{type(error).__name__}: {error}"})
-
-
-def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
-    # Imported where it computes: the service itself carries no science.
-    from app.estimation.live import LiveEstimator
-
-    live = LiveEstimator(
-        order.machine, order.commanded, perpendicular_only=order.perpendicular_only
-    )
-    body: dict[str, Any] | None = None
-    total = len(order.commanded) - isinstance(order.commanded, Path)
-    due_s = time.monotonic()
-    while True:
-        due_s = max(due_s + PERIOD_S, time.monotonic() + _LEAST_S)
-        is_new, is_over = _fed(live.take, blocks, due_s)
-        if is_over:
-            is_new = live.finish()
-        if is_new:
-            body = _body(live.estimate(), total)
-        if body is not None:
-            answers.send({**body, "is_last": is_over})
-        if is_over:
-            return
-
-
-def _fed(
-    take: Callable[[TrackerSamples], bool], blocks: Connection, until_s: float
-) -> tuple[bool, bool]:
-    """Take blocks until a moment; tell whether they finished anything, and the end."""
-    is_new = False
-    while (left_s := until_s - time.monotonic()) > 0 and blocks.poll(left_s):
-        samples = blocks.recv()
-        if samples is None:
-            return is_new, True
-        is_new = take(samples) or is_new
-    return is_new, False
-
-
-def _body(now: Any, total: int) -> dict[str, Any] | None:
-    """Return an estimate in the words of `result.json`: µm, µrad, k = 1."""
-    from app.reporting.error_tables import error_tables
-
-    if now is None:
-        return None
-    tables = error_tables(now.model, now.theta, now.covariance)
-    return {
-        "volumetric_uncertainty_um": round(_MICRO * now.volumetric_sigma_mm, 4),
-        "done": now.done,
-        "total": total,
-        "cells": now.cells,
-        "device_time_s": round(now.time_s, 4),
-        "error_tables": {
-            table.symbol: {
-                "position_mm": table.position_mm.round(3).tolist(),
-                f"value_{table.unit}": table.value.round(3).tolist(),
-                f"uncertainty_{table.unit}": table.uncertainty.round(3).tolist(),
-            }
-            for table in tables.tables
-        },
-        "squareness_urad": {
-            s.symbol: {
-                "value": round(s.value_urad, 3),
-                "uncertainty": round(s.uncertainty_urad, 3),
-            }
-            for s in tables.squareness
-        },
-    }

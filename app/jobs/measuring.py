@@ -17,7 +17,7 @@ from app.errors import MeasurementFailed
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.control import Control
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
-from app.jobs.job import Failure, Health, Progress, Stage
+from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.transitions import State
 from app.measurement.cell import CellEvent, Order
@@ -172,11 +172,16 @@ class Measuring:
         """End in order as soon as the volumetric uncertainty is what was asked for."""
         if self._is_concluded or self._target_um is None or self._live is None:
             return
-        reached_um = self._live.volumetric_uncertainty_um
-        if reached_um <= self._target_um and self._control.state is State.RUNNING:
+        newest = self._live.newest
+        if newest is None or self._control.state is not State.RUNNING:
+            return
+        reached_um = newest["volumetric_uncertainty_um"]
+        if reached_um <= self._target_um:
             log.info("target reached", reached_um=reached_um, target_um=self._target_um)
             self._is_concluded = True
             self._cell.conclude()
+            early_end = EarlyEnd(reached_um, newest["done"], newest["total"])
+            self._control.conclude(early_end)
 
     def _watch_the_clock(self) -> None:
         state = self._control.state

@@ -19,6 +19,7 @@ from app.errors import NotFound
 from app.jobs.database import Database
 from app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from app.jobs.job import (
+    EarlyEnd,
     Failure,
     Health,
     Job,
@@ -253,6 +254,7 @@ def _insert(connection: Connection, new: NewJob) -> Job:
         created=now_utc(),
         run_id=new.run_id,
         perpendicular_only=new.perpendicular_only,
+        target_um=new.target_um,
     )
     values = {**_columns(job), "plan": new.plan}
     done = connection.execute(insert(jobs).values(**values))
@@ -275,7 +277,7 @@ def _columns(job: Job) -> dict[str, Any]:
 
 
 def _job(row: RowMapping) -> Job:
-    failure = row["failure"]
+    failure, early_end = row["failure"], row["early_end"]
     return Job(
         **{
             **row,
@@ -285,6 +287,7 @@ def _job(row: RowMapping) -> Job:
             "progress": progress_from_json(row["progress"]),
             "health": Health(**row["health"]),
             "failure": Failure(**failure) if failure else None,
+            "early_end": EarlyEnd(**early_end) if early_end else None,
         }
     )
 

@@ -27,7 +27,8 @@ from app.jobs.errors import (
 )
 from app.jobs.executor import Executor, Task
 from app.jobs.job import Failure, Job, Progress, Stage
-from app.jobs.live_estimation import LiveEstimation, LiveOrder, Show
+from app.jobs.live_estimation import LiveEstimation, Show
+from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
 from app.jobs.plans import Commanded, commanded_from_plan
 from app.jobs.runs import RunCatalogue
@@ -82,8 +83,7 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
     if shop.machine is None or shop.cell is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
     control.enter(State.PREPARING, Stage.PLANNING)
-    plan = shop.store.plan(job.id) or {}
-    commanded = commanded_from_plan(plan)
+    commanded = commanded_from_plan(shop.store.plan(job.id) or {})
     check_travel(shop.machine, commanded)
     shop.cell.connect()
     control.checkpoint()
@@ -106,7 +106,7 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
             shop.cell,
             confirm_s=shop.confirm_s or CONFIRM_S,
             live=live,
-            target_um=plan.get("target_um"),
+            target_um=job.target_um,
         ).run(order)
         if live is not None:
             live.finish()

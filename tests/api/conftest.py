@@ -30,7 +30,7 @@ from app.measurement.machine_file import machine_from_json
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
-from scripted_cell import CellMaker, Inline, Science, wait_until
+from scripted_cell import CellMaker, Inline, Science, ScriptedLive, wait_until
 
 LOOPBACK = "127.0.0.1"
 MAX_UPLOAD_BYTES = 2 << 20
@@ -88,7 +88,13 @@ def empty_catalogue(tmp_path_factory):
 
 
 @pytest.fixture
-def service(make_cell, science, has_machine, empty_catalogue, tmp_path):
+def estimates():
+    """The live estimates of the jobs that move the machine, the newest last."""
+    return []
+
+
+@pytest.fixture
+def service(make_cell, science, has_machine, empty_catalogue, tmp_path, estimates):
     """Everything behind the routes."""
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
     database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
@@ -96,6 +102,11 @@ def service(make_cell, science, has_machine, empty_catalogue, tmp_path):
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     results = tmp_path / "results"
     results.mkdir()
+
+    def live_estimation(order, show):
+        estimates.append(ScriptedLive(order, show))
+        return estimates[-1]
+
     shop = Workshop(
         store=Store(database, feed.tell_stored),
         runs=RunCatalogue(database, tmp_path / "runs"),
@@ -104,6 +115,7 @@ def service(make_cell, science, has_machine, empty_catalogue, tmp_path):
         science=science,
         machine=machine_from_json(load_machine("demo")) if has_machine else None,
         cell=cell,
+        live=live_estimation,
     )
     dispatcher = Dispatcher(shop, feed)
     if cell is not None:

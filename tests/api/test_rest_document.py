@@ -134,6 +134,18 @@ def test_a_machine_is_measured_and_its_result_taken_away(
         follow("aborted")
 
 
+def test_a_path_is_taken_away_as_a_program(curl, follow, tmp_path):
+    create = section("Measure a machine")[1]
+    curl.take(curl(create).json())
+    follow("ready")
+    offered, download = section("Without a link to the CNC")
+    assert len(curl(offered).json()["items"]) >= 4
+    assert curl(download).status_code == 200
+    assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM ")
+    curl.client.post("/api/v1/stop")
+    follow("aborted")
+
+
 def test_motion_is_held_and_stopped(curl, follow, make_cell):
     _, create, _, _, arm, *_ = section("Measure a machine")
     stop, abort, pause, resume = section("Stop, hold, go on")
@@ -149,6 +161,21 @@ def test_motion_is_held_and_stopped(curl, follow, make_cell):
     assert curl(abort).status_code == 202
     follow("aborted")
     assert curl(stop).status_code == 202
+
+
+def test_a_measurement_ends_at_its_target(curl, follow, make_cell, estimates):
+    create, estimate = section("End at a target")
+    answer = curl(create)
+    assert answer.status_code == 202
+    curl.take(answer.json())
+    follow("ready")
+    curl(section("Measure a machine")[4])
+    assert make_cell.cell.begun.wait(5)
+    estimates[-1].tell(1.42, done=9, total=22)
+    follow("succeeded")
+    assert "course" in curl(estimate).json()
+    job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
+    assert f"`{json.dumps(job['early_end'])}`" in TEXT
 
 
 def test_a_measurement_from_elsewhere_is_analysed(curl, follow, bundle, tmp_path):

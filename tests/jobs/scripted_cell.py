@@ -102,6 +102,10 @@ class ScriptedCell:
     def resume(self):
         self._verb("resume", "resuming", "running")
 
+    def conclude(self):
+        self.heard.append("conclude")
+        self.end("finished")
+
     def abort(self):
         self.heard.append("abort")
         if "abort" not in self.deaf and self._recorder is not None:
@@ -223,6 +227,37 @@ class CellMaker:
     @property
     def cell(self):
         return wait_until(lambda: self.cells and self.cells[-1], "a cell")
+
+
+class ScriptedLive:
+    """A live estimate that is what the test says."""
+
+    def __init__(self, order, show):
+        self.order, self.show = order, show
+        self.newest = None
+        self.heard: list[str] = []
+
+    def start(self):
+        self.heard.append("start")
+
+    def offer(self, samples):
+        self.heard.append("offer")
+
+    def finish(self):
+        self.heard.append("finish")
+
+    def close(self):
+        self.heard.append("close")
+
+    def tell(self, volumetric_uncertainty_um, done, total=10):
+        """Be told a newer estimate."""
+        self.newest = {
+            "volumetric_uncertainty_um": volumetric_uncertainty_um,
+            "done": done,
+            "total": total,
+            "elapsed_s": 5.0 * done,
+        }
+        self.show(self.newest)
 
 
 class Inline(Executor):

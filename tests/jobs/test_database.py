@@ -1,18 +1,26 @@
 from __future__ import annotations
 
+import json
 import sqlite3
 import threading
 import time
+from pathlib import Path
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy import text
 
 from app.errors import BadInput
+from app.jobs import migrations
 from app.jobs.database import Database
 from app.jobs.errors import SchemaTooNew, StorageUnavailable
 from app.jobs.schema import metadata
+from app.jobs.store import Store
+
+MIGRATIONS = Path(migrations.__file__).parent
 
 
 @pytest.fixture
@@ -57,18 +65,52 @@ def test_a_newer_schema_is_refused(sqlite_database):
         sqlite_database.migrate()
 
 
-def test_an_older_catalogue_is_copied_before_it_is_migrated(
-    sqlite_database, sqlite_file, monkeypatch
-):
-    from alembic import script
+@pytest.fixture
+def first_catalogue(sqlite_file):
+    """A catalogue of the first schema with one job, its target in its plan."""
+    database = Database(f"sqlite:///{sqlite_file}")
+    with database.engine.begin() as connection:
+        config = Config()
+        config.set_main_option("script_location", str(MIGRATIONS))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+    row = {
+        "id": "j",
+        "kind": "measure-otf",
+        "state": "aborted",
+        "desired_state": "aborted",
+        "version": 1,
+        "stage": "measuring",
+        "perpendicular_only": False,
+        "plan": json.dumps({"kind": "path", "target_um": 2.5}),
+        "progress": json.dumps({"position": []}),
+        "health": "{}",
+        "created": "2026-05-04T09:30:00.000Z",
+    }
+    names, blanks = ", ".join(row), ", ".join(f":{name}" for name in row)
+    insert = text(f"INSERT INTO jobs ({names}) VALUES ({blanks})")
+    database.write(lambda connection: connection.execute(insert, row))
+    yield database
+    database.close()
 
-    monkeypatch.setattr(script.ScriptDirectory, "get_current_head", lambda self: "0002")
-    sqlite_database.migrate()
+
+def test_an_older_catalogue_is_copied_before_it_is_migrated(
+    first_catalogue, sqlite_file
+):
+    first_catalogue.migrate()
     copies = list(sqlite_file.parent.glob("catalogue.before-0001-*.sqlite"))
     assert len(copies) == 1
     with sqlite3.connect(copies[0]) as copy:
         assert copy.execute("SELECT version_num FROM alembic_version").fetchall()
     copy.close()
+
+
+def test_a_target_that_stood_in_the_plan_is_the_jobs_own_after_migration(
+    first_catalogue,
+):
+    first_catalogue.migrate()
+    job = Store(first_catalogue, print).get("j")
+    assert (job.target_um, job.early_end) == (2.5, None)
 
 
 def test_a_write_waits_for_another_program_and_then_succeeds(sqlite_file):

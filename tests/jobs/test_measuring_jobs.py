@@ -6,7 +6,7 @@ import threading
 from dataclasses import replace
 
 import pytest
-from scripted_cell import wait_until
+from scripted_cell import ScriptedLive, wait_until
 from sqlalchemy import text
 
 from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
@@ -19,7 +19,7 @@ from app.jobs.errors import (
     StaleVersion,
     StorageUnavailable,
 )
-from app.jobs.job import Kind, NewJob
+from app.jobs.job import EarlyEnd, Kind, NewJob, job_from_json
 from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
 from app.jobs.store import Key
 from app.jobs.transitions import FINAL, State
@@ -61,6 +61,59 @@ def running(dispatcher, ready, make_cell):
     job = dispatcher.arm(ready.id, ready.version)
     assert make_cell.cell.begun.wait(5)
     return job
+
+
+@pytest.fixture
+def followed(shop, feed, make_cell, until):
+    """Run a job to its motion with a live estimate; return both."""
+    estimates = []
+
+    def live(order, show):
+        estimates.append(ScriptedLive(order, show))
+        return estimates[-1]
+
+    shop.cell.start()
+    dispatcher = Dispatcher(replace(shop, live=live), feed)
+
+    def begin(wish):
+        job, _ = dispatcher.create(wish)
+        dispatcher.arm(job.id, until(job, "ready").version)
+        assert make_cell.cell.begun.wait(5)
+        return job, estimates[-1]
+
+    yield begin
+    dispatcher.close()
+
+
+def test_a_measurement_says_why_it_ended_at_its_target(followed, make_cell, until):
+    job, live = followed(replace(OTF, target_um=2.0))
+    live.tell(2.1, done=4)
+    make_cell.cell.record(50)
+    live.tell(1.9, done=5)
+    ended = until(job, "succeeded")
+    assert make_cell.cell.heard == ["connect", "begin", "conclude"]
+    assert ended.target_um == 2.0
+    assert ended.early_end == EarlyEnd(1.9, 5, 10)
+    assert live.heard[-2:] == ["finish", "close"]
+
+
+def test_a_measurement_without_a_target_goes_to_its_end(followed, make_cell, until):
+    job, live = followed(OTF)
+    live.tell(0.001, done=9)
+    make_cell.cell.record(50)
+    make_cell.cell.end()
+    ended = until(job, "succeeded")
+    assert "conclude" not in make_cell.cell.heard
+    assert (ended.target_um, ended.early_end) == (None, None)
+
+
+def test_an_early_end_is_told_as_an_event_that_is_kept(followed, shop, until):
+    job, live = followed(replace(OTF, target_um=2.0))
+    live.tell(1.5, done=3)
+    until(job, "succeeded")
+    bodies = [event.body for event in shop.store.events_after(0, job_id=job.id)]
+    assert bodies[0]["early_end"] is None
+    assert job_from_json(bodies[-1]).early_end == EarlyEnd(1.5, 3, 10)
 
 
 def test_a_job_is_planned_armed_measured_and_analysed(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, Field
 
 from app.api.failures import problem_of_failure
 from app.api.models.base import JOB_ID, PREFIX
 from app.api.models.problem import Problem
-from app.jobs.job import Health, Job, Progress
+from app.jobs.job import EarlyEnd, Health, Job, Progress
 from app.jobs.transitions import State
 
 
@@ -49,6 +51,17 @@ class JobLinks(BaseModel):
     run: str | None
 
 
+class EarlyEndOut(BaseModel):
+    """Why the rest of the plan was left out."""
+
+    reason: Literal["target-reached"]
+    reached_um: float = Field(
+        description="`volumetric_uncertainty_um` (k = 1) at that moment."
+    )
+    done: int = Field(description="Finished lines or points that told it.")
+    total: int = Field(description="Lines or points of the plan.")
+
+
 class JobOut(BaseModel):
     """A job. `version` counts its changes of state; send it as If-Match."""
 
@@ -61,6 +74,10 @@ class JobOut(BaseModel):
     progress: JobProgress
     health: JobHealth
     perpendicular_only: bool
+    target_um: float | None = Field(
+        description="`volumetric_uncertainty_um` (k = 1) at which it may end early."
+    )
+    early_end: EarlyEndOut | None = Field(description="Null if it did not.")
     created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
     started: str | None
     ended: str | None
@@ -98,6 +115,8 @@ def job_out(job: Job) -> JobOut:
         progress=progress_out(str(job.stage), job.progress),
         health=health_out(job.health),
         perpendicular_only=job.perpendicular_only,
+        target_um=job.target_um,
+        early_end=_early_end_out(job.early_end),
         created=job.created,
         started=job.started,
         ended=job.ended,
@@ -127,6 +146,17 @@ def health_out(health: Health) -> JobHealth:
         samples=health.samples,
         lost_samples=health.lost_samples,
         crc_errors=health.crc_errors,
+    )
+
+
+def _early_end_out(end: EarlyEnd | None) -> EarlyEndOut | None:
+    if end is None:
+        return None
+    return EarlyEndOut(
+        reason="target-reached",
+        reached_um=end.reached_um,
+        done=end.done,
+        total=end.total,
     )
 
 

@@ -55,7 +55,9 @@ class JobRequest(Taken):
         False, description="Leave out what is seen along each line."
     )
     target_um: TargetUm | None = Field(
-        None, description="End early, in order, at this volumetric_uncertainty_um."
+        None,
+        description="End early, in order, at this `volumetric_uncertainty_um`, a "
+        "standard uncertainty (k = 1); the expanded one (k = 2) is twice it.",
     )
 
     @model_validator(mode="after")

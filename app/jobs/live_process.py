@@ -1,0 +1,141 @@
+"""Body of the process that estimates while the machine moves.
+
+Blocks come in, an answer goes out as soon as blocks have finished a line or a point: in
+the words of `result.json`, µm, µrad, k = 1.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+from app.jobs.executor import BELOW_THE_CELL
+from app.kinematics.machine import Machine
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+
+_GATHER_S = 0.2
+"""Blocks of this time are taken before the tables are solved for once."""
+_MICRO = 1e3  # mm to µm
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOrder:
+    """What is measured."""
+
+    machine: Machine
+    commanded: Path | Configurations
+    perpendicular_only: bool = False
+
+
+def main(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
+    """Estimate until the last block or the end of the parent.
+
+    blocks : TrackerSamples in order, then None
+    answers : gets a dictionary an estimate, the last one with `is_last`; `error` if
+        the estimate cannot go on
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(BELOW_THE_CELL)
+    try:
+        _estimate(blocks, answers, order)
+    except (EOFError, OSError):
+        return
+    except Exception as error:  # told, and the end of the live estimate alone
+        with suppress(OSError):
+            answers.send({"error": f"{type(error).__name__}: {error}"})
+
+
+def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
+    # Imported where it computes: the service itself carries no science.
+    from app.estimation.live import LiveEstimator
+
+    live = LiveEstimator(
+        order.machine, order.commanded, perpendicular_only=order.perpendicular_only
+    )
+    total = len(order.commanded) - isinstance(order.commanded, Path)
+    stream = _Stream(blocks)
+    while not stream.is_over:
+        is_new = False
+        for block in stream.gathered():
+            is_new = live.take(block) or is_new
+        if stream.is_over:
+            is_new = live.finish()
+        now = live.estimate() if is_new else None
+        if now is not None:
+            elapsed_s = round(now.time_s - (stream.begun_s or 0.0), 4)
+            body = {**_body(now), "total": total, "elapsed_s": elapsed_s}
+            answers.send({**body, "is_last": stream.is_over})
+
+
+class _Stream:
+    """The blocks as they come.
+
+    begun_s : the tracker's clock at the first sample, None before it
+    """
+
+    def __init__(self, blocks: Connection) -> None:
+        self._blocks = blocks
+        self.is_over = False
+        self.begun_s: float | None = None
+
+    def gathered(self) -> list[TrackerSamples]:
+        """Return the blocks of a moment; waits for the first one."""
+        found = self._received()
+        until_s = time.monotonic() + _GATHER_S
+        while not self.is_over and (left_s := until_s - time.monotonic()) > 0:
+            if self._blocks.poll(left_s):
+                found += self._received()
+        return found
+
+    def _received(self) -> list[TrackerSamples]:
+        block = self._blocks.recv()
+        self.is_over = block is None
+        if block is None:
+            return []
+        if self.begun_s is None and len(block):
+            self.begun_s = float(block.device_time_s[0])
+        return [block]
+
+
+def _body(now: Any) -> dict[str, Any]:
+    """Return a LiveEstimate in the words of `result.json`."""
+    from app.reporting.error_tables import error_tables
+
+    tables = error_tables(now.model, now.theta, now.covariance)
+    places = {
+        place.symbol: {
+            f"value_{place.unit}": round(place.value, 3),
+            f"uncertainty_{place.unit}": round(place.uncertainty, 3),
+        }
+        for place in tables.locations
+    }
+    return {
+        "volumetric_uncertainty_um": round(_MICRO * now.volumetric_sigma_mm, 4),
+        "done": now.done,
+        "cells": now.cells,
+        "device_time_s": round(now.time_s, 4),
+        "error_tables": {table.symbol: _table(table) for table in tables.tables},
+        "squareness_urad": {
+            s.symbol: {
+                "value": round(s.value_urad, 3),
+                "uncertainty": round(s.uncertainty_urad, 3),
+            }
+            for s in tables.squareness
+        },
+        **({"axis_location": places} if places else {}),
+    }
+
+
+def _table(table: Any) -> Mapping[str, Any]:
+    return {
+        f"position_{table.position_unit}": table.position_mm.round(3).tolist(),
+        f"value_{table.unit}": table.value.round(3).tolist(),
+        f"uncertainty_{table.unit}": table.uncertainty.round(3).tolist(),
+    }
