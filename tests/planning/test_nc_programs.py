@@ -278,7 +278,7 @@ def test_more_rows_than_block_numbers_are_refused(mill):
         np.zeros(n),
     )
     with pytest.raises(
-        PlanningError, match=r"10000 rows; a FANUC program numbers 9999"
+        PlanningError, match=r"10000 rows; a Fanuc program numbers 9999"
     ):
         nc_program(long, mill, "fanuc", "P")
 

@@ -352,6 +352,18 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def plan(job_id: str) -> Any:
         return service.plan
 
+    @app.get(f"{API}/nc-dialects")
+    def nc_dialects() -> Any:
+        return {"items": [{"name": "heidenhain", "control": "Heidenhain TNC"}]}
+
+    @app.get(f"{API}/jobs/{{job_id}}/nc-program")
+    def nc_program(job_id: str, dialect: str) -> Response:
+        return Response(
+            "0 BEGIN PGM\n",
+            media_type="text/plain",
+            headers={"Content-Disposition": f'attachment; filename="{dialect}.h"'},
+        )
+
     @app.get(f"{API}/jobs/{{job_id}}/result")
     def job_result(job_id: str) -> Any:
         return result()

@@ -229,6 +229,17 @@ def test_a_discarded_check_leads_back_to_the_plan(panel, service):
     expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
 
 
+def test_the_path_can_be_taken_away_as_a_program(panel, service, tmp_path: Path):
+    service.connected = True
+    ready(service)
+    page = panel.open()
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Heidenhain TNC").click()
+    assert download.value.suggested_filename == "heidenhain.h"
+    download.value.save_as(tmp_path / "path.h")
+    assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM")
+
+
 def test_an_uploaded_bundle_is_analysed(panel, service, tmp_path: Path):
     bundle = tmp_path / "recorded.zip"
     bundle.write_bytes(b"PK")

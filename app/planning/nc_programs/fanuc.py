@@ -31,7 +31,7 @@ _LARGEST_NUMBER = 7999  # those above may be protected
 class Fanuc(Dialect):
     """Programs between two `%`, called by an O-number."""
 
-    control: ClassVar[str] = "FANUC"
+    control: ClassVar[str] = "Fanuc"
     suffix: ClassVar[str] = ".nc"
     decimals: ClassVar[int] = 3
     most_rows: ClassVar[int] = 9999

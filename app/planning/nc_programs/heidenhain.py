@@ -23,7 +23,7 @@ from app.planning.nc_programs.order import RECORD, THE_END, WAY_FREE, Order, Ste
 class Heidenhain(Dialect):
     """Klartext programs, `.H`. A file and its program have one name."""
 
-    control: ClassVar[str] = "HEIDENHAIN TNC"
+    control: ClassVar[str] = "Heidenhain TNC"
     suffix: ClassVar[str] = ".h"
     least_dwell_s: ClassVar[float] = 0.1
     counts_degrees: ClassVar[bool] = True

@@ -25,7 +25,7 @@ _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
 class LinuxCnc(Dialect):
     """Programs of LinuxCNC, `.ngc`."""
 
-    control: ClassVar[str] = "LINUXCNC"
+    control: ClassVar[str] = "LinuxCNC"
     suffix: ClassVar[str] = ".ngc"
     frame: ClassVar[str] = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
 

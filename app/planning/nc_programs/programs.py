@@ -30,6 +30,11 @@ def dialect_names() -> tuple[str, ...]:
     return tuple(sorted(installed(GROUP)))
 
 
+def control_of(dialect: str) -> str:
+    """Return what people call a control."""
+    return _dialect(dialect).control
+
+
 def nc_program(
     path_or_points: Path | Configurations,
     machine: Machine,

@@ -32,7 +32,7 @@ _SAFE_START = (
 class Siemens(Dialect):
     """Main programs, `.MPF`."""
 
-    control: ClassVar[str] = "SIEMENS 840D"
+    control: ClassVar[str] = "Siemens 840D"
     suffix: ClassVar[str] = ".mpf"
     frame: ClassVar[str] = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
 

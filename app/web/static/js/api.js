@@ -55,6 +55,7 @@ export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limi
 /** Make a job. The key makes one of it, even if the request is sent twice. */
 export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
 export const plan = (id) => call("GET", `/jobs/${id}/plan`);
+export const dialects = async () => items(await call("GET", "/nc-dialects"));
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
@@ -77,6 +78,7 @@ export function upload(file) {
 
 /** Addresses of what can be taken away. */
 export const links = {
+  program: (id, dialect) => `${ROOT}/jobs/${id}/nc-program?dialect=${encodeURIComponent(dialect)}`,
   csv: (id) => `${ROOT}/jobs/${id}/result/error-tables.csv`,
   json: (id) => `${ROOT}/jobs/${id}/result`,
   report: (id) => `${ROOT}/jobs/${id}/result/report.html`,

@@ -5,6 +5,7 @@ import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { pathCard } from "./path-card.js";
+import { programCard } from "./program-card.js";
 
 /** Button that leads on: held, because the machine moves. */
 export function lead({ job, link, asked }, { actions, go }) {
@@ -35,6 +36,7 @@ async function discard(actions, go) {
 /** Show the plan. */
 export function mount(root) {
   const path = pathCard(false);
+  const program = programCard();
   const facts = h("div");
   const reach = h("div", { class: "reach" });
   const failure = h("div");
@@ -42,12 +44,13 @@ export function mount(root) {
     head(t("check.title"), t("check.text")), failure,
     h("div", { class: "columns is-main-left" }, path.element,
       h("div", { class: "stack" }, card(t("check.plan"), facts), card(t("check.reach"), reach),
-        card(t("check.before"), before()))),
+        card(t("check.before"), before()), program.element)),
   );
   let described = "";
   return {
     update({ job, plan, machine }) {
       path.update(plan, machine);
+      program.update(job, plan);
       const key = [job?.id, job?.state, Boolean(plan), Boolean(machine)].join();
       if (key === described || !job) return;
       described = key;
