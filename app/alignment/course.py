@@ -13,18 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.interpolate import CubicSpline
-from scipy.spatial import KDTree
 
+from app.alignment.bend import NODES, Bend
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine, RotaryAxis
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 
 HARDLY_MM = 1.0  # a target that moves less far is not looked at on the way
-_STRAIGHT_MM = 1e-6
-_NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
-_BRANCH = 0.05  # weight of what was travelled against what is near
 _SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
 
 
@@ -40,29 +36,29 @@ class Curve:
     end_mm: Float64[np.ndarray, "3"]
     length_mm: float
     turn_deg: float
-    bend: CubicSpline | None = None
+    bend: Bend | None = None
 
     def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         """Return where the target should be."""
         if self.bend is None:
             return self.begin_mm + share[:, None] * (self.end_mm - self.begin_mm)
-        return self.bend(share)
+        return self.bend.point_mm(share)
 
     def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         """Return its derivative by the share."""
         if self.bend is None:
             return np.tile(self.end_mm - self.begin_mm, (len(share), 1))
-        return self.bend(share, 1)
+        return self.bend.slope_mm(share)
 
     def pace(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the target's speed in units of its mean speed on the line."""
         if self.bend is None:
             return np.ones(len(share))
-        return np.linalg.norm(self.bend(share, 1), axis=1) / self.length_mm
+        return np.linalg.norm(self.bend.slope_mm(share), axis=1) / self.length_mm
 
     def fastest(self) -> float:
         """Return the highest pace."""
-        return 1.0 if self.bend is None else float(self.pace(self.bend.x).max())
+        return 1.0 if self.bend is None else float(self.pace(self.bend.share).max())
 
     def nearest(
         self,
@@ -80,30 +76,8 @@ class Curve:
             share = (point_mm - self.begin_mm) @ chord / square
             near = np.clip(share, 0.0, 1.0)
         else:
-            share = near = self._nearest_bent(self.bend, point_mm, travelled_mm)
+            share = near = self.bend.nearest(point_mm, travelled_mm)
         return share, np.linalg.norm(point_mm - self.point_mm(near), axis=1)
-
-    def _nearest_bent(
-        self,
-        bend: CubicSpline,
-        point_mm: Float64[np.ndarray, "n 3"],
-        travelled_mm: Float64[np.ndarray, " n"] | None,
-    ) -> Float64[np.ndarray, " n"]:
-        node = bend(bend.x)
-        step = np.linalg.norm(np.diff(node, axis=0), axis=1)
-        run = np.concatenate([[0.0], np.cumsum(step)])
-        if travelled_mm is None:
-            travelled_mm, run = np.zeros(len(point_mm)), np.zeros(len(run))
-        tree = KDTree(np.column_stack([node, _BRANCH * run]))
-        sought = np.column_stack([point_mm, _BRANCH * travelled_mm])
-        share = bend.x[tree.query(sought)[1]]
-        most = 1.5 * float(bend.x[1])
-        for _ in range(2):
-            slope = bend(share, 1)
-            off = np.einsum("ni,ni->n", point_mm - bend(share), slope)
-            square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
-            share = np.clip(share + np.clip(off / square, -most, most), 0.0, 1.0)
-        return share
 
 
 @dataclass(frozen=True)
@@ -121,7 +95,7 @@ class Course:
     end_mm: Float64[np.ndarray, "w 3"]
     length_mm: Float64[np.ndarray, " w"]
     turn_deg: Float64[np.ndarray, " w"]
-    bends: dict[int, CubicSpline]
+    bends: dict[int, Bend]
     slowest_mm_s: float
     first: Int64[np.ndarray, " p"]
     last: Int64[np.ndarray, " p"]
@@ -158,7 +132,7 @@ def course_of(machine: Machine, commanded: Path | Configurations) -> Course:
     turn_deg = np.abs(step[:, is_rotary]).sum(axis=1)
     bends = _bends(machine, commanded, before, turn_deg)
     for row, bend in bends.items():
-        length_mm[row] = _length_mm(bend)
+        length_mm[row] = bend.length_mm()
     speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
     moved = np.concatenate([[True], length_mm[1:] >= HARDLY_MM])
     if commanded.target:
@@ -191,38 +165,19 @@ def _bends(
     commanded: Path,
     before: Float64[np.ndarray, "w a"],
     turn_deg: Float64[np.ndarray, " w"],
-) -> dict[int, CubicSpline]:
+) -> dict[int, Bend]:
     """Return the curves of rows on which the target does not go straight and evenly."""
     rows = np.flatnonzero(turn_deg)
     if not len(rows):
         return {}
-    nodes = _NODES + np.ceil(turn_deg[rows]).astype(np.int64)
+    nodes = NODES + np.ceil(turn_deg[rows]).astype(np.int64)
     shares = [np.linspace(0.0, 1.0, count) for count in nodes]
     row, share = np.repeat(rows, nodes), np.concatenate(shares)
     step = commanded.position[row] - before[row]
     point = _seen_mm(machine, commanded, row, before[row] + share[:, None] * step)
     parts = np.split(point, np.cumsum(nodes)[:-1])
-    return {
-        int(row): CubicSpline(at, points)
-        for row, at, points in zip(rows, shares, parts, strict=True)
-        if _is_bent(at, points)
-    }
-
-
-def _is_bent(
-    share: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3"]
-) -> bool:
-    chord = points[0] + share[:, None] * (points[-1] - points[0])
-    return bool(np.abs(points - chord).max() > _STRAIGHT_MM)
-
-
-def _length_mm(bend: CubicSpline) -> float:
-    """Return the length of a curve: its mean slope by Simpson's rule."""
-    slope = np.linalg.norm(bend(np.linspace(0.0, 1.0, 2 * len(bend.x) - 1), 1), axis=1)
-    weight = np.full(len(slope), 2.0)
-    weight[1::2] = 4.0
-    weight[[0, -1]] = 1.0
-    return float(weight @ slope / weight.sum())
+    bends = {int(row): Bend(points) for row, points in zip(rows, parts, strict=True)}
+    return {row: bend for row, bend in bends.items() if not bend.is_straight()}
 
 
 def _speed_mm_s(

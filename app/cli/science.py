@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,11 +11,9 @@ from app.cli.summary import print_result, summarised
 from app.cli.terminal import print_json, progress, say
 from app.errors import BadInput
 from app.jobs.analysis import analyse, predict_points, write_analysis
-from app.jobs.workers import Ordered, opened, workers_of
 from app.measurement.bundle import read_bundle
-from app.numerics.adaptive_trials import TrialPlan
+from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.reporting.prediction import Prediction
-from app.settings import load_settings
 
 
 def analyse_bundle(
@@ -52,7 +49,11 @@ def analyse_bundle(
         print_result(analysis.result, output)
 
 
-def _workers() -> AbstractContextManager[Ordered[Any]]:
+def _workers() -> AbstractContextManager[Mapper]:
+    # Only trials ask who computes: settings and workers need not come up for others.
+    from app.jobs.workers import opened, workers_of
+    from app.settings import load_settings
+
     return opened(workers_of(load_settings()))
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import qmc
 
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.machine import Machine
@@ -101,6 +100,9 @@ def _evenly_spread(
     machine: Machine, target: str
 ) -> tuple[Conditions, Float64[np.ndarray, " n"]]:
     """Return points of a Sobol sequence: a grid of five axes would have too many."""
+    # Imported where it is used: the library takes a third of a second to come up.
+    from scipy.stats import qmc
+
     unit = qmc.Sobol(len(machine.axes), seed=0).random_base2(_SOBOL)
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])

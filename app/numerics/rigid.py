@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +29,19 @@ class RigidTransform:
         self, turn_rad: Float64[np.ndarray, "3"], shift_mm: Float64[np.ndarray, "3"]
     ) -> RigidTransform:
         """Return this motion preceded by a small turn about the origin and a shift."""
-        step = Rotation.from_rotvec(turn_rad).as_matrix()
+        step = turned(turn_rad)
         return RigidTransform(
             self.rotation @ step, self.rotation @ shift_mm + self.shift_mm
         )
+
+
+def turned(turn_rad: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Return the rotation about the direction of a vector by its length (Rodrigues)."""
+    angle = float(np.linalg.norm(turn_rad))
+    K = cross_matrix(-turn_rad[None])[0]
+    # sinc keeps its digits for the smallest turns.
+    sine, half = np.sinc(angle / np.pi), np.sinc(0.5 * angle / np.pi)
+    return np.eye(3) + sine * K + 0.5 * half**2 * (K @ K)
 
 
 def fit_rigid(
