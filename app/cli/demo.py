@@ -24,7 +24,6 @@ from app.measurement.machine_file import decode_machine
 from app.measurement.recording import open_run
 from app.measurement.run import Run
 from app.planning.paths import (
-    DEFAULT_LINES,
     check_travel,
     default_path,
     travel_time_s,
@@ -107,7 +106,7 @@ def planned(machine: Machine, feed_mm_min: float, minutes: float | None) -> Tool
     """Return the usual path, or one of as many lines as take `minutes`."""
     path = default_path(machine, feed_mm_min)
     if minutes is not None:
-        line_s = travel_time_s(path) / DEFAULT_LINES
+        line_s = travel_time_s(path) / (len(path) - 1)
         lines = round(60.0 * minutes / line_s)
         if lines < FEWEST_LINES:
             least = FEWEST_LINES * line_s / 60.0

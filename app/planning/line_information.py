@@ -83,7 +83,7 @@ class Knowledge:
 def nothing_known(machine: Machine) -> Knowledge:
     """Return the state before the first line. Only the linear axes are looked at."""
     model = _model(_linear_part(machine))
-    return Knowledge(model, _prior_covariance(model), _gram(model))
+    return Knowledge(model, prior_covariance(model), _gram(model))
 
 
 def _linear_part(machine: Machine) -> Machine:
@@ -121,7 +121,7 @@ def _size_mm(machine: Machine) -> float:
     return max(axis.max_mm - axis.min_mm for axis in machine.linear_axes)
 
 
-def _prior_covariance(model: MachineModel) -> Float64[np.ndarray, "p p"]:
+def prior_covariance(model: MachineModel) -> Float64[np.ndarray, "p p"]:
     """Expect EXPECTED_ERROR_MM, bent as a wave over the travel, and any pose."""
     size_mm = _size_mm(model.machine)
     scale = [

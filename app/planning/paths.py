@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.errors import OutOfTravel, PlanningError
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Machine
 from app.planning.configurations import Configurations
 from app.planning.line_information import Knowledge, nothing_known
-from app.planning.travel import first_breach, limits_of
+from app.planning.travel import first_breach
+from app.planning.turning_lines import LINES_WITH_ROTARY_AXES, turning_lines
 from app.planning.turning_points import turning_points
 from drivers.interfaces.records import Path
 
@@ -28,7 +29,7 @@ def default_path(
     machine: Machine,
     feed_mm_min: float = DEFAULT_FEED_MM_MIN,
     *,
-    lines: int = DEFAULT_LINES,
+    lines: int | None = None,
     dwell_s: float = 0.35,
     seed: int = 0,
 ) -> Path:
@@ -37,15 +38,24 @@ def default_path(
     Each line starts where the last one stopped and ends on a face, an edge or a corner.
     Out of random ends the one is taken that lowers the integrated variance of the
     volumetric error most for the time it takes, so corners recur but lines between
-    corners, which share a blind spot, do not prevail. Rotary axes stand at 0, or at the
-    near end of their travel. The same seed gives the same path.
+    corners, which share a blind spot, do not prevail. The same seed gives one path.
+    Where there are rotary axes, lines turn them as well and every target is measured.
+
+    lines : 22 where it is left out, 72 with rotary axes
 
     Raises PlanningError if a feed, a dwell or a number of lines cannot be driven.
     """
+    turning = bool(machine.rotary_axes)
+    if lines is None:
+        lines = LINES_WITH_ROTARY_AXES if turning else DEFAULT_LINES
     if feed_mm_min <= 0 or dwell_s < 0 or lines < 1:
         raise PlanningError(
             f"feed {feed_mm_min:g} mm/min, dwell {dwell_s:g} s, {lines} lines: "
             "feed and lines must be above 0, the dwell not below"
+        )
+    if turning:
+        return turning_lines(
+            machine, feed_mm_min, lines=lines, dwell_s=dwell_s, seed=seed
         )
     low, high = _inner_travel(machine)
     rng = np.random.default_rng(seed)
@@ -55,7 +65,7 @@ def default_path(
         ends = _ends(rng, stops[-1], low, high)
         best, known = _most_telling(known, stops[-1], ends, feed_mm_min, dwell_s)
         stops.append(ends[best])
-    position = _with_rotary(machine, np.array(stops))
+    position = np.array(stops)
     n = len(position)
     return Path(
         machine.axis_names, position, np.full(n, feed_mm_min), np.full(n, dwell_s)
@@ -88,7 +98,7 @@ def default_points(
     corners = low + _unit_corners() * (high - low)
     inside = _spread(np.random.default_rng(seed), count - 8)
     points = np.round(np.concatenate([corners, low + inside * (high - low)]), _DECIMALS)
-    position = _with_rotary(machine, points[_short_order(points)])
+    position = points[_short_order(points)]
     return Configurations(machine.axis_names, position, np.full(count, dwell_s))
 
 
@@ -190,18 +200,6 @@ def _most_telling(
     gain = np.array([known.gain(one) for one in rows])
     best = int(np.argmax(gain / time_s))
     return best, known.after(rows[best])
-
-
-def _with_rotary(
-    machine: Machine, linear: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n a"]:
-    columns = list(linear.T)
-    for axis in machine.axes:
-        if not isinstance(axis, LinearAxis):
-            lowest, highest = limits_of(axis)
-            stand = min(max(0.0, lowest), highest)
-            columns.append(np.full(len(linear), stand))
-    return np.stack(columns, axis=1)
 
 
 def _unit_corners() -> Float64[np.ndarray, "8 3"]:

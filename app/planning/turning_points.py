@@ -23,12 +23,7 @@ def turning_points(
     and its standstills are told apart. The same seed gives the same points.
     """
     rng = np.random.default_rng(seed)
-    targets = [t.name for t in machine.targets if _moves(machine, t)]
-    if not targets:
-        raise PlanningError(
-            f"no target of {machine.name} moves where the tracker stands; "
-            "state one on the tool in machine.json"
-        )
+    targets = [t.name for t in moving_targets(machine)]
     names = [targets[k * len(targets) // count] for k in range(count)]
     places = [_anywhere(rng, machine)]
     while len(places) < count:
@@ -42,6 +37,20 @@ def turning_points(
         np.full(count, dwell_s),
         tuple(names) if any(names) else (),
     )
+
+
+def moving_targets(machine: Machine) -> tuple[Target, ...]:
+    """Return the targets that move where the tracker stands.
+
+    Raises PlanningError if there is none.
+    """
+    targets = tuple(t for t in machine.targets if _moves(machine, t))
+    if not targets:
+        raise PlanningError(
+            f"no target of {machine.name} moves where the tracker stands; "
+            "state one on the tool in machine.json"
+        )
+    return targets
 
 
 def _least_turn_deg(machine: Machine) -> float:

@@ -129,15 +129,6 @@ def test_rows_of_the_default_path_survive_four_decimals():
     np.testing.assert_array_equal(position, np.round(position, 4))
 
 
-def test_a_rotary_axis_stands_still_inside_its_travel():
-    mill = with_table()
-    path, points = default_path(mill, lines=3), default_points(mill, count=10)
-    assert path.axes == points.axes == ("X", "Y", "Z", "C")
-    assert (path.position[:, 3] == 10.0).all()
-    check_travel(mill, path)
-    check_travel(mill, points)
-
-
 def test_points_turn_every_rotary_axis_and_measure_every_target():
     on_base = replace(TrackerNoise(), stands_on="base")
     targets = (
