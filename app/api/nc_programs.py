@@ -11,7 +11,6 @@ from pydantic import BaseModel, Field
 from app.api.problems import answers
 from app.api.service import ServiceDep
 from app.errors import NotFound
-from app.jobs.errors import NoMachine
 from app.jobs.plans import Commanded, commanded_from_plan
 from app.kinematics.machine import Machine
 from app.planning.nc_programs.programs import (
@@ -64,7 +63,7 @@ def list_nc_dialects() -> DialectList:
     "/{job_id}/nc-program",
     operation_id="download_nc_program",
     response_class=PlainTextResponse,
-    responses={**answers(404, 409, 422), **_PROGRAM},
+    responses={**answers(404, 422), **_PROGRAM},
 )
 def download_nc_program(
     job_id: str, dialect: Dialect, service: ServiceDep
@@ -80,7 +79,7 @@ def download_nc_program(
     if plan is None:
         raise NotFound(f"job {job_id} analyses a Run; it commands no path of its own")
     if service.machine is None:
-        raise NoMachine("the service has no machine file, so travel cannot be checked")
+        raise NotFound("the service has no machine file to check the path against")
     return program_response(commanded_from_plan(plan), service.machine, dialect)
 
 
