@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import qmc
 
 from app.kinematics.effects.axis_location import axis_locations
 from app.kinematics.effects.base import Conditions, Effect, standstill
@@ -23,16 +22,16 @@ from app.kinematics.symbols import error_motions
 from app.planning.line_information import SIGMA_MM, Knowledge, prior_covariance
 
 POINTS_A_LINE = 12
-_SOBOL = 8  # 2^8 configurations stand for the volume
+_VOLUME = 400  # configurations that stand for the volume
 _INTERVALS, _INTERVALS_TURNING = 3, 6
 
 
 def nothing_known_of_turning(machine: Machine) -> Knowledge:
     """Return the state before the first line, all axes looked at."""
-    unit = qmc.Sobol(len(machine.axes), seed=0).random_base2(_SOBOL)
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
-    volume = standstill(machine, low + unit * (high - low))
+    anywhere = np.random.default_rng(0).uniform(low, high, (_VOLUME, len(low)))
+    volume = standstill(machine, anywhere)
     x, y, z = (float(v) for v in volume.point_mm.mean(axis=0))
     model = MachineModel(machine, (*_effects(machine), TrackerPose((x, y, z))))
     columns = model.jacobian(volume).reshape(3 * len(volume), -1)
