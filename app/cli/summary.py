@@ -70,9 +70,11 @@ def _worded(trials: Result) -> str:
     count = f"{trials['trials']:,} trials"
     if not trials["settled"]:
         return f"{count} did not settle: the linear uncertainty is not validated"
-    share = f"{100.0 * trials['largest_disagreement']:.1f} % at most"
-    verdict = "agrees with" if trials["agrees"] else "does not agree with"
-    return f"linear uncertainty {verdict} {count} (JCGM 101); u differs by {share}"
+    return (
+        f"{count} (JCGM 101) validate the linear uncertainty of {trials['agreeing']} "
+        f"of {trials['numbers']} numbers; u differs by "
+        f"{100.0 * trials['largest_disagreement']:.1f} % at most"
+    )
 
 
 def _spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:

@@ -1,9 +1,17 @@
 """Trials of the measurement: what it could have been, solved again (GUM Supplement 1).
 
-A trial draws white and slow noise of every cell, jitter along the travel, and the
-shapes that only the prior knows. It solves again, and keeps what the outputs do. The
-noise is made from its description alone, cell by cell in time, and not by the algebra
-that weighs it: so trials and linear law can contradict each other.
+A trial draws white and slow noise of every cell, jitter along the travel, how strongly
+the prior charges each error motion, and the shapes that only the prior knows. It solves
+again, and keeps what the outputs do. The noise is made from its description alone, cell
+by cell in time, and not by the algebra that weighs it; strengths act in full, where the
+linear law takes them to second order: so trials and linear law can contradict each
+other.
+
+With H = D + Σ λₖKₖ, D the data's information on the machine's parameters, a trial is
+
+    d = H(λ)⁻¹ (Qᵀε + Σ √(λₖKₖ) z − Σ (λₖ − λ̂ₖ) Kₖ θ̂),  θ = θ̂ + d:
+
+a draw of the posterior where noise and prior are what they are said to be.
 
 Every block of trials has a seed of its own: the answer depends neither on how many
 workers share the blocks nor on where they are.
@@ -15,29 +23,54 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64
+from scipy.linalg import cho_factor, cho_solve
 
 from app.alignment.observations import Observations
 from app.estimation.direction import Fit
+from app.estimation.information import information, without_rest
 from app.estimation.noise import NoiseModel, whiten
+from app.estimation.prior import strength_variance
 from app.numerics.adaptive_trials import BLOCK, Interval, TrialBlock, TrialPlan, kept
 
 _AT_ONCE = 500  # trials drawn together: their noise fits the memory of any computer
+_SAME_STRENGTH = 10  # trials that share a draw of strengths, and so one factorisation
+
+
+@dataclass(frozen=True, slots=True)
+class Charged:
+    """What the prior charges one error motion.
+
+    precision : (k, k) λ̂K of its parameters; root : (k, k) with root rootᵀ = precision
+    log_sigma : standard deviation of log λ
+    """
+
+    first: int
+    precision: Float64[np.ndarray, "k k"]
+    root: Float64[np.ndarray, "k k"]
+    log_sigma: float
+
+    @property
+    def part(self) -> slice:
+        """Where its parameters are."""
+        return slice(self.first, self.first + len(self.precision))
 
 
 @dataclass(frozen=True, slots=True)
 class Trials:
     """Everything that a block of trials needs; may be sent to another process.
 
-    weighted : (n, 3, p) V⁻¹A; frame : (n, 3, 3); gain : (o, p) outputs per (AᵀV⁻¹y)
-    root : (p, p), root of the prior precision
+    weighted : (n, 3, m), Q; data : (m, m), D; theta : (m,), θ̂
+    frame : (n, 3, 3) workpiece to beam frame; outputs : (o, m)
     """
 
     seen: Observations
     noise: NoiseModel
     frame: Float64[np.ndarray, "n 3 3"]
-    weighted: Float32[np.ndarray, "n 3 p"]
-    gain: Float64[np.ndarray, "o p"]
-    root: Float64[np.ndarray, "p p"]
+    weighted: Float32[np.ndarray, "n 3 m"]
+    data: Float64[np.ndarray, "m m"]
+    theta: Float64[np.ndarray, " m"]
+    charged: tuple[Charged, ...]
+    outputs: Float64[np.ndarray, "o m"]
     seed: int
     interval: Interval
 
@@ -49,20 +82,21 @@ def prepared(
 
     outputs : (o, m), linear outputs of the machine's parameters
     """
-    problem = fit.problem
+    problem, size = fit.problem, outputs.shape[1]
+    data = without_rest(information(problem, noise), size).matrix
+    # Pose and timing are solved along: their share of the data is passed on.
+    reduce = (data + fit.prior.precision(size)) @ fit.result.covariance[:size]
     A = problem.rows[:, :, :-1]
-    weighted = whiten(problem.seen, noise, problem.frame).applied(A)
-    size = problem.model.size
-    gain = outputs @ fit.result.covariance[: outputs.shape[1]]
-    value, vector = np.linalg.eigh(fit.prior.precision(size))
-    root = vector * np.sqrt(np.maximum(value, 0.0))
+    weighted = whiten(problem.seen, noise, problem.frame).applied(A) @ reduce.T
     return Trials(
         problem.seen,
         noise,
         problem.frame,
         weighted.astype(np.float32),
-        gain,
-        root,
+        data,
+        fit.result.theta[:size],
+        _charged(fit),
+        outputs,
         plan.seed,
         plan.interval,
     )
@@ -81,11 +115,42 @@ def drawn(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]
     return np.concatenate(parts, axis=1)[:, :count]
 
 
+def _charged(fit: Fit) -> tuple[Charged, ...]:
+    prior, charged = fit.prior, list[Charged]()
+    for name, variance in strength_variance(prior, fit.result).items():
+        precision = prior.strength[name] * prior.charges[name].form
+        value, vector = np.linalg.eigh(precision)
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+        first = prior.model.slices[name].start
+        charged.append(Charged(first, precision, root, float(np.sqrt(variance))))
+    return tuple(charged)
+
+
 def _some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"]:
     noise = _white(trials, rng) + _slow(trials, rng)
     pulled = np.tensordot(trials.weighted, noise, axes=((0, 1), (0, 1)))
-    prior = trials.root @ rng.standard_normal((len(trials.root), _AT_ONCE))
-    return trials.gain @ (pulled + prior)
+    pulled = pulled.astype(np.float64)
+    moved = np.empty_like(pulled)
+    for first in range(0, _AT_ONCE, _SAME_STRENGTH):
+        same = slice(first, first + _SAME_STRENGTH)
+        moved[:, same] = _solved(trials, pulled[:, same], rng)
+    return trials.outputs @ moved
+
+
+def _solved(
+    trials: Trials, pulled: Float64[np.ndarray, "m t"], rng: np.random.Generator
+) -> Float64[np.ndarray, "m t"]:
+    """Solve trials again under strengths drawn for them."""
+    H, right = trials.data.copy(order="F"), pulled.copy(order="F")
+    for one in trials.charged:
+        part = one.part
+        times = float(np.exp(one.log_sigma * rng.standard_normal()))
+        draw = rng.standard_normal((len(one.root), pulled.shape[1]))
+        H[part, part] += times * one.precision
+        right[part] += np.sqrt(times) * (one.root @ draw)
+        right[part] -= (times - 1.0) * (one.precision @ trials.theta[part])[:, None]
+    factor = cho_factor(H, lower=True, overwrite_a=True, check_finite=False)
+    return cho_solve(factor, right, overwrite_b=True, check_finite=False)
 
 
 def _white(trials: Trials, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:

@@ -110,16 +110,29 @@ def with_unknown_strengths(prior: BendingPrior, result: Posterior) -> Posterior:
     """
     C = result.covariance
     total = C.copy()
-    for name, charge in prior.charges.items():
+    for name, variance in strength_variance(prior, result).items():
         part = prior.model.slices[name]
-        P = prior.strength[name] * charge.form
-        free = charge.rank - float(np.sum(P * C[part, part]))
-        variance = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
+        P = prior.strength[name] * prior.charges[name].form
         pull = C[:, part] @ P
         moved = pull @ result.theta[part]
         bent = P @ C[part, part] @ P - 0.5 * P
         total += variance * (np.outer(moved, moved) + C[:, part] @ bent @ C[part, :])
     return replace(result, covariance=total)
+
+
+def strength_variance(prior: BendingPrior, result: Posterior) -> dict[str, float]:
+    """Return the variance that is left of the log of each strength.
+
+    Half the shapes that the data determine count as measurements of it, and its kind as
+    one more.
+    """
+    variance: dict[str, float] = {}
+    for name, charge in prior.charges.items():
+        part = prior.model.slices[name]
+        P = prior.strength[name] * charge.form
+        free = charge.rank - float(np.sum(P * result.covariance[part, part]))
+        variance[name] = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
+    return variance
 
 
 def _next_strength(prior: BendingPrior, result: Posterior) -> dict[str, float]:

@@ -77,9 +77,19 @@ class HeldTrials:
     quantities: tuple[HeldQuantity, ...]
 
     @property
+    def numbers(self) -> int:
+        """How many numbers were held against the trials."""
+        return sum(len(q.agrees) for q in self.quantities)
+
+    @property
+    def agreeing(self) -> int:
+        """For how many of them the linear law is validated."""
+        return sum(int(q.agrees.sum()) for q in self.quantities)
+
+    @property
     def agrees(self) -> bool:
         """Whether the linear law is validated for every number."""
-        return self.settled and all(bool(q.agrees.all()) for q in self.quantities)
+        return self.settled and self.agreeing == self.numbers
 
     @property
     def disagreement(self) -> float:

@@ -43,7 +43,8 @@ def _verdict(held: HeldTrials) -> str:
         )
     failed = [q.name for q in held.quantities if not q.agrees.all()]
     return (
-        f"{held.trials:,} trials do not validate the linear uncertainty of "
+        f"{held.trials:,} trials validate the linear uncertainty of {held.agreeing} of "
+        f"{held.numbers} numbers (JCGM 101, clause 8), not all of "
         f"{', '.join(failed)}: use the intervals of the trials there."
     )
 

@@ -25,6 +25,8 @@ def trials_json(held: HeldTrials) -> dict[str, Any]:
         "interval": held.plan.interval,
         "settled": held.settled,
         "agrees": held.agrees,
+        "numbers": held.numbers,
+        "agreeing": held.agreeing,
         "largest_disagreement": held.disagreement,
         "error_tables": {
             q.name: {
