@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.estimation.direction import Fit, best_fit
 from app.estimation.estimate import Estimate, Observability, Residuals
+from app.estimation.extrapolation import measured_ranges, with_ends_free
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information
 from app.estimation.noise import NoiseModel
@@ -45,7 +46,7 @@ def estimate(
     pose = refined_pose(problem, result.theta)
     noise = fit_noise(seen, pose, noise)
     told(0.7)
-    fit = best_fit(seen, machine_model, pose, noise)
+    fit = with_ends_free(best_fit(seen, machine_model, pose, noise), noise)
     observable = observability(seen, pose, noise)
     told(0.9)
     told(1.0)
@@ -84,6 +85,7 @@ def _packed(
         seen.used,
         seen.offered,
         len(np.unique(seen.row)),
+        measured=measured_ranges(seen),
     )
 
 

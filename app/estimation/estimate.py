@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.direction import Fit
+from app.estimation.extrapolation import Ranges
 from app.estimation.noise import NoiseModel
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
@@ -20,11 +21,13 @@ class Observability:
     parameters : shapes of all error motions and squarenesses in the gauge of the tables
     rank : how many of them the data determine
     unobservable : statements in words, one for each thing that they do not
+    weak : statements in words, one for each shape that they determine only weakly
     """
 
     parameters: int
     rank: int
     unobservable: tuple[str, ...]
+    weak: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,8 @@ class Estimate:
         integrated out
     strength : prior strength of each error motion's bending, found from the data
     direction : `none`, `constant` or `tables`: what the direction of approach does
+    measured : by axis, lowest and highest position that was measured, mm or deg; what
+        lies beyond is extrapolated
     fit : what it was solved from, if that was to be kept
     pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
     about
@@ -77,3 +82,4 @@ class Estimate:
     offered_samples: int
     lines: int
     fit: Fit | None = None
+    measured: Ranges = field(default_factory=dict[str, tuple[float, float]])

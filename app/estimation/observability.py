@@ -11,6 +11,8 @@ from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information, without_rest
 from app.estimation.noise import NoiseModel
 from app.estimation.problem import pose_problem
+from app.estimation.separation import statements
+from app.estimation.weak_shapes import usual_precision, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -23,7 +25,7 @@ _UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
 def observability(
     seen: Observations, pose: RigidTransform, noise: NoiseModel
 ) -> Observability:
-    """Return rank and the named null space of the machine's parameters."""
+    """Return rank, the named null space, and the shapes that are told only weakly."""
     model, merged = identifiable_model(
         seen.at.machine, seen.at.offset_mm, intervals=_INTERVALS
     )
@@ -32,31 +34,35 @@ def observability(
     scale = 1.0 / np.sqrt(np.maximum(np.diag(data.matrix)[: model.size], 1e-300))
     value, vector = np.linalg.eigh(told * scale[:, None] * scale)
     blind = value < _UNSEEN**2 * value[-1] + 1e-13
-    statements = [str(m) for m in merged]
-    statements += _blind_shapes(model, vector[:, blind] * scale[:, None])
+    covariance = np.linalg.inv(told + usual_precision(model))
+    said = statements(seen.at.machine, seen.at.offset_mm, merged, model, covariance)
+    said += _blind_shapes(model, vector[:, blind] * scale[:, None])
     return Observability(
         model.size + sum(_shapes(m.symbol, model.machine) for m in merged),
         int(model.size - blind.sum()),
-        tuple(statements),
+        said,
+        tuple(str(shape) for shape in weak_shapes(told, model, blind=False)),
     )
 
 
-def _blind_shapes(model: MachineModel, shapes: Float64[np.ndarray, "p b"]) -> list[str]:
+def _blind_shapes(
+    model: MachineModel, shapes: Float64[np.ndarray, "p b"]
+) -> tuple[str, ...]:
     """Say which motions take part in shapes that the measured places do not show."""
     count = shapes.shape[1]
     if not count:
-        return []
+        return ()
     usual = np.linalg.norm(shapes) / np.sqrt(len(model.effects))
     part = [
         effect.name
         for effect in model.effects
         if np.linalg.norm(shapes[model.slices[effect.name]]) > 0.1 * usual
     ]
-    return [
-        f"{count} common shape{'s' if count > 1 else ''} of {', '.join(part)} not seen "
-        "at the measured places; more lines or points that are not corner to corner "
-        "show them"
-    ]
+    many = f"{count} common shapes are" if count > 1 else "a common shape is"
+    return (
+        f"{', '.join(part)}: {many} not seen at the measured places; more lines or "
+        "points that are not corner to corner show them",
+    )
 
 
 def _shapes(symbol: str, machine: Machine) -> int:

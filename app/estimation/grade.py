@@ -1,0 +1,214 @@
+"""A plain grade of a set-up from its geometry alone, before anything moves.
+
+One number, as the dilution of precision of satellite navigation: the standard
+uncertainty of the volumetric error that the measurement would leave, root mean square
+over the travel, in units of the standard deviation of a single tracker sample. It
+follows from machine, path or points, targets and the place of the tracker; deviations
+of the machine play no part (as in the valuation numbers of HEIDENHAIN's cycle 451).
+Indices of robot calibration (Menq & Borm 1988, Nahvi & Hollerbach 1996) ask the same of
+singular values, but those depend on units and on how a spline is cut; the variance of
+the map does not.
+
+Up to 0.25 a set-up is good: twice the uncertainty of the map is half of what one sample
+scatters. Up to 1 it is usable: the map is still worth more than measuring its every
+point once. Above it is poor: it rests on what is usual of machines more than on data.
+On random simulated set-ups the error that was left is in `docs/grade.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import Information, posterior
+from app.estimation.rehearsal import (
+    expected_information,
+    rehearsed,
+    usual_stands_mm,
+)
+from app.estimation.remedies import Remedy, best_line, with_line
+from app.estimation.separation import statements
+from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.weak_shapes import WeakShape, usual_precision, weak_shapes
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path
+
+GOOD, USABLE = 0.25, 1.0
+_INTERVALS = 10  # of the knots; what is finer the prior bridges
+_SHAPES = 5  # of the knots, for shapes that a person can picture
+_NAMED = 3  # weakest motions
+_UNKNOWN_PLACE = 1e-6  # a metre, a radian: the tracker's place before it is measured
+
+
+@dataclass(frozen=True, slots=True)
+class WeakMotion:
+    """One of the weakest error motions.
+
+    at_tool_mm : standard uncertainty that it alone puts at the tool, root mean square
+        over the travel
+    remedy : the line that helps it most, None where the set-up is good
+    """
+
+    symbol: str
+    at_tool_mm: float
+    remedy: Remedy | None
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """What a set-up is worth.
+
+    number : expected sigma_mm over sample_sigma_mm; the worst of the stands
+    verdict : `good`, `usable` or `poor`
+    sigma_mm : expected standard uncertainty of the volumetric error vector
+    sample_sigma_mm : standard deviation of one tracker sample as a vector
+    stand_mm : where the tracker stands for this number; assumed : nobody said so
+    best : number of the best of the stands
+    improved : number with the line that the weakest motion asks for, None where the
+        set-up is good
+    """
+
+    number: float
+    verdict: str
+    sigma_mm: float
+    sample_sigma_mm: float
+    stand_mm: Float64[np.ndarray, "3"]
+    assumed: bool
+    best: float
+    improved: float | None
+    weakest: tuple[WeakMotion, ...]
+    shapes: tuple[WeakShape, ...]
+    unobservable: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """One stand of the tracker, solved as far as nothing has been measured."""
+
+    seen: Observations
+    model: MachineModel
+    data: Information
+    covariance: Float64[np.ndarray, "p p"]
+    sigma_mm: float
+    sample_sigma_mm: float
+
+    @property
+    def number(self) -> float:
+        return self.sigma_mm / self.sample_sigma_mm
+
+
+def grade(
+    machine: Machine,
+    commanded: Path | Configurations,
+    *,
+    stand_mm: Float64[np.ndarray, "3"] | None = None,
+    perpendicular_only: bool = False,
+) -> Grade:
+    """Grade what would be measured.
+
+    stand_mm : place of the tracker in the frame that it stands on. If left out, four
+        usual places a metre off each side of the travel are tried; the worst counts
+    perpendicular_only : what lies along the lines will be left out
+
+    Raises PlanningError if nothing would be measured at all.
+    """
+    stands = usual_stands_mm(machine) if stand_mm is None else stand_mm[None, :]
+    seen = [rehearsed(machine, commanded, stand) for stand in stands]
+    model, merged = identifiable_model(
+        machine, seen[0].at.offset_mm, intervals=_INTERVALS
+    )
+    gram = volumetric_gram(model)
+    every = [_judged(one, model, gram, perpendicular_only) for one in seen]
+    last = int(np.argmax([one.number for one in every]))
+    worst = every[last]
+    coarse, _ = identifiable_model(machine, seen[0].at.offset_mm, intervals=_SHAPES)
+    told = _machine_part(
+        expected_information(worst.seen, coarse, perpendicular_only=perpendicular_only),
+        coarse,
+    )
+    weakest = _weakest(worst, gram)
+    return Grade(
+        worst.number,
+        verdict(worst.number),
+        worst.sigma_mm,
+        worst.sample_sigma_mm,
+        stands[last],
+        stand_mm is None,
+        min(one.number for one in every),
+        None
+        if weakest[0].remedy is None
+        else _judged(
+            rehearsed(machine, with_line(commanded, weakest[0].remedy), stands[last]),
+            model,
+            gram,
+            perpendicular_only,
+        ).number,
+        weakest,
+        weak_shapes(told, coarse),
+        statements(machine, worst.seen.at.offset_mm, merged, model, worst.covariance),
+    )
+
+
+def verdict(number: float) -> str:
+    """Return the word for a number."""
+    if number <= GOOD:
+        return "good"
+    return "usable" if number <= USABLE else "poor"
+
+
+def sample_sigma_mm(seen: Observations) -> float:
+    """Return the standard deviation of one sample as a vector, at usual distance."""
+    distance = np.linalg.norm(seen.tracker_mm, axis=1)
+    along, across = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
+    return float(np.sqrt(along**2 + 2.0 * across**2))
+
+
+def _judged(
+    seen: Observations,
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    perpendicular_only: bool,
+) -> _Judged:
+    data = expected_information(seen, model, perpendicular_only=perpendicular_only)
+    prior = np.zeros_like(data.matrix)
+    prior[: model.size, : model.size] = usual_precision(model)
+    free = np.arange(model.size, len(prior))
+    prior[free, free] = _UNKNOWN_PLACE
+    covariance = posterior(data, prior).covariance[: model.size, : model.size]
+    sigma = float(np.sqrt(max(np.sum(gram * covariance), 0.0)))
+    return _Judged(seen, model, data, covariance, sigma, sample_sigma_mm(seen))
+
+
+def _machine_part(data: Information, model: MachineModel) -> Float64[np.ndarray, "p p"]:
+    """Return what is told of the machine whatever the tracker's pose."""
+    p = model.size
+    pose = data.matrix[p:, p:] + _UNKNOWN_PLACE * np.eye(len(data.matrix) - p)
+    cross = data.matrix[:p, p:]
+    return data.matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
+
+
+def _weakest(one: _Judged, gram: Float64[np.ndarray, "p p"]) -> tuple[WeakMotion, ...]:
+    model = one.model
+    share = {
+        e.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
+        for e in model.effects
+        if isinstance(e, ErrorMotion)
+        for p in (model.slices[e.name],)
+    }
+    names = sorted(share, key=lambda name: -share[name])[:_NAMED]
+    needed = one.number > GOOD
+    return tuple(
+        WeakMotion(
+            name,
+            share[name],
+            best_line(name, one.seen, model, one.covariance, gram) if needed else None,
+        )
+        for name in names
+    )

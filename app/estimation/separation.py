@@ -1,0 +1,141 @@
+"""What would tell merged error motions apart: a longer tool, or a target to the side.
+
+A turn of an axis that carries the target at a constant arm moves it like a displacement
+of the same axis. Two arms tell them apart: the turn is the difference of both
+displacements over the difference of the arms, so its standard uncertainty is √2 u / ΔL,
+u that of the displacement found with one tool. Wanted is a turn known to half of a
+usual one (k = 2), and ΔL follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.estimation.identifiable import Merged, identifiable_model
+from app.kinematics.effects.error_motion import ErrorMotion, usual_size
+from app.kinematics.machine import Machine, Target
+from app.kinematics.model import MachineModel
+from app.kinematics.symbols import DIRECTION, is_turn, meaning
+
+WANTED_RAD = usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
+_STEP_MM = 10.0
+_TRIAL_MM = 100.0
+_SHAPES = 4
+_GRID = 25
+# What is tried, in this order: the first that separates is asked for.
+_TRIALS = {
+    "a second tool at least {} mm longer or shorter": (0.0, 0.0, 1.0),
+    "a second target at least {} mm to the side, in X or Y,": (0.6, 0.8, 0.0),
+}
+_LONGEST_MM = 1000.0
+
+
+def statements(
+    machine: Machine,
+    offsets_mm: Float64[np.ndarray, "n 3"],
+    merged: Sequence[Merged],
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[str, ...]:
+    """Say of each merged motion what it merges with and what tells them apart.
+
+    offsets_mm : of the measured targets
+    model, covariance : of what the targets do tell, to find the length that is needed
+    """
+    measured = np.unique(offsets_mm, axis=0)
+    left = {
+        what: _still_merged(machine, measured, np.array(way))
+        for what, way in (_TRIALS.items() if merged else ())
+    }
+    return tuple(_statement(m, len(measured), left, model, covariance) for m in merged)
+
+
+def _still_merged(
+    machine: Machine,
+    measured: Float64[np.ndarray, "t 3"],
+    way: Float64[np.ndarray, "3"],
+) -> set[str]:
+    """Return the symbols that stay merged with one more target on the tool."""
+    on_tool = next((t for t in machine.targets if t.on == "tool"), None)
+    added = np.array(on_tool.offset_mm if on_tool else (0.0, 0.0, 0.0))
+    added = added + _TRIAL_MM * way
+    x, y, z = (float(v) for v in added)
+    second = Target("second", "tool", (x, y, z))
+    tried = replace(machine, targets=(*machine.targets, second))
+    _, merged = identifiable_model(
+        tried, np.vstack([measured, added]), intervals=_SHAPES
+    )
+    return {m.symbol for m in merged}
+
+
+def _statement(
+    merged: Merged,
+    tools: int,
+    left: dict[str, set[str]],
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> str:
+    said = f"{merged.symbol} ({meaning(merged.symbol)})"
+    if merged.told_with:
+        with_what = "one tool length" if tools == 1 else "the measured tool offsets"
+        said += (
+            f" cannot be told from {' and '.join(merged.told_with)} with {with_what}"
+        )
+    else:
+        said += " does not move the target"
+    cure = next((w for w, names in left.items() if merged.symbol not in names), "")
+    if not cure:
+        return f"{said}; other targets, off one line with these, separate it"
+    length_mm = _length_mm(merged.symbol, np.array(_TRIALS[cure]), model, covariance)
+    if length_mm > _LONGEST_MM:
+        return (
+            f"{said}; the lines or points tell too little for any tool to change that"
+        )
+    does = "separates them" if merged.told_with else "shows it"
+    return (
+        f"{said}; {cure.format(f'{length_mm:.0f}')} {does} "
+        f"(to {2e6 * WANTED_RAD:.0f} µrad, k = 2, on the same path)"
+    )
+
+
+def _length_mm(
+    symbol: str,
+    way: Float64[np.ndarray, "3"],
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> float:
+    """Return how much longer, rounded up so that it serves.
+
+    Along each direction the turn is known to √2 u / ΔL; directions add information.
+    """
+    moves = np.cross(np.eye(3)[DIRECTION[symbol[1]]], way)
+    told = sum(
+        (float(moves[DIRECTION[m.symbol[1]]]) / _sigma_mm(m, model, covariance)) ** 2
+        for m in _displacements(model, symbol[2])
+    )
+    if told <= 0.0:
+        return np.inf
+    exact = np.sqrt(2.0 / told) / WANTED_RAD
+    return float(max(_STEP_MM, _STEP_MM * np.ceil(exact / _STEP_MM)))
+
+
+def _displacements(model: MachineModel, axis: str) -> list[ErrorMotion]:
+    return [
+        e
+        for e in model.effects
+        if isinstance(e, ErrorMotion) and e.axis.name == axis and not is_turn(e.symbol)
+    ]
+
+
+def _sigma_mm(
+    motion: ErrorMotion, model: MachineModel, covariance: Float64[np.ndarray, "p p"]
+) -> float:
+    """Return the standard uncertainty of a motion, root mean square over its axis."""
+    part = model.slices[motion.name]
+    rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
+    variance = np.einsum("np,np->n", rows @ covariance[part, part], rows)
+    return max(float(np.sqrt(np.maximum(variance, 0.0).mean())), 1e-9)

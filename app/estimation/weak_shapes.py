@@ -1,0 +1,144 @@
+"""Shapes that the data do tell, but hardly better than knowing nothing.
+
+A shape is judged by what the measurement leaves of what a usual machine could have:
+the generalised eigenvalues of posterior against prior covariance, 0 where the data tell
+all, 1 where they tell nothing. The exact null space is no matter of degree and is named
+elsewhere; these shapes are formally identifiable, and a table states them, with an
+uncertainty that is the prior's more than the measurement's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import eigh
+
+from app.estimation.prior import first_guess
+from app.estimation.volumetric_map import volumetric_gram
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.effects.squareness import Squareness
+from app.kinematics.model import MachineModel
+from app.kinematics.symbols import is_turn
+
+USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
+_LEFT = 0.5  # standard deviation left, of a usual machine's, from which a shape is weak
+_MATTERS_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
+_BLIND = 0.9999  # left: all but rounding
+_TAKES_PART = 0.25  # of the largest part, at the tool
+_MOST = 3
+_WITH_IT = 3  # more motions than these are not named
+_BENT = 0.05  # of a slope's square: below it a motion is straight
+_GRID = 41
+
+
+@dataclass(frozen=True, slots=True)
+class WeakShape:
+    """A combination of error motions that the data hardly determine.
+
+    symbols : motions that take part, the largest first
+    left : standard deviation that the data leave, of that of a usual machine
+    sigma_mm : what stays unknown, as root mean square at the tool over the travel
+    form : what the first of them looks like along its axis
+    """
+
+    symbols: tuple[str, ...]
+    left: float
+    sigma_mm: float
+    form: str
+
+    def __str__(self) -> str:
+        """Return the statement for reports."""
+        who = self.symbols[0]
+        others = self.symbols[1 : 1 + _WITH_IT]
+        if others:
+            who += f" together with {', '.join(others)}"
+            who += " and others" if len(self.symbols) > 1 + len(others) else ""
+        return (
+            f"{who}: {self.form} is told only weakly; {100 * self.left:.0f} % of what "
+            f"a usual machine may have stays open, {1e3 * self.sigma_mm:.1f} µm at the "
+            "tool (k = 1)"
+        )
+
+
+def usual_precision(model: MachineModel) -> Float64[np.ndarray, "p p"]:
+    """Return the prior precision of a usual machine, proper in every direction."""
+    precision = first_guess(model).precision(model.size)
+    slack = [USUAL.get(p.unit, 1.0) ** -2 for p in model.parameters]
+    return precision + np.diag(slack)
+
+
+def weak_shapes(
+    told: Float64[np.ndarray, "p p"], model: MachineModel, *, blind: bool = True
+) -> tuple[WeakShape, ...]:
+    """Return the shapes that matter and are hardly told, the worst first.
+
+    told : information of the data on the model, everything else integrated out
+    blind : those of which nothing is told as well
+    """
+    prior = usual_precision(model)
+    # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
+    value, vector = eigh(told, prior)
+    left = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
+    gram = volumetric_gram(model)
+    size = left * np.sqrt(np.einsum("ps,pq,qs->s", vector, gram, vector, optimize=True))
+    order = np.argsort(-size)
+    most = 1.0 if blind else _BLIND
+    weak = [i for i in order if _LEFT < left[i] <= most and size[i] > _MATTERS_MM]
+    return tuple(
+        _named(model, gram, vector[:, i], float(left[i]), float(size[i]))
+        for i in weak[:_MOST]
+    )
+
+
+def _named(
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    shape: Float64[np.ndarray, " p"],
+    left: float,
+    sigma_mm: float,
+) -> WeakShape:
+    part = {
+        e.name: _at_tool(gram, shape, model.slices[e.name])
+        for e in model.effects
+        if isinstance(e, ErrorMotion | Squareness)
+    }
+    largest = max(part.values())
+    names = sorted(part, key=lambda name: -part[name])
+    taking = tuple(n for n in names if part[n] > _TAKES_PART * largest)
+    first = next(e for e in model.effects if e.name == taking[0])
+    form = "the angle"
+    if isinstance(first, ErrorMotion):
+        form = form_of(first, shape[model.slices[first.name]])
+    return WeakShape(taking, left, sigma_mm, form)
+
+
+def _at_tool(
+    gram: Float64[np.ndarray, "p p"], shape: Float64[np.ndarray, " p"], part: slice
+) -> float:
+    return float(np.sqrt(max(shape[part] @ gram[part, part] @ shape[part], 0.0)))
+
+
+def form_of(motion: ErrorMotion, theta: Float64[np.ndarray, " p"]) -> str:
+    """Say what a motion looks like along its axis: a slope, a bow, an S, a wave."""
+    axis = motion.axis
+    at = np.linspace(axis.low, axis.high, _GRID)
+    value = motion.rows(at) @ theta
+    unit = np.linspace(-1.0, 1.0, _GRID)
+    bow, bend = (np.polynomial.legendre.Legendre.basis(k)(unit) for k in (2, 3))
+    straight = np.polynomial.Polynomial.fit(unit, value, 1)(unit)
+    rest = value - straight
+    what = "turning" if is_turn(motion.symbol) else "error"
+    if np.sum(rest**2) < _BENT * np.sum((straight - straight.mean()) ** 2):
+        return f"a slope of the {what} along {axis.name}"
+    even, odd = (_share(rest, form) for form in (bow, bend))
+    if max(even, odd) < 0.5:
+        return f"a wave of the {what} along {axis.name}"
+    return f"{'a bow' if even > odd else 'an S'} of the {what} along {axis.name}"
+
+
+def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) -> float:
+    """Return the part of the square of values that a form makes."""
+    square = float(value @ form) ** 2 / float(form @ form)
+    return square / max(float(value @ value), 1e-300)
