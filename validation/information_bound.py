@@ -44,7 +44,7 @@ def ideal(
     within: Volume, seen: Observations, found: Estimate, recording: Recording, air: Air
 ) -> Ideal:
     """Return the ideal estimate from the observations of an estimate."""
-    problem = pose_problem(seen, found.model, found.pose)
+    problem = pose_problem(seen, found.model, found.runs[0].pose)
     data = information(problem, true_noise(air))
     truth = true_parameters(found.model, recording.truth)
     precision = true_precision(found.model, truth, len(data.vector))

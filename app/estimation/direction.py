@@ -7,19 +7,21 @@ strengths, so that a machine without backlash is not given one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from app.alignment.observations import Observations
-from app.estimation.information import Information, Posterior, information
-from app.estimation.noise import NoiseModel
+from app.estimation.information import Posterior
 from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
-from app.estimation.problem import Problem, pose_problem, with_machine_effects
+from app.estimation.runs import (
+    Measured,
+    Share,
+    shares_of,
+    together,
+    with_effects_only,
+)
 from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
-from app.numerics.rigid import RigidTransform
 
 # A strength fitted to nothing gains a little evidence; not this much, in −2 log.
 _PRICE = 2.0
@@ -30,11 +32,14 @@ class Fit:
     """One model and what it makes of the data.
 
     direction : `none`, `constant` (half widths) or `tables` (both directions)
+    shares : what each Run tells of the model
+    result : of the machine's parameters
     cost : −2 log evidence, with the price of its strengths
     """
 
     direction: str
-    problem: Problem
+    model: MachineModel
+    shares: tuple[Share, ...]
     prior: BendingPrior
     result: Posterior
     cost: float
@@ -45,43 +50,27 @@ def with_half_widths(model: MachineModel) -> MachineModel:
     return model.with_effects(*(half_width(m.symbol, m.axis) for m in _motions(model)))
 
 
-def best_fit(
-    seen: Observations, model: MachineModel, pose: RigidTransform, noise: NoiseModel
-) -> Fit:
+def best_fit(runs: Sequence[Measured], model: MachineModel) -> Fit:
     """Return the fit of greatest evidence, the direction of approach left to it."""
     halves = with_half_widths(model)
-    problem = pose_problem(seen, halves, pose)
-    data = information(problem, noise)
-    none = _fit("none", with_machine_effects(problem, model.effects), data, halves)
-    constant = _fit("constant", problem, data, halves)
+    shares = shares_of(runs, halves)
+    fewer = tuple(with_effects_only(share, model.effects) for share in shares)
+    none = _fit("none", model, fewer)
+    constant = _fit("constant", halves, shares)
     if none.cost <= constant.cost:
         return none
     shapes = [half_shape(m.symbol, m.axis) for m in _motions(model)]
     both = halves.with_effects(*shapes)
-    problem = pose_problem(seen, both, pose)
-    tables = _fit("tables", problem, information(problem, noise), both)
+    tables = _fit("tables", both, shares_of(runs, both))
     return min(constant, tables, key=lambda fit: fit.cost)
 
 
-def _fit(
-    direction: str, problem: Problem, data: Information, columns: MachineModel
-) -> Fit:
-    """Fit the problem from data that may have columns of a larger model."""
-    names = {e.name for e in problem.model.effects}
-    keep = np.ones(len(data.vector), bool)
-    for effect in columns.effects:
-        keep[columns.slices[effect.name]] = effect.name in names
-    part = Information(
-        data.matrix[np.ix_(keep, keep)],
-        data.vector[keep],
-        data.square,
-        data.log_determinant,
-    )
-    machine = problem.machine_model
-    prior, result = fitted(part, first_guess(machine))
-    strengths = sum(not isinstance(e, ErrorMotion) for e in machine.effects)
-    cost = evidence_cost(part, prior, result) + _PRICE * strengths
-    return Fit(direction, problem, prior, result, cost)
+def _fit(direction: str, model: MachineModel, shares: tuple[Share, ...]) -> Fit:
+    data = together(shares)
+    prior, result = fitted(data, first_guess(model))
+    strengths = sum(not isinstance(e, ErrorMotion) for e in model.effects)
+    cost = evidence_cost(data, prior, result) + _PRICE * strengths
+    return Fit(direction, model, shares, prior, result, cost)
 
 
 def _motions(model: MachineModel) -> list[ErrorMotion]:

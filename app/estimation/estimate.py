@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -49,37 +49,113 @@ class Residuals:
 
 
 @dataclass(frozen=True, slots=True)
+class RunEstimate:
+    """What belongs to one Run of an estimate.
+
+    pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
+        about `centre_mm`
+    distance_mm : mean distance of the measured points from the tracker
+    lines : rows of the path or points that it has data of
+    """
+
+    noise: NoiseModel
+    pose: RigidTransform
+    pose_covariance: Float64[np.ndarray, "6 6"]
+    centre_mm: Float64[np.ndarray, "3"]
+    distance_mm: float
+    residuals: Residuals
+    cells: int
+    used_samples: int
+    offered_samples: int
+    lines: int
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The machine's error motions, and everything that was solved together with them.
 
     model : effects of the machine proper, in the order of theta
-    theta : (p,), covariance : (p, p), of those effects alone; pose and timing laws are
+    theta : (p,), covariance : (p, p), of those effects alone; poses and timing laws are
         integrated out
     strength : prior strength of each error motion's bending, found from the data
     direction : `none`, `constant` or `tables`: what the direction of approach does
+    runs : the Runs that it was made from, in the order given
     measured : by axis, lowest and highest position that was measured, mm or deg; what
         lies beyond is extrapolated
     fit : what it was solved from, if that was to be kept
-    pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
-    about
-        `centre_mm`
     """
 
     model: MachineModel
     theta: Float64[np.ndarray, " p"]
     covariance: Float64[np.ndarray, "p p"]
     strength: dict[str, float]
-    noise: NoiseModel
-    pose: RigidTransform
-    pose_covariance: Float64[np.ndarray, "6 6"]
-    centre_mm: Float64[np.ndarray, "3"]
     observability: Observability
     direction: str
-    residuals: Residuals
     perpendicular_only: bool
-    cells: int
-    used_samples: int
-    offered_samples: int
-    lines: int
+    runs: tuple[RunEstimate, ...]
+    measured: Ranges
     fit: Fit | None = None
-    measured: Ranges = field(default_factory=dict[str, tuple[float, float]])
+
+    @property
+    def main(self) -> int:
+        """The Run that most used samples come from."""
+        return int(np.argmax([run.used_samples for run in self.runs]))
+
+    @property
+    def residuals(self) -> Residuals:
+        """Residuals of the main Run."""
+        return self.runs[self.main].residuals
+
+    @property
+    def noise(self) -> NoiseModel:
+        """Noise of the main Run."""
+        return self.runs[self.main].noise
+
+    @property
+    def pose(self) -> RigidTransform:
+        """Pose of the main Run."""
+        return self.runs[self.main].pose
+
+    @property
+    def pose_covariance(self) -> Float64[np.ndarray, "6 6"]:
+        """Covariance of that pose."""
+        return self.runs[self.main].pose_covariance
+
+    @property
+    def centre_mm(self) -> Float64[np.ndarray, "3"]:
+        """Point about which that pose turns."""
+        return self.runs[self.main].centre_mm
+
+    @property
+    def cells(self) -> int:
+        """Cells of all Runs."""
+        return sum(run.cells for run in self.runs)
+
+    @property
+    def used_samples(self) -> int:
+        """Samples that went into cells, of all Runs."""
+        return sum(run.used_samples for run in self.runs)
+
+    @property
+    def offered_samples(self) -> int:
+        """Samples of all streams."""
+        return sum(run.offered_samples for run in self.runs)
+
+    @property
+    def lines(self) -> int:
+        """Rows of paths and points with data."""
+        return sum(run.lines for run in self.runs)
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square of one residual component over all cells."""
+        return self._over_cells([run.residuals.rms_mm for run in self.runs])
+
+    @property
+    def floor_mm(self) -> float:
+        """What of it the noise alone would leave."""
+        return self._over_cells([run.residuals.floor_mm for run in self.runs])
+
+    def _over_cells(self, values: list[float]) -> float:
+        cells = [run.cells for run in self.runs]
+        return float(np.sqrt(np.average(np.square(values), weights=cells)))

@@ -23,9 +23,9 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.direction import Fit
-from app.estimation.information import information, posterior
-from app.estimation.noise import NoiseModel
+from app.estimation.information import posterior
 from app.estimation.prior import BendingPrior
+from app.estimation.runs import together
 from app.kinematics.effects.base import Charge, Conditions
 from app.kinematics.effects.error_motion import ErrorMotion, arm_of
 from app.kinematics.machine import Machine, RotaryAxis
@@ -55,37 +55,31 @@ class Variation:
     slope_square: float
 
 
-def measured_ranges(seen: Observations) -> Ranges:
-    """Return the range of every axis that observations cover."""
-    position, names = seen.at.position_mm, seen.at.machine.axis_names
+def measured_ranges(*observed: Observations) -> Ranges:
+    """Return the range of every axis that the observations of all Runs cover."""
+    position = np.concatenate([seen.at.position_mm for seen in observed])
+    names = observed[0].at.machine.axis_names
     pairs = zip(names, position.min(axis=0), position.max(axis=0), strict=True)
     return {name: (float(low), float(high)) for name, low, high in pairs}
 
 
-def with_ends_free(fit: Fit, noise: NoiseModel) -> Fit:
+def with_ends_free(fit: Fit) -> Fit:
     """Return the fit with the honest uncertainty beyond the measured ranges.
 
     What was found of strengths and of the noise stays; only ends longer than two
     intervals of the knots are looked at, and without any the fit is the same.
     """
-    ranges = measured_ranges(fit.problem.seen)
-    motions = [m for m in _motions(fit.prior.model) if _has_ends(m, ranges)]
+    ranges = measured_ranges(*(share.problem.seen for share in fit.shares))
+    motions = [m for m in _motions(fit.model) if _has_ends(m, ranges)]
     if not motions:
         return fit
-    size = fit.prior.model.size
-    known = variations(
-        fit.prior.model,
-        fit.result.theta[:size],
-        ranges,
-        fit.result.covariance[:size, :size],
-    )
+    known = variations(fit.model, fit.result.theta, ranges, fit.result.covariance)
     charges = {
         m.name: _freed(m, fit.prior, known[m.name], ranges[m.axis.name])
         for m in motions
     }
     prior = replace(fit.prior, charges={**fit.prior.charges, **charges})
-    data = information(fit.problem, noise)
-    result = posterior(data, prior.precision(len(data.vector)))
+    result = posterior(together(fit.shares), prior.precision(fit.model.size))
     return replace(fit, prior=prior, result=result)
 
 

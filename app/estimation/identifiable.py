@@ -50,23 +50,23 @@ class Merged:
 
 def identifiable_model(
     machine: Machine,
-    offsets_mm: Float64[np.ndarray, "t 3"],
-    *,
+    *offsets_mm: Float64[np.ndarray, "_ 3"],
     knot_spacing_mm: float = KNOT_SPACING_MM,
     intervals: int | None = None,
 ) -> tuple[MachineModel, tuple[Merged, ...]]:
     """Return the model of what these targets can tell, and what merged.
 
-    offsets_mm : the offsets of the measured targets
+    offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
     intervals : the same number of knot intervals on every axis, instead of a spacing
     """
+    each_run = [np.unique(offsets, axis=0) for offsets in offsets_mm]
     if not _is_plain(machine):
-        return _chain_model(machine, offsets_mm, knot_spacing_mm, intervals)
+        return _chain_model(machine, each_run, knot_spacing_mm, intervals)
     symbols = [s for axis in machine.linear_axes for s in error_motions(axis.name)]
     # Displacements first: where a turn merges with one, the displacement is kept.
     symbols.sort(key=is_turn)
     travels = {axis.name: axis for axis in machine.linear_axes}
-    probe = _probe(machine, np.unique(offsets_mm, axis=0))
+    probe = _probe(machine, np.unique(np.concatenate(each_run), axis=0))
     kept: list[str] = []
     merged: list[Merged] = []
     for symbol in symbols:
@@ -85,7 +85,11 @@ def identifiable_model(
         for s in ordered
     )
     squareness = squareness_between(tuple(travels))
-    tool = tool_orientation(machine, np.unique(offsets_mm, axis=0))
+    tool = [
+        effect
+        for run, targets in enumerate(each_run)
+        for effect in tool_orientation(machine, targets, run)
+    ]
     return MachineModel(machine, (*motions, *squareness, *tool)), tuple(merged)
 
 
@@ -98,13 +102,17 @@ def _is_plain(machine: Machine) -> bool:
 
 def _chain_model(
     machine: Machine,
-    offsets_mm: Float64[np.ndarray, "t 3"],
+    each_run: list[Float64[np.ndarray, "_ 3"]],
     knot_spacing_mm: float,
     intervals: int | None,
 ) -> tuple[MachineModel, tuple[Merged, ...]]:
-    measured = np.unique(offsets_mm, axis=0)
-    targets = [t for t in machine.targets if _is_among(t.offset_mm, measured)]
-    told = told_by(machine, targets)
+    told = told_by(
+        machine,
+        [
+            [t for t in machine.targets if _is_among(t.offset_mm, measured)]
+            for measured in each_run
+        ],
+    )
     axes = {axis.name: axis for axis in machine.axes}
     motions = [
         error_motion(

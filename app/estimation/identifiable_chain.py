@@ -10,10 +10,11 @@ and motions do not make yet.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import block_diag
 
 from app.kinematics.effects.axis_location import axis_locations
 from app.kinematics.effects.base import Conditions, Effect, standstill
@@ -45,8 +46,12 @@ class Told:
     merged: tuple[tuple[str, tuple[str, ...]], ...]
 
 
-def told_by(machine: Machine, targets: Sequence[Target]) -> Told:
-    """Return what these targets tell from where the tracker stands."""
+def told_by(machine: Machine, runs: Sequence[Sequence[Target]]) -> Told:
+    """Return what the targets of all Runs tell from where the tracker stands.
+
+    runs : the targets measured in each Run
+    """
+    targets = list(dict.fromkeys(target for run in runs for target in run))
     symbols = [s for axis in machine.axes for s in error_motions(axis.name)]
     kept: list[str] = []
     merged: list[tuple[str, tuple[str, ...]]] = []
@@ -57,7 +62,7 @@ def told_by(machine: Machine, targets: Sequence[Target]) -> Told:
             kept.append(symbol)
         else:
             merged.append((symbol, partners))
-    others, left_out = _single_numbers(machine, targets, kept)
+    others, left_out = _single_numbers(machine, runs, kept)
     motions = tuple(s for s in symbols if s in kept)
     return Told(motions, tuple(others), (*merged, *left_out))
 
@@ -107,18 +112,20 @@ def _probe(
 
 
 def _single_numbers(
-    machine: Machine, targets: Sequence[Target], kept: list[str]
+    machine: Machine, runs: Sequence[Sequence[Target]], kept: list[str]
 ) -> tuple[list[Effect], list[tuple[str, tuple[str, ...]]]]:
-    at = _probe(machine, targets, _PROBE, 0)
+    each_run = [
+        replace(_probe(machine, targets, _PROBE, run), run=run)
+        for run, targets in enumerate(runs)
+    ]
     axes = {axis.name: axis for axis in machine.axes}
-    x, y, z = (float(v) for v in at.point_mm.mean(axis=0))
-    known: list[Effect] = [TrackerPose((x, y, z))]
-    known += [error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
-    basis, _ = np.linalg.qr(np.hstack([_columns(e, at) for e in known]))
+    known: list[Effect] = [error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
+    blocks = [_pose_columns(each_run), *(_columns(e, each_run) for e in known)]
+    basis, _ = np.linalg.qr(np.hstack(blocks))
     taken: list[Effect] = []
     merged: list[tuple[str, tuple[str, ...]]] = []
-    for effect in _candidates(machine, targets):
-        own = _columns(effect, at)
+    for effect in _candidates(machine, runs):
+        own = _columns(effect, each_run)
         size = float(np.linalg.norm(own))
         new = own - basis @ (basis.T @ own)
         new = new - basis @ (basis.T @ new)
@@ -127,39 +134,51 @@ def _single_numbers(
             basis = np.hstack([basis, added])
             taken.append(effect)
         elif not effect.parameters[0].nuisance:
-            mates = _nearest(own, [*known[1:], *taken], at) if size > 0.0 else ()
+            mates = _nearest(own, [*known, *taken], each_run) if size > 0.0 else ()
             merged.append((effect.name, mates))
     return taken, merged
 
 
-def _candidates(machine: Machine, targets: Sequence[Target]) -> list[Effect]:
+def _candidates(machine: Machine, runs: Sequence[Sequence[Target]]) -> list[Effect]:
     """Return single numbers; how the targets sit before what could be mistaken."""
-
-    def offsets(side: str) -> Float64[np.ndarray, "t 3"]:
-        rows = [t.offset_mm for t in targets if t.on == side]
-        return np.array(rows, np.float64).reshape(-1, 3)
-
     found: list[Effect] = [*squareness_between(machine.axis_names)]
-    tool, part = offsets("tool"), offsets("workpiece")
-    if len(part) and machine.tracker.stands_on == "base":
-        found += workpiece_placement(part)
-    if len(tool):
-        found += tool_orientation(machine, tool)
+    for run, targets in enumerate(runs):
+        tool, part = _offsets(targets, "tool"), _offsets(targets, "workpiece")
+        if len(part) and machine.tracker.stands_on == "base":
+            found += workpiece_placement(part, run)
+        if len(tool):
+            found += tool_orientation(machine, tool, run)
     for axis in machine.rotary_axes:
         found += axis_locations(axis)
     return found
 
 
-def _columns(effect: Effect, at: Conditions) -> Float64[np.ndarray, "m p"]:
-    J = effect.jacobian(at)
+def _offsets(targets: Sequence[Target], side: str) -> Float64[np.ndarray, "t 3"]:
+    rows = [t.offset_mm for t in targets if t.on == side]
+    return np.array(rows, np.float64).reshape(-1, 3)
+
+
+def _pose_columns(each_run: Sequence[Conditions]) -> Float64[np.ndarray, "m q"]:
+    """Return the columns of the tracker's poses, a pose a Run."""
+    poses: list[Float64[np.ndarray, "_ 6"]] = []
+    for at in each_run:
+        x, y, z = (float(v) for v in at.point_mm.mean(axis=0))
+        poses.append(_columns(TrackerPose((x, y, z)), [at]))
+    return np.asarray(block_diag(*poses), np.float64)
+
+
+def _columns(
+    effect: Effect, each_run: Sequence[Conditions]
+) -> Float64[np.ndarray, "m p"]:
+    J = np.concatenate([effect.jacobian(at) for at in each_run])
     return J.reshape(-1, J.shape[2])
 
 
 def _nearest(
-    own: Float64[np.ndarray, "m 1"], known: list[Effect], at: Conditions
+    own: Float64[np.ndarray, "m 1"], known: list[Effect], each_run: Sequence[Conditions]
 ) -> tuple[str, ...]:
     """Return the effects that make most of a shape."""
-    blocks = [_columns(e, at) for e in known]
+    blocks = [_columns(e, each_run) for e in known]
     scale = [1.0 / max(float(np.linalg.norm(b)), 1e-12) for b in blocks]
     stacked = np.hstack([b * s for b, s in zip(blocks, scale, strict=True)])
     solution, *_ = np.linalg.lstsq(stacked, own, rcond=1e-6)

@@ -6,6 +6,7 @@ term.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from scipy.linalg.lapack import dpotri
 from app.errors import Unidentifiable
 from app.estimation.noise import NoiseModel, whiten
 from app.estimation.problem import Problem
+
+_SILENT = 1e-20  # of the largest information on a parameter: none but rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,16 @@ def information(problem: Problem, noise: NoiseModel) -> Information:
     )
 
 
+def added(parts: Sequence[Information]) -> Information:
+    """Return the information of independent data on the same parameters."""
+    return Information(
+        np.sum([part.matrix for part in parts], axis=0),
+        np.sum([part.vector for part in parts], axis=0),
+        sum(part.square for part in parts),
+        sum(part.log_determinant for part in parts),
+    )
+
+
 def posterior(
     data: Information, prior_precision: Float64[np.ndarray, "p p"]
 ) -> Posterior:
@@ -93,12 +106,71 @@ def without_rest(data: Information, kept: int) -> Information:
     The others have no prior, so this loses nothing for the first.
     Raises Unidentifiable if the data do not determine the others.
     """
-    A, B, D = (
-        data.matrix[:kept, :kept],
-        data.matrix[:kept, kept:],
-        data.matrix[kept:, kept:],
+    if kept == len(data.vector):
+        return data
+    rest = _rest(data, kept)
+    scale, factor = rest.scale[:, None], rest.factor
+    half = solve_triangular(factor, scale * rest.matrix[:, :kept], lower=True)
+    right = solve_triangular(factor, rest.scale * rest.vector, lower=True)
+    turned = 2.0 * float(np.log(np.diag(factor)).sum() - np.log(scale).sum())
+    return Information(
+        data.matrix[:kept, :kept] - half.T @ half,
+        data.vector[:kept] - half.T @ right,
+        data.square - float(right @ right),
+        data.log_determinant + turned,
     )
-    rest = data.vector[kept:]
+
+
+def rest_per_first(data: Information, kept: int) -> Float64[np.ndarray, "r k"]:
+    """Return D⁻¹Bᵀ: how far the others go against the first, to follow the data."""
+    rest = _rest(data, kept)
+    return rest.solved(rest.matrix[:, :kept])
+
+
+def with_rest(
+    data: Information, known: Posterior
+) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "r r"]]:
+    """Return all parameters where the first are known, and the others' covariance.
+
+    The reverse of `without_rest`: the others follow from the first and their own data.
+    """
+    kept = len(known.theta)
+    rest = _rest(data, kept)
+    alone = rest.solved(np.eye(len(rest.vector)))
+    turned = rest.solved(rest.matrix[:, :kept])
+    theta = alone @ rest.vector - turned @ known.theta
+    covariance = alone + turned @ known.covariance @ turned.T
+    return np.concatenate([known.theta, theta]), covariance
+
+
+@dataclass(frozen=True, slots=True)
+class _Rest:
+    """The others' own information D, factorised.
+
+    matrix : (r, p), their rows of AᵀV⁻¹A
+    scale, factor : of the Cholesky factor of D, its diagonal scaled to one
+    """
+
+    matrix: Float64[np.ndarray, "r p"]
+    vector: Float64[np.ndarray, " r"]
+    scale: Float64[np.ndarray, " r"]
+    factor: Float64[np.ndarray, "r r"]
+
+    def solved(self, right: Float64[np.ndarray, "r k"]) -> Float64[np.ndarray, "r k"]:
+        """Return D⁻¹ times the right side."""
+        scale = self.scale[:, None]
+        return scale * cho_solve((self.factor, True), scale * right)
+
+
+def _rest(data: Information, kept: int) -> _Rest:
+    matrix, vector = data.matrix[kept:].copy(), data.vector[kept:].copy()
+    diagonal = np.diag(matrix[:, kept:])
+    # A line of one cell says nothing of its speed, which then stays as commanded.
+    silent = diagonal <= _SILENT * diagonal.max()
+    matrix[silent], vector[silent] = 0.0, 0.0
+    matrix[:, kept:][:, silent] = 0.0
+    matrix[silent, kept + np.flatnonzero(silent)] = 1.0
+    D = matrix[:, kept:]
     scale = 1.0 / np.sqrt(np.diag(D))
     try:
         factor = np.linalg.cholesky(D * scale[:, None] * scale)
@@ -107,12 +179,4 @@ def without_rest(data: Information, kept: int) -> Information:
             "the pose of the tracker or the timing of a line is not determined; use "
             "longer lines in different directions"
         ) from error
-    half = solve_triangular(factor, scale[:, None] * B.T, lower=True)
-    right = solve_triangular(factor, scale * rest, lower=True)
-    turned = 2.0 * float(np.log(np.diag(factor)).sum() - np.log(scale).sum())
-    return Information(
-        A - half.T @ half,
-        data.vector[:kept] - half.T @ right,
-        data.square - float(right @ right),
-        data.log_determinant + turned,
-    )
+    return _Rest(matrix, vector, scale, factor)

@@ -33,6 +33,7 @@ from app.estimation.prior import (
 )
 from app.estimation.problem import pose_problem, refined_pose
 from app.estimation.recursive import Linearisation, Recursive, begun
+from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
 from app.kinematics.effects.base import Parameter
 from app.kinematics.machine import Machine
@@ -156,7 +157,7 @@ def _fitted_noise(
     seen: Observations, pose: RigidTransform, noise: NoiseModel
 ) -> NoiseModel:
     try:
-        return fit_noise(seen, pose, noise)
+        return fit_noise(seen.at.machine, (Measured(seen, pose, noise),))[0].noise
     except Unidentifiable:
         return noise  # too few lines to judge it better
 

@@ -27,9 +27,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from app.alignment.observations import Observations
 from app.estimation.direction import Fit
-from app.estimation.information import information, without_rest
 from app.estimation.noise import NoiseModel, whiten
 from app.estimation.prior import strength_variance
+from app.estimation.runs import Share, together
 from app.numerics.adaptive_trials import BLOCK, Interval, TrialBlock, TrialPlan, kept
 
 _AT_ONCE = 500  # trials drawn together: their noise fits the memory of any computer
@@ -56,17 +56,26 @@ class Charged:
 
 
 @dataclass(frozen=True, slots=True)
-class Trials:
-    """Everything that a block of trials needs; may be sent to another process.
+class TrialRun:
+    """What trials need of one Run.
 
-    weighted : (n, 3, m), Q; data : (m, m), D; theta : (m,), θ̂
-    frame : (n, 3, 3) workpiece to beam frame; outputs : (o, m)
+    frame : (n, 3, 3) workpiece to beam frame; weighted : (n, 3, m), Q
     """
 
     seen: Observations
     noise: NoiseModel
     frame: Float64[np.ndarray, "n 3 3"]
     weighted: Float32[np.ndarray, "n 3 m"]
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Everything that a block of trials needs; may be sent to another process.
+
+    data : (m, m), D; theta : (m,), θ̂; outputs : (o, m)
+    """
+
+    runs: tuple[TrialRun, ...]
     data: Float64[np.ndarray, "m m"]
     theta: Float64[np.ndarray, " m"]
     charged: tuple[Charged, ...]
@@ -75,30 +84,30 @@ class Trials:
     interval: Interval
 
 
-def prepared(
-    fit: Fit, noise: NoiseModel, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan
-) -> Trials:
+def prepared(fit: Fit, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan) -> Trials:
     """Return the trials of an estimate.
 
     outputs : (o, m), linear outputs of the machine's parameters
     """
-    problem, size = fit.problem, outputs.shape[1]
-    data = without_rest(information(problem, noise), size).matrix
-    # Pose and timing are solved along: their share of the data is passed on.
-    reduce = (data + fit.prior.precision(size)) @ fit.result.covariance[:size]
-    A = problem.rows[:, :, :-1]
-    weighted = whiten(problem.seen, noise, problem.frame).applied(A) @ reduce.T
     return Trials(
-        problem.seen,
-        noise,
-        problem.frame,
-        weighted.astype(np.float32),
-        data,
-        fit.result.theta[:size],
+        tuple(_trial_run(share) for share in fit.shares),
+        together(fit.shares).matrix,
+        fit.result.theta,
         _charged(fit),
         outputs,
         plan.seed,
         plan.interval,
+    )
+
+
+def _trial_run(share: Share) -> TrialRun:
+    problem, size = share.problem, share.problem.machine_model.size
+    A = problem.rows[:, :, :-1]
+    weighted = whiten(problem.seen, share.noise, problem.frame).applied(A)
+    # Pose and timing are solved along: their share of the data is passed on.
+    machine = weighted[:, :, :size] - weighted[:, :, size:] @ share.own_per_machine
+    return TrialRun(
+        problem.seen, share.noise, problem.frame, machine.astype(np.float32)
     )
 
 
@@ -127,9 +136,10 @@ def _charged(fit: Fit) -> tuple[Charged, ...]:
 
 
 def _some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"]:
-    noise = _white(trials, rng) + _slow(trials, rng)
-    pulled = np.tensordot(trials.weighted, noise, axes=((0, 1), (0, 1)))
-    pulled = pulled.astype(np.float64)
+    pulled = np.zeros((len(trials.theta), _AT_ONCE))
+    for run in trials.runs:
+        noise = _white(run, rng) + _slow(run, rng)
+        pulled += np.tensordot(run.weighted, noise, axes=((0, 1), (0, 1)))
     moved = np.empty_like(pulled)
     for first in range(0, _AT_ONCE, _SAME_STRENGTH):
         same = slice(first, first + _SAME_STRENGTH)
@@ -153,9 +163,9 @@ def _solved(
     return cho_solve(factor, right, overwrite_b=True, check_finite=False)
 
 
-def _white(trials: Trials, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
+def _white(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
     """Draw the mean of the samples' white noise, and the jitter of the feed."""
-    seen, noise = trials.seen, trials.noise
+    seen, noise = run.seen, run.noise
     sigma = _stated_mm(seen) * np.array(
         [noise.white[0], noise.white[1], noise.white[1]]
     )
@@ -163,15 +173,15 @@ def _white(trials: Trials, rng: np.random.Generator) -> Float32[np.ndarray, "n 3
     draw = _normal(rng, *sigma.shape, _AT_ONCE)
     draw *= sigma[:, :, None].astype(np.float32)
     if 0.0 < noise.along_sigma_mm < np.inf:
-        along = np.einsum("nij,nj->ni", trials.frame, seen.direction)
+        along = np.einsum("nij,nj->ni", run.frame, seen.direction)
         jitter = _normal(rng, len(seen), 1, _AT_ONCE)
         draw += (noise.along_sigma_mm * along[:, :, None]).astype(np.float32) * jitter
     return draw
 
 
-def _slow(trials: Trials, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
+def _slow(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
     """Draw the slow noise as it runs: each cell remembers the one before."""
-    seen, noise = trials.seen, trials.noise
+    seen, noise = run.seen, run.noise
     sigma = _stated_mm(seen) * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
     keep = np.exp(-np.diff(seen.at.time_s, prepend=-np.inf) / noise.slow_time_s)
     fresh = np.sqrt(1.0 - keep**2)

@@ -1,4 +1,4 @@
-"""Find the noise of a Run from the Run itself.
+"""Find the noise of every Run from the Runs themselves.
 
 500 Hz samples are correlated in time; who counts them as independent states intervals
 that hold the truth far too seldom. The white part is what samples scatter about their
@@ -8,7 +8,7 @@ evidence of the whole problem, so that what the error motions take up is account
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,11 +19,12 @@ from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.direction import with_half_widths
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import information, posterior, without_rest
+from app.estimation.information import added, information, posterior, without_rest
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
-from app.estimation.problem import Problem, coarser, pose_problem
-from app.numerics.rigid import RigidTransform
+from app.estimation.problem import Problem, coarser
+from app.estimation.runs import Measured, Share, shares_of, together, with_noise
+from app.kinematics.machine import Machine
 
 _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
 # Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
@@ -44,19 +45,32 @@ def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
     return NoiseModel(white, (0.1, 0.1), 1.0, along)
 
 
-def fit_noise(
-    seen: Observations, pose: RigidTransform, noise: NoiseModel
-) -> NoiseModel:
-    """Return the noise model of greatest evidence, starting from `noise`."""
-    model, _ = identifiable_model(
-        seen.at.machine, seen.at.offset_mm, knot_spacing_mm=_COARSE_MM
-    )
+def fit_noise(machine: Machine, runs: Sequence[Measured]) -> tuple[Measured, ...]:
+    """Return the Runs with the noise of greatest evidence, starting from theirs.
+
+    Every Run has a noise of its own; what the error motions are, all Runs tell.
+    """
+    offsets_mm = [run.seen.at.offset_mm for run in runs]
+    model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
     model = with_half_widths(model)  # lost motion must not pass for slow noise
-    problem = pose_problem(_some_lines(seen), model, pose)
-    prior, result = fitted(information(problem, noise), first_guess(model))
-    small = coarser(problem, _merge(seen))
-    noise = _minimised(_residual_cost(small, result.theta), noise, step=0.7, calls=80)
-    return _minimised(_evidence_cost(small, prior), noise, step=0.3, calls=30)
+    few = [replace(run, seen=_some_lines(run.seen)) for run in runs]
+    shares = shares_of(few, model)
+    prior, result = fitted(together(shares), first_guess(model))
+    small: list[Share] = []
+    for run, share in zip(runs, shares, strict=True):
+        problem = coarser(share.problem, _merge(run.seen))
+        theta, _ = share.completed(result)
+        cost = _residual_cost(problem, theta)
+        small.append(
+            with_noise(problem, _minimised(cost, run.noise, step=0.7, calls=80))
+        )
+    for k, share in enumerate(small):
+        cost = _evidence_cost(share.problem, prior, small[:k] + small[k + 1 :])
+        noise = _minimised(cost, share.noise, step=0.3, calls=30)
+        small[k] = with_noise(share.problem, noise)
+    return tuple(
+        replace(run, noise=share.noise) for run, share in zip(runs, small, strict=True)
+    )
 
 
 def residual_noise(
@@ -102,14 +116,16 @@ def _residual_cost(
 
 
 def _evidence_cost(
-    problem: Problem, prior: BendingPrior
+    problem: Problem, prior: BendingPrior, others: Sequence[Share]
 ) -> Callable[[NoiseModel], float]:
-    """Return −2 log p(data), the prior's strengths held."""
+    """Return −2 log p(data), the prior's strengths and the other Runs' noise held."""
     size = prior.model.size
     precision = prior.precision(size)
+    known = [share.about_machine for share in others]
 
     def cost(noise: NoiseModel) -> float:
         data = without_rest(information(problem, noise), size)
+        data = added([data, *known])
         return evidence_cost(data, prior, posterior(data, precision))
 
     return cost

@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
 from app.estimation.estimate import Observability
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import information, without_rest
-from app.estimation.noise import NoiseModel
-from app.estimation.problem import pose_problem
+from app.estimation.runs import Measured, shares_of, together
 from app.estimation.separation import statements
 from app.estimation.weak_shapes import usual_precision, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.numerics.rigid import RigidTransform
 
 _INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bridges
 _UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
 
 
-def observability(
-    seen: Observations, pose: RigidTransform, noise: NoiseModel
-) -> Observability:
+def observability(machine: Machine, runs: Sequence[Measured]) -> Observability:
     """Return rank, the named null space, and the shapes that are told only weakly."""
-    model, merged = identifiable_model(
-        seen.at.machine, seen.at.offset_mm, intervals=_INTERVALS
-    )
-    data = information(pose_problem(seen, model, pose), noise)
-    told = without_rest(data, model.size).matrix
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(data.matrix)[: model.size], 1e-300))
+    offsets_mm = [run.seen.at.offset_mm for run in runs]
+    model, merged = identifiable_model(machine, *offsets_mm, intervals=_INTERVALS)
+    shares = shares_of(runs, model)
+    told = together(shares).matrix
+    alone = np.sum([np.diag(share.data.matrix)[: model.size] for share in shares], 0)
+    scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
     value, vector = np.linalg.eigh(told * scale[:, None] * scale)
     blind = value < _UNSEEN**2 * value[-1] + 1e-13
     covariance = np.linalg.inv(told + usual_precision(model))
-    said = statements(seen.at.machine, seen.at.offset_mm, merged, model, covariance)
+    every = np.concatenate(offsets_mm)
+    said = statements(machine, every, merged, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
     return Observability(
         model.size + sum(_shapes(m.symbol, model.machine) for m in merged),

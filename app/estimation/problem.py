@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 
 from app.alignment.observations import Observations
@@ -41,12 +41,19 @@ class Problem:
 
 
 def pose_problem(
-    seen: Observations, machine_model: MachineModel, pose: RigidTransform
+    seen: Observations,
+    machine_model: MachineModel,
+    pose: RigidTransform,
+    *,
+    timing: bool = True,
 ) -> Problem:
-    """Return the problem of all effects, pose and timing laws about the given pose."""
+    """Return the problem of all effects, pose and timing laws about the given pose.
+
+    timing : False where nothing along the travel is used, so that no timing is told
+    """
     nuisances: list[TrackerPose | TimingLaw] = [TrackerPose(_centre(seen))]
     lines = np.unique(seen.at.line[seen.at.line >= 0])
-    if len(lines):
+    if len(lines) and timing:
         nuisances.append(TimingLaw(tuple(int(line) for line in lines)))
     model = machine_model.with_effects(*nuisances)
     frame = beam_frame(seen.tracker_mm) @ pose.rotation
@@ -58,10 +65,7 @@ def pose_problem(
 
 def with_machine_effects(problem: Problem, effects: Sequence[Effect]) -> Problem:
     """Return the problem with some of its machine effects only."""
-    names = {effect.name for effect in effects}
-    keep = np.ones(problem.model.size + 1, bool)
-    for effect in problem.machine_model.effects:
-        keep[problem.model.slices[effect.name]] = effect.name in names
+    keep = np.append(columns_with(problem, effects), True)
     machine = MachineModel(problem.model.machine, tuple(effects))
     nuisances = problem.model.effects[len(problem.machine_model.effects) :]
     return replace(
@@ -70,6 +74,15 @@ def with_machine_effects(problem: Problem, effects: Sequence[Effect]) -> Problem
         machine_model=machine,
         rows=problem.rows[:, :, keep],
     )
+
+
+def columns_with(problem: Problem, effects: Sequence[Effect]) -> Bool[np.ndarray, " p"]:
+    """Tell which columns stay where only some of the machine's effects do."""
+    names = {effect.name for effect in effects}
+    keep = np.ones(problem.model.size, bool)
+    for effect in problem.machine_model.effects:
+        keep[problem.model.slices[effect.name]] = effect.name in names
+    return keep
 
 
 def refined_pose(problem: Problem, theta: Float64[np.ndarray, " p"]) -> RigidTransform:

@@ -122,7 +122,7 @@ def held_against_trials(
         raise ValueError("the estimate has not kept its fit")
     asked = _asked(estimate.model)
     rows = np.concatenate([a.rows for a in asked])
-    trials = prepared(estimate.fit, estimate.noise, rows, plan)
+    trials = prepared(estimate.fit, rows, plan)
     moved = propagate(partial(block, trials), plan, run, told)
     linear = np.sqrt(np.einsum("op,op->o", rows @ estimate.covariance, rows).clip(0.0))
     columns = {

@@ -40,7 +40,7 @@ def test_on_the_fly_the_map_is_found_whatever_the_chain(record, judge, chain):
     share, inside, result = judge(*record(21, rows=40, chain=chain))
     assert share < 0.05
     assert 0.85 < inside <= 1.0
-    assert result.lines == 39
+    assert result.runs[0].lines == 39
 
 
 def test_standstill_points_find_the_map_with_the_same_solver(record, judge):
@@ -59,8 +59,8 @@ def test_stated_uncertainty_covers_the_truth_at_the_stated_rate(record, judge):
 def test_the_slow_part_of_the_noise_is_found_in_the_data(record, judge):
     air = Setting(air=Air(share=0.25, tau_s=0.8))
     _, _, result = judge(*record(23, rows=40, setting=air))
-    assert result.noise.slow == pytest.approx((0.25, 0.25), rel=0.35)
-    assert 0.4 < result.noise.slow_time_s < 1.6
+    assert result.runs[0].noise.slow == pytest.approx((0.25, 0.25), rel=0.35)
+    assert 0.4 < result.runs[0].noise.slow_time_s < 1.6
 
 
 def test_twice_the_noise_is_twice_the_uncertainty(record, judge):
@@ -104,7 +104,7 @@ def test_along_path_information_halves_what_corner_paths_leave(record, judge):
 
 def test_residuals_are_noise_when_nothing_is_missing(record, judge):
     _, _, result = judge(*record(28, rows=40))
-    ratio = result.residuals.rms_mm / result.residuals.floor_mm
+    ratio = result.rms_mm / result.floor_mm
     assert 0.85 < ratio < 1.1
 
 

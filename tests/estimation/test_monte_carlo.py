@@ -13,6 +13,7 @@ from app.estimation.identifiable import identifiable_model
 from app.estimation.monte_carlo import block, drawn, prepared
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import with_unknown_strengths
+from app.estimation.runs import Measured
 from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
 NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25), 0.8, 1e-4)
@@ -25,17 +26,21 @@ def fit(record):
     model, _ = identifiable_model(
         seen.at.machine, seen.at.offset_mm, knot_spacing_mm=100.0
     )
-    return best_fit(seen, model, seen.pose, NOISE)
+    return best_fit([Measured(seen, seen.pose, NOISE)], model)
+
+
+def under(trials, noise):
+    """The same trials of a measurement of another noise."""
+    return replace(trials, runs=tuple(replace(r, noise=noise) for r in trials.runs))
 
 
 def squareness(fit):
     """The three squarenesses as outputs, and their standard deviations."""
-    model = fit.problem.machine_model
+    model = fit.model
     outputs = np.array(
         [np.eye(model.size)[model.slices[s].start] for s in ("C0Y", "B0Z", "A0Z")]
     )
     covariance = with_unknown_strengths(fit.prior, fit.result).covariance
-    covariance = covariance[: model.size, : model.size]
     return outputs, np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
 
 
@@ -44,12 +49,12 @@ def of_noise_alone(trials, noise):
     silent = tuple(
         replace(one, root=0.0 * one.root, log_sigma=0.0) for one in trials.charged
     )
-    return replace(trials, noise=noise, charged=silent)
+    return replace(under(trials, noise), charged=silent)
 
 
 def test_trials_confirm_the_linear_uncertainty(fit):
     outputs, linear = squareness(fit)
-    told = propagate(partial(block, prepared(fit, NOISE, outputs, FEW)), FEW)
+    told = propagate(partial(block, prepared(fit, outputs, FEW)), FEW)
     assert (np.abs(told.mean) < 0.2 * linear).all()
     assert told.sigma / linear == pytest.approx(1.0, abs=0.05)
     assert (told.high - told.low) / (2 * 1.96 * linear) == pytest.approx(1.0, abs=0.08)
@@ -57,10 +62,9 @@ def test_trials_confirm_the_linear_uncertainty(fit):
 
 def test_strengths_that_are_known_leave_the_covariance_of_the_solve(fit):
     outputs, _ = squareness(fit)
-    trials = prepared(fit, NOISE, outputs, FEW)
+    trials = prepared(fit, outputs, FEW)
     known = tuple(replace(one, log_sigma=0.0) for one in trials.charged)
-    size = outputs.shape[1]
-    covariance = fit.result.covariance[:size, :size]
+    covariance = fit.result.covariance
     linear = np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
     told = propagate(partial(block, replace(trials, charged=known)), FEW)
     assert told.sigma / linear == pytest.approx(1.0, abs=0.02)
@@ -70,19 +74,19 @@ def test_strengths_that_are_known_leave_the_covariance_of_the_solve(fit):
 def test_more_noise_than_was_weighed_shows_in_the_trials(fit):
     outputs, linear = squareness(fit)
     loud = NoiseModel((2.0, 2.0), (0.5, 0.5), 0.8, 2e-4)
-    trials = prepared(fit, NOISE, outputs, FEW)
+    trials = prepared(fit, outputs, FEW)
     quiet, louder = (
         drawn(of_noise_alone(trials, noise), 0, 500).std(axis=1)
         for noise in (NOISE, loud)
     )
     assert louder / quiet == pytest.approx(2.0, rel=1e-3)
-    told = propagate(partial(block, replace(trials, noise=loud)), FEW)
+    told = propagate(partial(block, under(trials, loud)), FEW)
     assert (told.sigma > 1.2 * linear).all()
 
 
 def test_slow_noise_remembers_for_as_long_as_it_is_said_to(fit):
     outputs, _ = squareness(fit)
-    trials = prepared(fit, NOISE, outputs, FEW)
+    trials = prepared(fit, outputs, FEW)
     slow = NoiseModel((1e-6, 1e-6), (0.25, 0.25), 0.8, 1e-9)
     forgetful = replace(slow, slow_time_s=1e-3)
     remembered, quick = (
@@ -94,7 +98,7 @@ def test_slow_noise_remembers_for_as_long_as_it_is_said_to(fit):
 
 def test_who_computes_a_block_does_not_change_it(fit):
     outputs, _ = squareness(fit)
-    trials = prepared(fit, NOISE, outputs, TrialPlan(seed=7))
+    trials = prepared(fit, outputs, TrialPlan(seed=7))
     alone = [drawn(trials, number, 500) for number in range(3)]
     with ThreadPoolExecutor(3) as pool:
         shared = list(pool.map(lambda number: drawn(trials, number, 500), range(3)))
@@ -103,7 +107,7 @@ def test_who_computes_a_block_does_not_change_it(fit):
 
 def test_another_seed_or_block_is_another_draw(fit):
     outputs, _ = squareness(fit)
-    one, other = (prepared(fit, NOISE, outputs, TrialPlan(seed=s)) for s in (1, 2))
+    one, other = (prepared(fit, outputs, TrialPlan(seed=s)) for s in (1, 2))
     assert not np.allclose(drawn(one, 0, 10), drawn(other, 0, 10))
     assert not np.allclose(drawn(one, 0, 10), drawn(one, 1, 10))
     np.testing.assert_array_equal(drawn(one, 0, 10), drawn(one, 0, 600)[:, :10])

@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from app.estimation.estimate import Estimate, Observability, Residuals
+from app.estimation.estimate import Estimate, Observability, Residuals, RunEstimate
+from app.estimation.extrapolation import whole_travel
 from app.estimation.identifiable import identifiable_model
 from app.estimation.noise import NoiseModel
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
@@ -34,6 +35,21 @@ LINES, CELLS = 12, 240
 
 def machine_with(targets: tuple[Target, ...]) -> Machine:
     return Machine("bench mill", ("X",), ("Y", "Z"), AXES, targets, TrackerNoise())
+
+
+def of_a_run(residuals: Residuals) -> RunEstimate:
+    return RunEstimate(
+        NoiseModel((1.1, 0.9), (0.2, 0.3), 1.5, 2e-4),
+        RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
+        1e-6 * np.eye(6),
+        np.array([50.0, 200.0, 0.0]),
+        1_100.0,
+        residuals,
+        CELLS,
+        9_000,
+        10_000,
+        LINES,
+    )
 
 
 @pytest.fixture(scope="session")
@@ -64,21 +80,25 @@ def construct() -> Callable[..., Estimate]:
             size * rng.standard_normal(model.size),
             1e-4 * spread @ spread.T,
             {"EXX": 2.5},
-            NoiseModel((1.1, 0.9), (0.2, 0.3), 1.5, 2e-4),
-            RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
-            1e-6 * np.eye(6),
-            np.array([50.0, 200.0, 0.0]),
             Observability(model.size + 20, model.size, tuple(str(m) for m in merged)),
             "none",
-            residuals,
             False,
-            CELLS,
-            9_000,
-            10_000,
-            LINES,
+            (of_a_run(residuals),),
+            whole_travel(machine),
         )
 
     return made
+
+
+@pytest.fixture(scope="session")
+def with_residuals() -> Callable[..., Estimate]:
+    """Change the residuals of an estimate's only Run, and what else is said of it."""
+
+    def changed(estimate: Estimate, residuals: Residuals, **more: object) -> Estimate:
+        run = replace(estimate.runs[0], residuals=residuals, **more)
+        return replace(estimate, runs=(run,))
+
+    return changed
 
 
 @pytest.fixture(scope="session")
@@ -142,5 +162,6 @@ def travel_points(rng) -> np.ndarray:
 def across_only(construct) -> Estimate:
     """An estimate of what lies across the travel alone."""
     plain = construct()
-    noise = replace(plain.noise, along_sigma_mm=np.inf)
-    return replace(plain, noise=noise, perpendicular_only=True)
+    run = plain.runs[0]
+    noise = replace(run.noise, along_sigma_mm=np.inf)
+    return replace(plain, runs=(replace(run, noise=noise),), perpendicular_only=True)

@@ -133,15 +133,15 @@ def test_the_provenance_is_there(outline):
         assert words in outline.text
 
 
-def test_residuals_at_the_noise_are_good(estimate, provenance):
-    at_noise = replace(estimate.residuals, rms_mm=1.0e-3, floor_mm=1.0e-3)
-    found = find(replace(estimate, residuals=at_noise), provenance)
+def test_residuals_at_the_noise_are_good(estimate, provenance, with_residuals):
+    at_noise = replace(estimate.runs[0].residuals, rms_mm=1.0e-3, floor_mm=1.0e-3)
+    found = find(with_residuals(estimate, at_noise), provenance)
     assert "explains the measurement to its noise" in residuals_and_noise(5, found)
 
 
-def test_residuals_above_the_noise_are_a_warning(estimate, provenance):
-    above = replace(estimate.residuals, rms_mm=3.0e-3, floor_mm=1.0e-3)
-    found = find(replace(estimate, residuals=above), provenance)
+def test_residuals_above_the_noise_are_a_warning(estimate, provenance, with_residuals):
+    above = replace(estimate.runs[0].residuals, rms_mm=3.0e-3, floor_mm=1.0e-3)
+    found = find(with_residuals(estimate, above), provenance)
     section = residuals_and_noise(5, found)
     assert "3.0 times the noise. The model lacks something" in section
     assert 'class="callout warn"' in section
@@ -215,7 +215,7 @@ def test_errors_of_nothing_are_drawn_all_the_same(estimate, provenance):
 
 def test_residuals_across_the_travel_count_where_only_those_were_used(across_only):
     lines = residuals_by_line(across_only)
-    square = across_only.residuals.across_mm.reshape(len(lines.row), -1) ** 2
+    square = across_only.runs[0].residuals.across_mm.reshape(len(lines.row), -1) ** 2
     assert lines.rms_um == pytest.approx(1e3 * np.sqrt(square.mean(axis=1) / 3))
 
 

@@ -30,6 +30,7 @@ class Conditions:
     on_workpiece : (n,) the target is on the workpiece; nowhere where left out
     line_speed_mm_s : (n,) mean speed along that line where it differs from the velocity
         because the line is an arc
+    run : which of the Runs of an estimate, for effects that belong to one of them
     """
 
     machine: Machine
@@ -43,6 +44,7 @@ class Conditions:
     seen_from: str = "workpiece"
     on_workpiece: Bool[np.ndarray, " n"] | None = None
     line_speed_mm_s: Float64[np.ndarray, " n"] | None = None
+    run: int = 0
 
     def __len__(self) -> int:
         return len(self.position_mm)
@@ -86,6 +88,7 @@ class Conditions:
             self.seen_from,
             None if self.on_workpiece is None else self.on_workpiece[rows],
             None if self.line_speed_mm_s is None else self.line_speed_mm_s[rows],
+            self.run,
         )
 
     def seen_by(
@@ -118,6 +121,11 @@ def standstill(
         np.zeros((n, 3)),
         np.zeros((n, a)),
     )
+
+
+def in_run(name: str, run: int) -> str:
+    """Return the name of an effect of one Run; the first Run's needs no number."""
+    return name if run == 0 else f"{name}-{run + 1}"
 
 
 @dataclass(frozen=True, slots=True)

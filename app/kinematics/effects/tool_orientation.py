@@ -1,7 +1,8 @@
-"""How the measured targets sit in the spindle: a turn of their offsets as a whole.
+"""How the targets of a Run sit in the spindle: a turn of their offsets as a whole.
 
 With one target this is a shift, which the tracker's pose takes; with several, the turn
 of the last axis at its zero shows, and the gauge of the tables has no place for it.
+Between Runs a tool is changed or put in anew: each has a turn of its own.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Conditions, Effect, Parameter, in_run
 from app.kinematics.machine import Machine
 from app.numerics.rigid import cross_matrix
 
@@ -24,15 +25,17 @@ class ToolOrientation(Effect):
 
     about_mm : offset of the first target
     turns : (3, p) turns that the offsets can show; p = 2 where they lie on one line
+    run : the Run that it belongs to; the targets of others are not moved
     """
 
     about_mm: tuple[float, float, float]
     turns: Float64[np.ndarray, "3 p"]
+    run: int = 0
 
     @property
     def name(self) -> str:
         """Name in the provenance of an estimate."""
-        return "tool-orientation"
+        return in_run("tool-orientation", self.run)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -42,18 +45,20 @@ class ToolOrientation(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return turn × (offset − first offset)."""
+        if at.run != self.run:
+            return np.zeros((len(at), 3, self.turns.shape[1]))
         columns = cross_matrix(at.offset_mm - np.array(self.about_mm)) @ self.turns
         return columns if at.is_plain else at.chain.tool_frame @ columns
 
 
 def tool_orientation(
-    machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]
+    machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"], run: int = 0
 ) -> tuple[ToolOrientation, ...]:
-    """Return the effect for the measured offsets; none where there is but one."""
+    """Return the effect for the offsets of a Run; none where there is but one."""
     _, size, direction = np.linalg.svd(offsets_mm - offsets_mm[0])
     if size[0] < 1e-6:
         return ()
     on_a_line = len(size) < 2 or size[1] < 1e-6 * size[0]
     turns = direction[1:].T if on_a_line else direction.T
     first = next(t for t in machine.targets if t.on == "tool")
-    return (ToolOrientation(first.offset_mm, turns),)
+    return (ToolOrientation(first.offset_mm, turns, run),)

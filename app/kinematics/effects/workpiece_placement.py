@@ -1,7 +1,7 @@
 """How the measured targets sit on the workpiece, seen by a tracker on the base.
 
 At the axis zero they need not be where the file says to a micrometre; relative to the
-tool they may be shifted and turned as a whole.
+tool they may be shifted and turned as a whole, in every Run anew.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Conditions, Effect, Parameter, in_run
 from app.numerics.rigid import cross_matrix
 
 
@@ -20,15 +20,18 @@ class WorkpiecePlacement(Effect):
     """A small shift (k = 0, 1, 2) or turn (3, 4, 5) of all targets on the workpiece.
 
     centre_mm : about which they turn
+    run : the Run that it belongs to; the targets of others are not moved
     """
 
     k: int
     centre_mm: tuple[float, float, float]
+    run: int = 0
 
     @property
     def name(self) -> str:
         """Name in the provenance of an estimate."""
-        return f"workpiece-{'shift' if self.k < 3 else 'turn'}-{'xyz'[self.k % 3]}"
+        kind = "shift" if self.k < 3 else "turn"
+        return in_run(f"workpiece-{kind}-{'xyz'[self.k % 3]}", self.run)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -37,6 +40,8 @@ class WorkpiecePlacement(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return R d, or R (d × arm), R the turn of the workpiece in the base."""
+        if at.run != self.run:
+            return np.zeros((len(at), 3, 1))
         unit = np.eye(3)[:, self.k % 3]
         arm = np.tile(unit, (len(at), 1))
         if self.k >= 3:
@@ -45,8 +50,8 @@ class WorkpiecePlacement(Effect):
 
 
 def workpiece_placement(
-    offsets_mm: Float64[np.ndarray, "t 3"],
+    offsets_mm: Float64[np.ndarray, "t 3"], run: int = 0
 ) -> tuple[WorkpiecePlacement, ...]:
-    """Return the six effects for targets on the workpiece."""
+    """Return the six effects for the targets of a Run on the workpiece."""
     x, y, z = (float(v) for v in offsets_mm.mean(axis=0))
-    return tuple(WorkpiecePlacement(k, (x, y, z)) for k in range(6))
+    return tuple(WorkpiecePlacement(k, (x, y, z), run) for k in range(6))
