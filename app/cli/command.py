@@ -201,3 +201,33 @@ def predict(
     from app.cli.science import predict_file
 
     predict_file(result, points, output, as_json=json)
+
+
+@app.command()
+def compare(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")
+    ],
+    reference: Annotated[
+        Path,
+        typer.Argument(
+            metavar="REFERENCE.csv", help="error,position_mm,direction,value,unit"
+        ),
+    ],
+    output: OutputFolder,
+    reference_um: Annotated[
+        float,
+        typer.Option(min=0.0, help="Standard uncertainty of its displacements, µm."),
+    ] = 0.0,
+    reference_urad: Annotated[
+        float, typer.Option(min=0.0, help="Standard uncertainty of its angles, µrad.")
+    ] = 0.0,
+    json: Json = False,
+) -> None:
+    """A result against a direct measurement of single error motions."""
+    _compute_on_one_thread()
+    from app.cli.comparing import compare_result
+    from app.reporting.comparison import ReferenceUncertainty
+
+    uncertainty = ReferenceUncertainty(reference_um, reference_urad)
+    compare_result(result, reference, output, uncertainty, as_json=json)

@@ -1,0 +1,173 @@
+"""Figures of a comparison: single errors (paper's 6 to 8) and the volume (its 9)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.machine import Axis, position_unit
+from app.kinematics.symbols import error_motions, meaning
+from app.reporting.chart import Frame, Scale
+from app.reporting.comparison import ComparedError, Comparison, K
+from app.reporting.comparison_volume import ComparedVolume
+from app.reporting.svg import (
+    WIDTH,
+    Colour,
+    band,
+    curve,
+    image,
+    segments,
+    strokes,
+    words,
+)
+
+SIGN = {"um": "µm", "urad": "µrad"}
+_TOP, _LEFT, _GAP, _EDGE = 16.0, 36.0, 40.0, 7.0
+_PANEL_HEIGHT, _ROW_HEIGHT = 116.0, 146.0
+_BINS = 31
+_VIEW = np.array([[0.87, -0.5, 0.0], [0.28, 0.48, -0.83]])  # from front, right, above
+_LONGEST = 34.0  # of an arrow, in units of the figure
+_ARROWS = 4  # every fourth grid plane is drawn: both ends and the middle
+
+
+def axis_figure(comparison: Comparison, axis: Axis) -> str:
+    """Draw the six error motions of an axis: result in its band, direct runs on it."""
+    name = f"{axis.name}, {position_unit(axis)}"
+    parts: list[str] = []
+    for i, symbol in enumerate(error_motions(axis.name)):
+        frame = _panel(*divmod(i, 3))
+        parts.append(frame.title(f"{symbol}  {meaning(symbol)}"))
+        error = comparison.error(symbol)
+        if error is None:
+            parts.append(frame.empty("not compared"))
+        else:
+            parts.append(_motion(frame, error, name if i >= 3 else ""))
+    height = _TOP + _ROW_HEIGHT + _PANEL_HEIGHT + 28.0
+    return image(height, f"Error motions of axis {axis.name}, both methods", parts)
+
+
+def volume_figure(volume: ComparedVolume) -> str:
+    """Draw the difference by component as histograms, and as arrows in the volume."""
+    parts: list[str] = []
+    reach = max(float(np.abs(volume.difference_um).max()), 1e-6)
+    edge = np.linspace(-reach, reach, _BINS + 1)
+    for row, direction in enumerate("XYZ"):
+        top = _TOP + 84.0 * row
+        frame = Frame(_LEFT, top, 300.0, top + 58.0)
+        parts.append(_histogram(frame, volume.difference_um[:, row], edge, direction))
+    parts.append(_arrows(volume))
+    return image(270.0, "Difference of the volumetric errors", parts)
+
+
+def _panel(row: int, column: int) -> Frame:
+    width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
+    left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW_HEIGHT
+    return Frame(left, top, left + width, top + _PANEL_HEIGHT)
+
+
+def _motion(frame: Frame, error: ComparedError, name: str) -> str:
+    half = K * error.sigma
+    low, high = error.value - half, error.value + half
+    sides = (
+        (error.forward, error.forward_spread, Colour.SECOND),
+        (error.backward, error.backward_spread, Colour.THIRD),
+    )
+    reach = [low, high, *(v + s * k for v, s, _ in sides for k in (-1.0, 1.0))]
+    travel = error.position_mm
+    x = frame.across(float(travel[0]), float(travel[-1]), margin=0.02)
+    y = frame.up(
+        min(0.0, *(float(np.nanmin(r)) for r in reach if np.isfinite(r).any())),
+        max(0.0, *(float(np.nanmax(r)) for r in reach if np.isfinite(r).any())),
+    )
+    at = x.at(travel)
+    return "".join(
+        [
+            frame.drawn(x, y, name, SIGN[error.unit]),
+            band(at, y.at(low), y.at(high), Colour.ACCENT, opacity=0.22),
+            curve(at, y.at(error.value), Colour.ACCENT),
+            *(_runs(x, y, travel, *side) for side in sides),
+        ]
+    )
+
+
+def _runs(
+    x: Scale,
+    y: Scale,
+    position_mm: Float64[np.ndarray, " n"],
+    value: Float64[np.ndarray, " n"],
+    spread: Float64[np.ndarray, " n"],
+    colour: str,
+) -> str:
+    """Return a cross at each position, with a bar over the spread of the runs."""
+    known = np.isfinite(value)
+    if not known.any():
+        return ""
+    at, middle = x.at(position_mm[known]), y.at(value[known])
+    low, high = (y.at(value[known] + k * spread[known]) for k in (-1.0, 1.0))
+    bars = segments(
+        np.column_stack([at, low]), np.column_stack([at, high]), colour, width=0.7
+    )
+    dots = [f"M{a - 1.3:.2f} {b:.2f}h2.6" for a, b in zip(at, middle, strict=True)]
+    return bars + strokes(dots, colour, width=1.3)
+
+
+def _histogram(
+    frame: Frame,
+    difference_um: Float64[np.ndarray, " n"],
+    edge: Float64[np.ndarray, " m"],
+    direction: str,
+) -> str:
+    share = 100.0 * np.histogram(difference_um, edge)[0] / len(difference_um)
+    x = frame.across(float(edge[0]), float(edge[-1]), margin=0.02)
+    y = frame.up(0.0, 1.05 * float(share.max()), margin=0.0)
+    steps = y.at(np.pad(np.repeat(share, 2), 1))
+    name = "result − reference, µm" if direction == "Z" else ""
+    return "".join(
+        [
+            frame.title(f"{direction}: share of the points"),
+            frame.drawn(x, y, name, "%", upright=False),
+            curve(np.repeat(x.at(edge), 2), steps, Colour.ACCENT, width=1.0),
+        ]
+    )
+
+
+def _arrows(volume: ComparedVolume) -> str:
+    """Return the differences as arrows on a coarse grid, and their scale."""
+    linear = volume.position[:, :3]
+    drawn = np.ones(len(linear), bool)
+    for column in linear.T:
+        places = np.unique(column)[::_ARROWS]
+        drawn &= np.isin(column, places) if len(places) > 1 else True
+    flat = linear[drawn] @ _VIEW.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    scale = min(210.0 / max(high[0] - low[0], 1.0), 170.0 / max(high[1] - low[1], 1.0))
+    begin = np.array([390.0, 40.0]) + (flat - low) * scale
+    longest = max(float(np.linalg.norm(volume.difference_um, axis=1).max()), 1e-9)
+    end = begin + volume.difference_um[drawn] @ _VIEW.T * (_LONGEST / longest)
+    note = f"the longest is {longest:.2f} µm"
+    dots = [f"M{a - 0.9:.2f} {b:.2f}h1.8" for a, b in begin]
+    edges = _box(linear) @ _VIEW.T
+    edges = np.array([390.0, 40.0]) + (edges - low) * scale
+    return "".join(
+        [
+            segments(edges[0], edges[1], Colour.RULE, width=0.8),
+            words(380.0, _TOP - 5.0, "Difference in the volume", colour=Colour.INK),
+            strokes(dots, Colour.MUTED, width=1.8),
+            segments(begin, end, Colour.ACCENT, width=1.2),
+            words(380.0, 262.0, note),
+        ]
+    )
+
+
+def _box(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 12 3"]:
+    """Return both ends of the edges of the volume."""
+    corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)
+    low, high = position.min(axis=0), position.max(axis=0)
+    pairs = [
+        (a, b)
+        for a in range(8)
+        for b in range(a + 1, 8)
+        if abs(corners[a] - corners[b]).sum() == 1.0
+    ]
+    ends = low + corners[np.array(pairs).T] * (high - low)
+    return ends
