@@ -34,15 +34,15 @@ from app.estimation.remedies import Remedy, best_line, with_line
 from app.estimation.separation import statements
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import WeakShape, usual_precision, weak_shapes
-from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 
 GOOD, USABLE = 0.25, 1.0
-_INTERVALS = 10  # of the knots; what is finer the prior bridges
-_SHAPES = 5  # of the knots, for shapes that a person can picture
+_SHAPES = 5  # intervals of the knots, for shapes that a person can picture
+_INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
 _NAMED = 3  # weakest motions
 _UNKNOWN_PLACE = 1e-6  # a metre, a radian: the tracker's place before it is measured
 
@@ -128,11 +128,8 @@ def grade(
     every = [_judged(one, model, gram, perpendicular_only) for one in seen]
     last = int(np.argmax([one.number for one in every]))
     worst = every[last]
-    coarse, _ = identifiable_model(machine, seen[0].at.offset_mm, intervals=_SHAPES)
-    told = _machine_part(
-        expected_information(worst.seen, coarse, perpendicular_only=perpendicular_only),
-        coarse,
-    )
+    told = _machine_part(worst.data, model)
+    coarse, refined = _coarser(model)
     weakest = _weakest(worst, gram)
     return Grade(
         worst.number,
@@ -151,7 +148,7 @@ def grade(
             perpendicular_only,
         ).number,
         weakest,
-        weak_shapes(told, coarse),
+        weak_shapes(refined.T @ told @ refined, coarse),
         statements(machine, worst.seen.at.offset_mm, merged, model, worst.covariance),
     )
 
@@ -192,6 +189,29 @@ def _machine_part(data: Information, model: MachineModel) -> Float64[np.ndarray,
     pose = data.matrix[p:, p:] + _UNKNOWN_PLACE * np.eye(len(data.matrix) - p)
     cross = data.matrix[:p, p:]
     return data.matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
+
+
+def _coarser(
+    model: MachineModel,
+) -> tuple[MachineModel, Float64[np.ndarray, "p c"]]:
+    """Return a model of fewer knots, and its shapes in the parameters of the finer.
+
+    Every second knot of a spline makes a spline of the same space, so nothing is lost.
+    """
+    effects = tuple(
+        error_motion(e.symbol, e.axis, _SHAPES) if isinstance(e, ErrorMotion) else e
+        for e in model.effects
+    )
+    coarse = MachineModel(model.machine, effects)
+    refined = np.zeros((model.size, coarse.size))
+    for fine, rough in zip(model.effects, effects, strict=True):
+        part = (model.slices[fine.name], coarse.slices[rough.name])
+        if isinstance(fine, ErrorMotion) and isinstance(rough, ErrorMotion):
+            # The gauge's columns are orthonormal.
+            refined[part] = fine.gauge.T @ rough.rows(fine.spline.knots)
+        else:
+            refined[part] = np.eye(len(fine.parameters))
+    return coarse, refined
 
 
 def _weakest(one: _Judged, gram: Float64[np.ndarray, "p p"]) -> tuple[WeakMotion, ...]:

@@ -31,6 +31,7 @@ from drivers.interfaces.records import Path
 EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 2e-4)
 _CELL_MM, _CELL_S = 16.0, 0.25
 _MOST_CELLS = 4000  # then cells are longer
+_STEADY = 0.1  # of a line, at least: a short one is driven below its feed
 _AHEAD = 1e-4  # of a line, to see where the target is going
 _POINT_TO_POINT_S = 2.0  # usual time of a move between standstill points
 
@@ -58,12 +59,12 @@ def rehearsed(
 
     stand_mm : in the frame that the tracker stands on (workpiece or base)
 
-    Raises PlanningError if no line or dwell is long enough for a cell.
+    Raises PlanningError if nothing moves and nothing dwells.
     """
     parts = list(_stretches(commanded))
     if not parts:
         raise PlanningError(
-            "no line or dwell is long enough to be measured; use longer ones"
+            "no line has a length and no point a dwell; nothing would be measured"
         )
     at = _conditions(machine, commanded, parts)
     speed = np.linalg.norm(at.velocity_mm_s, axis=1, keepdims=True)
@@ -113,7 +114,7 @@ def _lines(path: Path) -> Iterator[_Stretch]:
     turn = np.asarray(np.linalg.norm(step[:, ~linear], axis=1), np.float64)
     length = np.where(straight > 0.0, straight, turn)
     speed = path.feed_mm_min[1:] / 60.0
-    steady = length - speed**2 / ACCELERATION_MM_S2
+    steady = np.maximum(length - speed**2 / ACCELERATION_MM_S2, _STEADY * length)
     cell = np.maximum(_CELL_MM, steady.clip(0.0).sum() / _MOST_CELLS)
     for k in np.flatnonzero(steady > 0.0):
         cells = max(1, round(float(steady[k] / min(cell, max(speed[k], cell)))))

@@ -3,8 +3,9 @@
 A turn of an axis that carries the target at a constant arm moves it like a displacement
 of the same axis. Two arms tell them apart: the turn is the difference of both
 displacements over the difference of the arms, so its standard uncertainty is √2 u / ΔL,
-u that of the displacement found with one tool. Wanted is a turn known to half of a
-usual one (k = 2), and ΔL follows.
+u that of the displacement found with one tool. Wanted is a turn known as well as the
+turns that one tool tells already, and ΔL follows; where no tool is long enough for
+that, a turn known to half of a usual one (k = 2).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import DIRECTION, is_turn, meaning
 
-WANTED_RAD = usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
+_ENOUGH_RAD = usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
 _STEP_MM = 10.0
 _TRIAL_MM = 100.0
 _SHAPES = 4
@@ -31,7 +32,7 @@ _TRIALS = {
     "a second tool at least {} mm longer or shorter": (0.0, 0.0, 1.0),
     "a second target at least {} mm to the side, in X or Y,": (0.6, 0.8, 0.0),
 }
-_LONGEST_MM = 1000.0
+_LONGEST_MM = 500.0
 
 
 def statements(
@@ -90,21 +91,30 @@ def _statement(
     cure = next((w for w, names in left.items() if merged.symbol not in names), "")
     if not cure:
         return f"{said}; other targets, off one line with these, separate it"
-    length_mm = _length_mm(merged.symbol, np.array(_TRIALS[cure]), model, covariance)
-    if length_mm > _LONGEST_MM:
-        return (
-            f"{said}; the lines or points tell too little for any tool to change that"
-        )
-    does = "separates them" if merged.told_with else "shows it"
-    return (
-        f"{said}; {cure.format(f'{length_mm:.0f}')} {does} "
-        f"(to {2e6 * WANTED_RAD:.0f} µrad, k = 2, on the same path)"
-    )
+    way = np.array(_TRIALS[cure])
+    for wanted in (min(_usual_turn(model, covariance), _ENOUGH_RAD), _ENOUGH_RAD):
+        length_mm = _length_mm(merged.symbol, way, wanted, model, covariance)
+        if length_mm <= _LONGEST_MM:
+            does = "separates them" if merged.told_with else "shows it"
+            return (
+                f"{said}; {cure.format(f'{length_mm:.0f}')} {does} "
+                f"(to {2e6 * wanted:.1f} µrad, k = 2, on the same path)"
+            )
+    return f"{said}; the lines or points tell too little for any tool to change that"
+
+
+def _usual_turn(model: MachineModel, covariance: Float64[np.ndarray, "p p"]) -> float:
+    """Return the median standard uncertainty of the turns that are told, in rad."""
+    turns = [
+        e for e in model.effects if isinstance(e, ErrorMotion) and is_turn(e.symbol)
+    ]
+    return float(np.median([_sigma(m, model, covariance) for m in turns] or [np.inf]))
 
 
 def _length_mm(
     symbol: str,
     way: Float64[np.ndarray, "3"],
+    wanted_rad: float,
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> float:
@@ -114,12 +124,12 @@ def _length_mm(
     """
     moves = np.cross(np.eye(3)[DIRECTION[symbol[1]]], way)
     told = sum(
-        (float(moves[DIRECTION[m.symbol[1]]]) / _sigma_mm(m, model, covariance)) ** 2
+        (float(moves[DIRECTION[m.symbol[1]]]) / _sigma(m, model, covariance)) ** 2
         for m in _displacements(model, symbol[2])
     )
     if told <= 0.0:
         return np.inf
-    exact = np.sqrt(2.0 / told) / WANTED_RAD
+    exact = np.sqrt(2.0 / told) / wanted_rad
     return float(max(_STEP_MM, _STEP_MM * np.ceil(exact / _STEP_MM)))
 
 
@@ -131,10 +141,10 @@ def _displacements(model: MachineModel, axis: str) -> list[ErrorMotion]:
     ]
 
 
-def _sigma_mm(
+def _sigma(
     motion: ErrorMotion, model: MachineModel, covariance: Float64[np.ndarray, "p p"]
 ) -> float:
-    """Return the standard uncertainty of a motion, root mean square over its axis."""
+    """Return the standard uncertainty of a motion, root mean square, mm or rad."""
     part = model.slices[motion.name]
     rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
     variance = np.einsum("np,np->n", rows @ covariance[part, part], rows)

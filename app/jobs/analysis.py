@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from app.alignment.align import align
 from app.errors import BundleError
 from app.estimation.batch import estimate
+from app.estimation.grade import grade
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
@@ -103,7 +104,13 @@ def analyse(
         trials = held_against_trials(estimated, monte_carlo, mapper, tried)
     told(shares.tried, "reporting")
     provenance = Provenance(account_of(run), version("truepath"), datetime.now(UTC))
-    found = find(replace(estimated, fit=None), provenance, trials)
+    graded = grade(
+        run.machine,
+        run.commanded,
+        stand_mm=estimated.pose.inverse().shift_mm,
+        perpendicular_only=perpendicular_only,
+    )
+    found = find(replace(estimated, fit=None), provenance, trials, graded)
     analysis = Analysis(
         found, result_json(found), error_tables_csv(found.tables), report_html(found)
     )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
+from app.estimation.extrapolation import Ranges
 from app.kinematics.effects.axis_location import AxisLocation
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.effects.squareness import Squareness
@@ -28,6 +29,7 @@ class ErrorTable:
     unit : "um" or "urad", of `value` and `uncertainty`
     position_mm : of the axis; in deg where `position_unit` says so
     uncertainty : standard uncertainty (k = 1) in the gauge of the table
+    measured : lowest and highest position that was measured; None where nobody knows
     """
 
     symbol: str
@@ -36,6 +38,15 @@ class ErrorTable:
     value: Float64[np.ndarray, " n"]
     uncertainty: Float64[np.ndarray, " n"]
     position_unit: str = "mm"
+    measured: tuple[float, float] | None = None
+
+    @property
+    def extrapolated(self) -> Bool[np.ndarray, " n"]:
+        """Tell which positions lie beyond the measured range."""
+        if self.measured is None:
+            return np.zeros(len(self.position_mm), bool)
+        low, high = self.measured
+        return (self.position_mm < low) | (self.position_mm > high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +94,13 @@ def error_tables(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
+    measured: Ranges | None = None,
 ) -> ErrorTables:
-    """Return the tables of an estimate's parameters."""
+    """Return the tables of an estimate's parameters.
+
+    measured : by axis, the range that was measured, if it is known
+    """
+    ranges = measured or {}
     tables: list[ErrorTable] = []
     squareness: list[SquarenessError] = []
     locations: list[LocationError] = []
@@ -92,9 +108,8 @@ def error_tables(
         part = model.slices[effect.name]
         if isinstance(effect, ErrorMotion):
             at_mm = table_positions_mm(effect.axis)
-            tables.append(
-                error_table(effect, theta[part], covariance[part, part], at_mm)
-            )
+            table = error_table(effect, theta[part], covariance[part, part], at_mm)
+            tables.append(replace(table, measured=ranges.get(effect.axis.name)))
         elif isinstance(effect, Squareness):
             value, variance = float(theta[part][0]), float(covariance[part, part][0, 0])
             sigma = float(np.sqrt(variance))

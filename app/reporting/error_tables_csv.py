@@ -6,14 +6,15 @@ from collections.abc import Iterator
 
 from app.reporting.error_tables import ErrorTables
 
-HEADER = "error,position_mm,value,uncertainty,unit"
+HEADER = "error,position_mm,value,uncertainty,unit,extrapolated"
 
 
 def error_tables_csv(tables: ErrorTables) -> str:
     """Return the text of the file; uncertainties are standard ones (k = 1).
 
-    A squareness belongs to no position: its cell is empty. A machine with rotary axes
-    has a further column, `position_deg`.
+    A squareness belongs to no position: its cell is empty. `extrapolated` is 1 beyond
+    the measured range of the axis. A machine with rotary axes has a further column,
+    `position_deg`.
     """
     turns = any(table.position_unit == "deg" for table in tables.tables)
     lines = _lines(tables) if not turns else _turning_lines(tables)
@@ -32,21 +33,27 @@ def _turning_lines(tables: ErrorTables) -> Iterator[str]:
             yield f"{line},"
     for place in tables.locations:
         yield (
-            f"{place.symbol},,{place.value:z.5f},{place.uncertainty:.5f},{place.unit},"
+            f"{place.symbol},,{place.value:z.5f},{place.uncertainty:.5f},{place.unit},,"
         )
 
 
 def _lines(tables: ErrorTables) -> Iterator[str]:
     yield HEADER
     for table in tables.tables:
-        rows = zip(table.position_mm, table.value, table.uncertainty, strict=True)
-        for position_mm, value, uncertainty in rows:
+        rows = zip(
+            table.position_mm,
+            table.value,
+            table.uncertainty,
+            table.extrapolated,
+            strict=True,
+        )
+        for position_mm, value, uncertainty, beyond in rows:
             yield (
                 f"{table.symbol},{position_mm:.4f},{value:z.5f},{uncertainty:.5f},"
-                f"{table.unit}"
+                f"{table.unit},{int(beyond)}"
             )
     for square in tables.squareness:
         yield (
             f"{square.symbol},,{square.value_urad:z.5f},{square.uncertainty_urad:.5f},"
-            "urad"
+            "urad,"
         )

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.estimate import Estimate
+from app.estimation.grade import Grade
 from app.kinematics.effects.base import standstill
 from app.reporting.error_tables import MILLI, ErrorTables, error_tables
 from app.reporting.held_trials import HeldTrials
@@ -56,7 +57,11 @@ class NoiseFound:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """An estimate and what follows from it; what trials say of it, if they were run."""
+    """An estimate and what follows from it.
+
+    trials : what trials say of it, if they were run
+    grade : what the set-up was worth before the measurement, if it was asked
+    """
 
     estimate: Estimate
     provenance: Provenance
@@ -65,21 +70,26 @@ class Findings:
     by_line: LineResiduals
     noise: NoiseFound
     trials: HeldTrials | None = None
+    grade: Grade | None = None
 
 
 def find(
-    estimate: Estimate, provenance: Provenance, trials: HeldTrials | None = None
+    estimate: Estimate,
+    provenance: Provenance,
+    trials: HeldTrials | None = None,
+    grade: Grade | None = None,
 ) -> Findings:
     """Return the findings of an estimate."""
     parts = estimate.model, estimate.theta, estimate.covariance
     return Findings(
         estimate,
         provenance,
-        error_tables(*parts),
+        error_tables(*parts, estimate.measured),
         volumetric_error(*parts),
         residuals_by_line(estimate),
         noise_found(estimate),
         trials,
+        grade,
     )
 
 

@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from app.estimation.extrapolation import (
+    Variation,
+    beyond_travel_variance_mm2,
+    variations,
+    whole_travel,
+)
 from app.estimation.volumetric_map import VolumetricMap, volumetric_map
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.reporting.error_tables import MILLI
 from app.reporting.result_json import LoadedResult
 
+_USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache
 
 
@@ -41,12 +48,18 @@ def predict(
     targets : the target at each point; the first of the machine where left out
     """
     error, uncertainty = np.empty((len(position), 3)), np.empty((len(position), 3))
+    known = variations(
+        result.model,
+        result.theta,
+        result.measured or whole_travel(result.machine),
+        result.covariance,
+    )
     for name, rows in _by_target(targets, len(position)):
         found = volumetric_map(result.model, name)
         for begin in range(0, len(rows), _BLOCK):
             block = rows[begin : begin + _BLOCK]
             error[block], uncertainty[block] = _block(
-                result, found, position[block], name
+                result, found, known, position[block], name
             )
     return Prediction(error, uncertainty, tuple(_warnings(result, position, targets)))
 
@@ -63,13 +76,16 @@ def _by_target(
 def _block(
     result: LoadedResult,
     found: VolumetricMap,
+    known: dict[str, Variation],
     position: Float64[np.ndarray, "n a"],
     target: str,
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     offset = np.array(result.machine.target(target).offset_mm, float)
     at = standstill(result.machine, position, np.tile(offset, (len(position), 1)))
     error = found.error_mm(at, result.theta)
-    return MILLI * error, MILLI * found.sigma_mm(at, result.covariance)
+    variance = found.sigma_mm(at, result.covariance) ** 2
+    variance += beyond_travel_variance_mm2(at, result.model, known)
+    return MILLI * error, MILLI * np.sqrt(variance)
 
 
 def _warnings(
@@ -84,7 +100,19 @@ def _warnings(
         )
         yield (
             f"{outside} of {len(position)} points lie beyond the travel ({travel}): "
-            "the errors are continued straight there, and no uncertainty covers a bend"
+            "the errors are continued straight there, and the uncertainty grows as the "
+            "motions bend within the travel"
+        )
+    unseen = int(_unmeasured(result, position).sum()) - outside
+    if unseen > 0:
+        seen = ", ".join(
+            f"{name} {low:.0f} to {high:.0f}"
+            for name, (low, high) in result.measured.items()
+        )
+        yield (
+            f"{unseen} of {len(position)} points lie in the travel but far beyond what "
+            f"was measured ({seen}): extrapolated with a bounded slope, and with the "
+            "uncertainty that goes with it"
         )
     if len(result.machine.targets) > 1 and not targets:
         name = result.machine.target().name
@@ -97,6 +125,20 @@ def _outside(
     low, high = np.array([_travel(axis) for axis in machine.axes]).T
     slack = 1e-6 * (high - low)  # numbers that were rounded when they were written
     return ((position < low - slack) | (position > high + slack)).any(axis=1)
+
+
+def _unmeasured(
+    result: LoadedResult, position: Float64[np.ndarray, "n a"]
+) -> Bool[np.ndarray, " n"]:
+    """Tell which points lie beyond the measured range by more than ends usually do."""
+    beyond = np.zeros(len(position), bool)
+    for column, axis in enumerate(result.machine.axes):
+        if axis.name in result.measured:
+            low, high = result.measured[axis.name]
+            slack = _USUAL_ENDS * (axis.high - axis.low)
+            at = position[:, column]
+            beyond |= (at < low - slack) | (at > high + slack)
+    return beyond | _outside(result.machine, position)
 
 
 def _travel(axis: Axis) -> tuple[float, float]:

@@ -17,6 +17,11 @@ from app.reporting.html_parts import (
     section,
     table,
 )
+from app.reporting.report_grade import (
+    extrapolated_ends,
+    grade_of_set_up,
+    weakly_told,
+)
 from app.reporting.report_trials import trials
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
@@ -43,6 +48,7 @@ def machine_and_measurement(number: int, found: Findings) -> str:
             f"{estimate.cells:,} cells",
         ),
         ("Tracker", _tracker(found)),
+        *grade_of_set_up(found),
     ]
     if run.temperature_degc:
         pairs.append(("Temperature", _temperature(run.temperature_degc)))
@@ -102,7 +108,14 @@ def unobservable(number: int, found: Findings) -> str:
         f"<p class=note>The measurement determines {seen.rank} of {seen.parameters} "
         "shapes of error motions and squarenesses.</p>"
     )
-    return section(number, "What this measurement cannot tell", text, note)
+    return section(
+        number,
+        "What this measurement cannot tell",
+        text,
+        weakly_told(found),
+        note,
+        extrapolated_ends(found),
+    )
 
 
 def validation(number: int, found: Findings) -> str:

@@ -7,14 +7,15 @@ prediction needs, so that the file alone gives the map of the estimate.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.errors import BundleError
-from app.kinematics.machine import Machine
+from app.estimation.extrapolation import Ranges
+from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.measurement.json_fields import Field, Fields
 from app.measurement.machine_file import machine_from_json, machine_to_json
@@ -27,6 +28,7 @@ from app.reporting.error_tables import (
     error_tables,
 )
 from app.reporting.findings import Findings
+from app.reporting.grade_json import grade_json
 from app.reporting.model_json import model_from_json, model_to_json
 from app.reporting.trials_json import trials_json
 
@@ -49,6 +51,7 @@ class LoadedResult:
     """What a result file says about the machine.
 
     unobservable : statements in words; provenance : as the file states it
+    measured : by axis, the range beyond which tables are extrapolated, if it is known
     """
 
     machine: Machine
@@ -58,10 +61,11 @@ class LoadedResult:
     covariance: Float64[np.ndarray, "p p"]
     unobservable: tuple[str, ...]
     provenance: dict[str, Any]
+    measured: Ranges = field(default_factory=dict[str, tuple[float, float]])
 
     def tables(self) -> ErrorTables:
         """Return the error tables."""
-        return error_tables(self.model, self.theta, self.covariance)
+        return error_tables(self.model, self.theta, self.covariance, self.measured)
 
 
 def result_json(found: Findings) -> dict[str, Any]:
@@ -88,7 +92,10 @@ def result_json(found: Findings) -> dict[str, Any]:
             "rank": estimate.observability.rank,
             "parameters": estimate.observability.parameters,
             "unobservable": list(estimate.observability.unobservable),
+            "weak": list(estimate.observability.weak),
         },
+        "measured_range": _measured_json(found),
+        "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
         "model": model_to_json(estimate.model, estimate.theta, estimate.covariance),
     }
@@ -121,6 +128,7 @@ def read_result(content: object, *, file: str = "result.json") -> LoadedResult:
         saved.covariance,
         _unobservable(top),
         dict(top.child("provenance").mapping().values),
+        _measured(top, machine),
     )
 
 
@@ -129,11 +137,41 @@ def _unobservable(top: Fields) -> tuple[str, ...]:
     return tuple(element.text() for element in field.elements())
 
 
+def _measured(top: Fields, machine: Machine) -> Ranges:
+    if "measured_range" not in top:
+        return {}
+    stated = top.child("measured_range").mapping()
+    return {
+        axis.name: (
+            (ends := stated.child(axis.name).mapping())
+            .child(f"from_{position_unit(axis)}")
+            .number(),
+            ends.child(f"to_{position_unit(axis)}").number(),
+        )
+        for axis in machine.axes
+        if axis.name in stated
+    }
+
+
 def _table_json(table: ErrorTable) -> dict[str, Any]:
     return {
         f"position_{table.position_unit}": table.position_mm.tolist(),
         f"value_{table.unit}": table.value.tolist(),
         f"uncertainty_{table.unit}": table.uncertainty.tolist(),
+        "extrapolated": table.extrapolated.tolist(),
+    }
+
+
+def _measured_json(found: Findings) -> dict[str, Any]:
+    """Return the range of each axis beyond which its tables are extrapolated."""
+    ranges = found.estimate.measured
+    return {
+        axis.name: {
+            f"from_{position_unit(axis)}": ranges[axis.name][0],
+            f"to_{position_unit(axis)}": ranges[axis.name][1],
+        }
+        for axis in found.estimate.model.machine.axes
+        if axis.name in ranges
     }
 
 

@@ -47,7 +47,7 @@ def test_keys_name_the_unit_of_their_numbers(content):
     for symbol, table in content["error_tables"].items():
         unit = "um" if symbol[1] in "XYZ" else "urad"
         keys = {"position_mm", f"value_{unit}", f"uncertainty_{unit}"}
-        assert set(table) == keys
+        assert set(table) == {*keys, "extrapolated"}
         assert len({len(column) for column in table.values()}) == 1
     for square in content["squareness_urad"].values():
         assert set(square) == {"value", "uncertainty"}
