@@ -40,6 +40,7 @@ from app.jobs.live_estimation import LiveEstimation
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded, prepare
 from app.jobs.store import Store
+from app.jobs.workers import workers_of
 from app.jobs.workflow import Workshop
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell, CellConfig
@@ -119,6 +120,8 @@ def _workshop(
     stack: ExitStack,
 ) -> tuple[Workshop, Feed]:
     feed = Feed()
+    workers = workers_of(settings)
+    workers.check()
     executor = ProcessLanes(settings.analysis_workers, prepare)
     stack.callback(executor.close)
     executor.warm()
@@ -134,6 +137,7 @@ def _workshop(
         results=results,
         executor=executor,
         science=analyse_recorded,
+        workers=workers,
         machine=machine,
         cell=cell,
         live=LiveEstimation,

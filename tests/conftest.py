@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine
+from app.measurement.bundle import zip_bundle
 from app.measurement.machine_file import machine_from_json
 from app.measurement.run import Run
 from app.planning.configurations import Configurations
@@ -71,6 +73,19 @@ def record() -> Record:
         return made[key]
 
     return make
+
+
+@pytest.fixture(scope="session")
+def small_run(tmp_path_factory: pytest.TempPathFactory) -> FilePath:
+    """A zipped standstill Run of a machine so small that its trials take a second."""
+    content = load_machine("demo")
+    for axis in content["axes"].values():
+        axis["min_mm"], axis["max_mm"] = 0.0, 120.0
+    program = paths.standstill_points(parse_machine(content), 3, 30, dwell_s=0.8)
+    recording = synthetic.record(content, program, 3, "standstill")
+    file = tmp_path_factory.mktemp("small") / "run.zip"
+    file.write_bytes(zip_bundle(_run(recording)))
+    return file
 
 
 def _run(recording: synthetic.Recording) -> Run:

@@ -146,6 +146,12 @@ KINDS: Mapping[type[Exception], Kind] = {
         "The data do not carry the answer",
         "Look at the plan and at the quality of the stream.",
     ),
+    job_errors.WorkersAway: Kind(
+        503,
+        "workers-away",
+        "The computing cluster cannot be reached",
+        "Start its scheduler and workers, or set executor to processes.",
+    ),
     job_errors.WorkerDied: Kind(
         500, "worker-died", "The computing process was killed", "Run the job again."
     ),

@@ -165,10 +165,6 @@ def analyse(
         ),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the trials.")] = 1,
-    digits: Annotated[
-        int,
-        typer.Option(min=1, max=2, help="Digits of an uncertainty the trials settle."),
-    ] = 1,
     interval: Annotated[
         Literal["symmetric", "shortest"],
         typer.Option(help="Form of the trials' coverage intervals."),
@@ -180,7 +176,7 @@ def analyse(
     from app.cli.science import analyse_bundle
     from app.numerics.adaptive_trials import TrialPlan
 
-    plan = TrialPlan(seed, digits, interval) if monte_carlo else None
+    plan = TrialPlan(seed=seed, interval=interval) if monte_carlo else None
     analyse_bundle(bundle, output, perpendicular_only, monte_carlo=plan, as_json=json)
 
 

@@ -18,19 +18,17 @@ from distributed import Client
 
 from app.jobs.errors import WorkersAway
 
-ANSWER_S = 10.0
-"""How long the scheduler may take to answer."""
 _RETRIES = 2
 
 
 @contextmanager
-def dask_executor(scheduler: str) -> Iterator[tuple[Executor, int]]:
+def dask_executor(scheduler: str, patience_s: float) -> Iterator[tuple[Executor, int]]:
     """Connect to a scheduler; yield its executor and how many threads compute there.
 
     Raises WorkersAway if no scheduler answers at the address, or if it has no workers.
     """
     try:
-        client = Client(scheduler, timeout=ANSWER_S, set_as_default=False)
+        client = Client(scheduler, timeout=patience_s, set_as_default=False)
     except (OSError, ValueError) as error:
         raise WorkersAway(
             f"no Dask scheduler answers at {scheduler}; start it, or check the setting "

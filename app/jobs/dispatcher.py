@@ -20,6 +20,7 @@ from app.jobs.plans import Row, plan_json, plan_motion
 from app.jobs.store import Key
 from app.jobs.transitions import State, Verb, after_verb
 from app.jobs.workflow import Workshop, carry_out
+from app.numerics.adaptive_trials import TrialPlan
 
 log = structlog.get_logger(__name__)
 
@@ -32,6 +33,7 @@ class Wish:
 
     run_id : the Run to analyse; rows : path or points in the columns of the bundle
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
+    monte_carlo : trials to hold the uncertainty of an analysis against
     """
 
     kind: Kind
@@ -40,6 +42,7 @@ class Wish:
     feed_mm_min: float | None = None
     perpendicular_only: bool = False
     target_um: float | None = None
+    monte_carlo: TrialPlan | None = None
 
 
 class Dispatcher:
@@ -139,7 +142,8 @@ class Dispatcher:
     def _checked(self, wish: Wish) -> NewJob:
         if not wish.kind.measures:
             run = self._shop.runs.get(wish.run_id or "")
-            return NewJob(wish.kind, run.id, wish.perpendicular_only)
+            only, trials = wish.perpendicular_only, wish.monte_carlo
+            return NewJob(wish.kind, run.id, only, monte_carlo=trials)
         machine = self._shop.machine
         if machine is None or self._shop.cell is None:
             raise NoMachine("no machine is set up; give the service a machine_file")

@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Any
 
 from app.jobs.transitions import FINAL, State
+from app.numerics.adaptive_trials import TrialPlan
 
 Json = Mapping[str, Any]
 
@@ -37,6 +38,7 @@ class Stage(StrEnum):
     MEASURING = "measuring"
     ALIGNING = "aligning"
     ESTIMATING = "estimating"
+    VALIDATING = "validating"
     REPORTING = "reporting"
 
 
@@ -93,6 +95,7 @@ class Job:
     """One job. `seq` orders jobs; wall-clock times are for people.
 
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
+    monte_carlo : the trials that an analysis holds its uncertainty against
     """
 
     seq: int
@@ -107,6 +110,7 @@ class Job:
     ended: str | None = None
     run_id: str | None = None
     perpendicular_only: bool = False
+    monte_carlo: TrialPlan | None = None
     target_um: float | None = None
     early_end: EarlyEnd | None = None
     progress: Progress = field(default_factory=Progress)
@@ -133,6 +137,7 @@ class NewJob:
     perpendicular_only: bool = False
     target_um: float | None = None
     plan: Json | None = None
+    monte_carlo: TrialPlan | None = None
 
 
 def job_json(job: Job) -> dict[str, Any]:
@@ -145,6 +150,7 @@ def job_json(job: Job) -> dict[str, Any]:
 def job_from_json(content: Json) -> Job:
     """Return the record that `job_json` wrote."""
     failure, early_end = content["failure"], content.get("early_end")
+    monte_carlo = content.get("monte_carlo")
     return Job(
         **{
             **content,
@@ -155,6 +161,7 @@ def job_from_json(content: Json) -> Job:
             "health": Health(**content["health"]),
             "failure": Failure(**failure) if failure else None,
             "early_end": EarlyEnd(**early_end) if early_end else None,
+            "monte_carlo": TrialPlan(**monte_carlo) if monte_carlo else None,
         }
     )
 

@@ -53,6 +53,7 @@ jobs = Table(
     Column("stage", String(16), nullable=False),
     Column("run_id", String(36), ForeignKey("runs.id"), nullable=True),
     Column("perpendicular_only", Boolean, nullable=False),
+    Column("monte_carlo", JSON, nullable=True),
     Column("target_um", Float, nullable=True),
     Column("early_end", JSON, nullable=True),
     Column("plan", JSON, nullable=True),

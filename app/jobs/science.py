@@ -5,24 +5,40 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 from app.jobs.runs import open_recorded
+from app.jobs.workers import Workers, opened
+from app.numerics.adaptive_trials import TrialPlan
 
 
 def analyse_recorded(
     run_file: str,
     folder: str,
     perpendicular_only: bool,
+    monte_carlo: TrialPlan | None,
+    workers: Workers,
     *,
     progress: Callable[[float, str], None],
 ) -> None:
-    """Analyse a Run and write its result into `folder`: whole, or not at all."""
+    """Analyse a Run and write its result into `folder`: whole, or not at all.
+
+    monte_carlo : trials to hold the uncertainty against, cut into blocks for `workers`
+    """
     # Imported where it computes: the service itself carries no science and no plots.
     from app.jobs.analysis import analyse, write_analysis
 
     run = open_recorded(Path(run_file))
-    analysis = analyse(run, perpendicular_only=perpendicular_only, progress=progress)
+    shared = nullcontext(map) if monte_carlo is None else opened(workers)
+    with shared as mapper:
+        analysis = analyse(
+            run,
+            perpendicular_only=perpendicular_only,
+            monte_carlo=monte_carlo,
+            mapper=mapper,
+            progress=progress,
+        )
     final = Path(folder)
     part = final.with_name(f"{final.name}.part")
     shutil.rmtree(part, ignore_errors=True)

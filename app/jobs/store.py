@@ -35,6 +35,7 @@ from app.jobs.job import (
 )
 from app.jobs.schema import events, idempotency_keys, jobs
 from app.jobs.transitions import FINAL, State, check_follows
+from app.numerics.adaptive_trials import TrialPlan
 
 KEEP_KEYS_S = 24 * 3600
 KEEP_EVENTS = 20_000
@@ -254,6 +255,7 @@ def _insert(connection: Connection, new: NewJob) -> Job:
         created=now_utc(),
         run_id=new.run_id,
         perpendicular_only=new.perpendicular_only,
+        monte_carlo=new.monte_carlo,
         target_um=new.target_um,
     )
     values = {**_columns(job), "plan": new.plan}
@@ -278,6 +280,7 @@ def _columns(job: Job) -> dict[str, Any]:
 
 def _job(row: RowMapping) -> Job:
     failure, early_end = row["failure"], row["early_end"]
+    monte_carlo = row["monte_carlo"]
     return Job(
         **{
             **row,
@@ -288,6 +291,7 @@ def _job(row: RowMapping) -> Job:
             "health": Health(**row["health"]),
             "failure": Failure(**failure) if failure else None,
             "early_end": EarlyEnd(**early_end) if early_end else None,
+            "monte_carlo": TrialPlan(**monte_carlo) if monte_carlo else None,
         }
     )
 

@@ -17,7 +17,7 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -27,6 +27,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Literal, TypeVar
 
 from app.errors import BadInput
+from app.jobs.errors import WorkerDied
 from app.jobs.executor import limit_threads
 from app.settings import Settings
 
@@ -39,12 +40,14 @@ class Workers:
     """Which executor to open.
 
     count : calls under way together; 0 for one a core, or a thread of the cluster
-    scheduler : address of the Dask scheduler
+    scheduler : address of the Dask scheduler; patience_s : how long it may take to
+        answer
     """
 
     kind: Literal["processes", "dask"] = "processes"
     count: int = 0
     scheduler: str = ""
+    patience_s: float = 10.0
 
     def check(self) -> None:
         """Raise BadInput if this cannot be opened on this computer."""
@@ -80,7 +83,10 @@ def opened(workers: Workers) -> Iterator[Ordered[Any]]:
     if workers.kind == "dask":
         from app.jobs.dask_workers import dask_executor
 
-        with dask_executor(workers.scheduler) as (executor, threads):
+        with dask_executor(workers.scheduler, workers.patience_s) as (
+            executor,
+            threads,
+        ):
             yield in_order(executor, workers.count or threads)
         return
     count = workers.count or os.cpu_count() or 1
@@ -149,7 +155,10 @@ class ProcessWorkers(Executor):
             self._own.link.send((fn, args, kwargs))
             error, value = self._own.link.recv()
         except (EOFError, OSError) as gone:
-            raise BrokenExecutor("a worker has died: killed, or no memory") from gone
+            raise WorkerDied(
+                "a computing process ended without an answer: killed, or out of "
+                "memory; run it again, or with fewer workers"
+            ) from gone
         if error is not None:
             raise error
         return value

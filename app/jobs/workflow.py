@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import structlog
@@ -34,6 +34,7 @@ from app.jobs.plans import Commanded, commanded_from_plan
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb
+from app.jobs.workers import Workers
 from app.kinematics.machine import Machine
 from app.measurement.cell import Order
 from app.planning.paths import check_travel
@@ -49,7 +50,9 @@ class Workshop:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
-    science : task `(run_file, folder, perpendicular_only, *, progress)`
+    science : task `(run_file, folder, perpendicular_only, monte_carlo, workers, *,
+        progress)`
+    workers : who computes what science can cut into blocks
     results : folder of results, one folder a job
     live : makes what estimates while the machine moves; None for no such thing
     """
@@ -59,6 +62,7 @@ class Workshop:
     results: Path
     executor: Executor
     science: Task
+    workers: Workers = field(default_factory=Workers)
     machine: Machine | None = None
     cell: CellSupervisor | None = None
     confirm_s: Mapping[State, float] | None = None
@@ -149,6 +153,8 @@ def analyse(job: Job, run_id: str, control: Control, shop: Workshop) -> None:
         str(file),
         str(shop.results / job.id),
         job.perpendicular_only,
+        job.monte_carlo,
+        shop.workers,
         report=report,
         started=started,
     )

@@ -143,3 +143,25 @@ def test_members_that_point_out_of_the_archive_are_refused(client, bundle, is_pr
 )
 def test_the_name_of_a_file_is_for_people_only(filename, name):
     assert run_routes.run_name(filename) == name
+
+
+def test_an_analysis_says_which_trials_it_is_held_against(client, bundle, until):
+    run = upload(client, bundle()).json()
+    order = {"kind": "analyse", "run_id": run["id"], "monte_carlo": {"seed": 7}}
+    job = until(client.post("/api/v1/jobs", json=order).json(), "succeeded")
+    assert job["monte_carlo"] == {"seed": 7, "interval": "symmetric"}
+    plain = {"kind": "analyse", "run_id": run["id"]}
+    job = until(client.post("/api/v1/jobs", json=plain).json(), "succeeded")
+    assert job["monte_carlo"] is None
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        {"kind": "measure-otf", "monte_carlo": {}},
+        {"kind": "analyse", "run_id": "x", "monte_carlo": {"seed": -1}},
+        {"kind": "analyse", "run_id": "x", "monte_carlo": {"interval": "widest"}},
+    ],
+)
+def test_trials_that_cannot_be_are_refused(client, is_problem, order):
+    is_problem(client.post("/api/v1/jobs", json=order), 422, "validation")

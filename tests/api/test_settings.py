@@ -5,6 +5,8 @@ import os
 import pytest
 
 from app.errors import BadInput
+from app.jobs.workers import Workers, workers_of
+from app.main import open_service
 from app.settings import load_settings
 
 
@@ -131,3 +133,20 @@ def test_a_password_file_that_is_not_there_is_named(tmp_path):
 def test_settings_do_not_change():
     with pytest.raises(ValueError, match="frozen"):
         load_settings().port = 1
+
+
+def test_who_computes_is_set_like_everything_else(monkeypatch):
+    assert workers_of(load_settings()) == Workers()
+    monkeypatch.setenv("TRUEPATH_EXECUTOR", "dask")
+    monkeypatch.setenv("TRUEPATH_DASK_SCHEDULER", "tcp://192.0.2.20:8786")
+    monkeypatch.setenv("TRUEPATH_EXECUTOR_WORKERS", "6")
+    assert workers_of(load_settings()) == Workers("dask", 6, "tcp://192.0.2.20:8786")
+
+
+def test_a_service_whose_executor_cannot_be_does_not_start(tmp_path):
+    settings = load_settings(data_dir=tmp_path, executor="dask")
+    with (
+        pytest.raises(BadInput, match="setting dask_scheduler: is empty"),
+        open_service(settings),
+    ):
+        pass

@@ -2,12 +2,14 @@
 
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from app.cli.command import run
 from app.measurement.bundle import zip_bundle
+from app.numerics.adaptive_trials import TrialPlan
 
 
 def test_analyse_writes_result_tables_and_report(analysed):
@@ -55,6 +57,23 @@ def test_perpendicular_only_knows_less_and_a_person_gets_tables(
     ]
     both, across = (np.mean(table["uncertainty_um"]) for table in tables)
     assert across > both
+
+
+def test_trials_are_told_in_the_summary_and_to_a_person(
+    small_run, tmp_path, monkeypatch, summary, capsys
+):
+    plan = partial(TrialPlan, most_blocks=2)
+    monkeypatch.setattr("app.numerics.adaptive_trials.TrialPlan", plan)
+    asked = ["--monte-carlo", "--seed", "5", "--interval", "shortest"]
+    out = tmp_path / "out"
+    assert run(["analyse", str(small_run), "-o", str(out), *asked, "--json"]) == 0
+    said = summary()["monte_carlo"]
+    assert (said["seed"], said["interval"]) == (5, "shortest")
+    assert said["trials"] == 20_000
+    assert 0 < said["agreeing"] <= said["numbers"]
+    assert "error_tables" not in said
+    assert run(["analyse", str(small_run), "-o", str(out), *asked]) == 0
+    assert "20,000 trials did not settle" in capsys.readouterr().out
 
 
 def test_predict_adds_error_and_uncertainty_to_the_points(

@@ -304,9 +304,13 @@ class Science:
         self.hold: threading.Event | None = None
         self.raises: Exception | None = None
         self.calls: list[tuple] = []
+        self.trials: list[tuple] = []
 
-    def __call__(self, run_file, folder, perpendicular_only, *, progress):
+    def __call__(
+        self, run_file, folder, perpendicular_only, monte_carlo, workers, *, progress
+    ):
         self.calls.append((run_file, folder, perpendicular_only))
+        self.trials.append((monte_carlo, workers))
         progress(0.0, "aligning")
         while self.hold is not None and not self.hold.wait(0.01):
             progress(0.1, "aligning")

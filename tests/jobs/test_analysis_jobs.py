@@ -14,8 +14,10 @@ from app.jobs.dispatcher import Dispatcher, Wish
 from app.jobs.errors import Aborted, QueueFull
 from app.jobs.job import Kind
 from app.jobs.runs import check_archive, free_bytes, open_recorded
+from app.jobs.workers import Workers
 from app.measurement.bundle import write_bundle
 from app.measurement.run import Run
+from app.numerics.adaptive_trials import TrialPlan
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
 
@@ -93,6 +95,17 @@ def test_an_uploaded_run_is_analysed(analysing, shop, run, science):
     ]
 
 
+def test_trials_reach_the_science_with_who_computes_them(shop, run, science, feed):
+    many = replace(shop, machine=None, cell=None, workers=Workers(count=3))
+    dispatcher = Dispatcher(many, feed)
+    plan = TrialPlan(seed=11, digits=2, interval="shortest")
+    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_id=run.id, monte_carlo=plan))
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    assert shop.store.get(job.id).monte_carlo == plan
+    assert science.trials == [(plan, Workers(count=3))]
+    dispatcher.close()
+
+
 def test_an_analysis_of_an_unknown_run_is_refused(analysing):
     with pytest.raises(NotFound, match="no run nowhere"):
         analysing.create(Wish(Kind.ANALYSE, run_id="nowhere"))
@@ -108,7 +121,7 @@ def test_an_analysis_reports_its_stages(analysing, shop, run, feed):
 
 
 def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(shop, run, feed):
-    def dreaming(run_file, folder, perpendicular_only, *, progress):
+    def dreaming(run_file, folder, *_, progress):
         progress(0.5, "dreaming")
 
     alone = replace(shop, science=dreaming, machine=None, cell=None)

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-from concurrent.futures import BrokenExecutor
 from functools import partial
 
 import psutil
@@ -16,7 +15,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.errors import BadInput
-from app.jobs.errors import WorkersAway
+from app.jobs.errors import WorkerDied, WorkersAway
 from app.jobs.workers import ProcessWorkers, Workers, in_order, opened
 
 TASKS = """
@@ -135,7 +134,7 @@ def test_what_a_block_raises_comes_back(tasks, scheduler, kind):
 def test_a_worker_that_dies_is_told_not_waited_for(tasks):
     with (
         opened(Workers(count=1)) as mapper,
-        pytest.raises(BrokenExecutor, match="a worker has died"),
+        pytest.raises(WorkerDied, match="ended without an answer"),
     ):
         list(mapper(tasks.crash, range(3)))
 
@@ -191,12 +190,11 @@ def test_workers_end_with_whoever_asked_even_if_it_is_killed(tasks, tmp_path):
     assert "leaked" not in said
 
 
-def test_a_scheduler_that_is_not_there_is_named(free_tcp_port, monkeypatch):
-    monkeypatch.setattr("app.jobs.dask_workers.ANSWER_S", 0.5)
+def test_a_scheduler_that_is_not_there_is_named(free_tcp_port):
     address = f"tcp://127.0.0.1:{free_tcp_port}"
     with (
         pytest.raises(WorkersAway, match=f"no Dask scheduler answers at {address}"),
-        opened(Workers("dask", scheduler=address)),
+        opened(Workers("dask", scheduler=address, patience_s=0.5)),
     ):
         pass
 
@@ -234,6 +232,6 @@ def test_dask_is_imported_only_where_it_is_chosen():
 def _until_broken(blocks):
     try:
         list(blocks)
-    except BrokenExecutor:
+    except WorkerDied:
         return
     raise AssertionError("nothing was dropped")

@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 
 from app.api.failures import problem_of_failure
 from app.api.models.base import JOB_ID, PREFIX
+from app.api.models.monte_carlo import MonteCarloOut, monte_carlo_out
 from app.api.models.problem import Problem
 from app.jobs.job import EarlyEnd, Health, Job, Progress
 from app.jobs.transitions import State
@@ -74,6 +75,9 @@ class JobOut(BaseModel):
     progress: JobProgress
     health: JobHealth
     perpendicular_only: bool
+    monte_carlo: MonteCarloOut | None = Field(
+        description="The trials that the uncertainty is held against."
+    )
     target_um: float | None = Field(
         description="`volumetric_uncertainty_um` (k = 1) at which it may end early."
     )
@@ -115,6 +119,7 @@ def job_out(job: Job) -> JobOut:
         progress=progress_out(str(job.stage), job.progress),
         health=health_out(job.health),
         perpendicular_only=job.perpendicular_only,
+        monte_carlo=monte_carlo_out(job.monte_carlo),
         target_um=job.target_um,
         early_end=_early_end_out(job.early_end),
         created=job.created,

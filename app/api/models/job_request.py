@@ -7,10 +7,17 @@ from typing import Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from app.api.models.base import JOB_ID, Feed, Identifier, Taken, TargetUm
+from app.api.models.monte_carlo import MonteCarlo
 from app.api.models.plan import Point, Waypoint
 from app.jobs.dispatcher import Wish
 from app.jobs.job import Kind
 from app.jobs.plans import MAX_ROWS
+
+_ALLOWED = {
+    "measure-otf": {"path", "feed_mm_min", "target_um"},
+    "measure-standstill": {"points", "target_um"},
+    "analyse": {"run_id", "monte_carlo"},
+}
 
 
 class JobRequest(Taken):
@@ -22,6 +29,7 @@ class JobRequest(Taken):
             "examples": [
                 {"kind": "measure-otf"},
                 {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
+                {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
                 {
                     "kind": "measure-otf",
                     "feed_mm_min": 2500,
@@ -54,6 +62,10 @@ class JobRequest(Taken):
     perpendicular_only: bool = Field(
         False, description="Leave out what is seen along each line."
     )
+    monte_carlo: MonteCarlo | None = Field(
+        None,
+        description="Hold the uncertainty against Monte Carlo trials; {} for defaults.",
+    )
     target_um: TargetUm | None = Field(
         None,
         description="End early, in order, at this `volumetric_uncertainty_um`, a "
@@ -62,12 +74,8 @@ class JobRequest(Taken):
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Self:
-        allowed = {
-            "measure-otf": {"path", "feed_mm_min", "target_um"},
-            "measure-standstill": {"points", "target_um"},
-            "analyse": {"run_id"},
-        }[self.kind]
-        for name in ("run_id", "path", "points", "feed_mm_min", "target_um"):
+        allowed = _ALLOWED[self.kind]
+        for name in sorted(set[str]().union(*_ALLOWED.values())):
             if getattr(self, name) is not None and name not in allowed:
                 raise ValueError(f"{name} is not for a job of kind {self.kind}")
         if self.kind == "analyse" and self.run_id is None:
@@ -86,4 +94,5 @@ class JobRequest(Taken):
             feed_mm_min=self.feed_mm_min,
             perpendicular_only=self.perpendicular_only,
             target_um=self.target_um,
+            monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
         )
