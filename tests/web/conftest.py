@@ -17,7 +17,8 @@ import uvicorn
 from playwright.sync_api import Browser, Page, Playwright, expect, sync_playwright
 
 sys.path.append(str(Path(__file__).parent))
-from scripted_service import ScriptedService, scripted_app
+from scripted_app import scripted_app
+from scripted_service import ScriptedService
 
 LOOPBACK = "127.0.0.1"
 PATIENCE_MS = 10_000.0

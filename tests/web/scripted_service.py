@@ -6,126 +6,22 @@ Nothing moves by itself: the test says when a job is ready, how far it is, how i
 from __future__ import annotations
 
 import asyncio
-import copy
 import itertools
 import json
-import math
 import threading
 from typing import Any
 
 import numpy as np
-from fastapi import FastAPI, Request, UploadFile
-from fastapi.responses import JSONResponse, Response, StreamingResponse
+from fastapi import Request
+from scripted_data import (
+    MACHINE,
+    TRACKER_STANDS_MM,
+    estimate,
+    planned_path,
+    result,
+)
 
-from app.web.pages import STATIC_PATH, router, static_files
-
-MACHINE = {
-    "schema": "machine/1",
-    "name": "VMC 500",
-    "kinematic_chain": "w-X-b-Y-Z-t",
-    "axes": {
-        "X": {"type": "linear", "min_mm": 0.0, "max_mm": 500.0},
-        "Y": {"type": "linear", "min_mm": 0.0, "max_mm": 400.0},
-        "Z": {"type": "linear", "min_mm": -300.0, "max_mm": 0.0},
-    },
-    "tool_offset_mm": [20.0, 30.0, -150.0],
-}
-TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
-TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
-TRACKER = {
-    "maker": "Truepath",
-    "model": "Simulated tracker",
-    "serial_number": "T-0001",
-    "firmware": "1.0",
-}
-MOTION = {
-    "maker": "Truepath",
-    "model": "Simulated CNC",
-    "serial_number": "C-0001",
-    "firmware": "1.0",
-}
 ENDED = {"succeeded", "aborted", "failed", "faulted", "interrupted"}
-API = "/api/v1"
-
-
-def planned_path(lines: int = 22) -> dict[str, Any]:
-    """Return chords through the travel, ends on its faces."""
-    rng = np.random.default_rng(5)
-    low = np.array([10.0, 10.0, -290.0])
-    high = np.array([490.0, 390.0, -10.0])
-    share = rng.random((lines + 1, 3))
-    share[np.arange(lines + 1), rng.integers(0, 3, lines + 1)] = (
-        np.arange(lines + 1) % 2
-    )
-    share[0] = 0.0
-    position = low + share * (high - low)
-    return {
-        "kind": "path",
-        "axes": ["X", "Y", "Z"],
-        "position": np.round(position, 3).tolist(),
-        "feed_mm_min": [6000.0] * len(position),
-        "dwell_s": [0.35] * len(position),
-    }
-
-
-def result() -> dict[str, Any]:
-    """Return smooth error tables with uncertainties that open towards the ends."""
-    rng = np.random.default_rng(11)
-    tables = {}
-    for axis in "XYZ":
-        travel = MACHINE["axes"][axis]
-        position = np.linspace(travel["min_mm"], travel["max_mm"], 21)
-        s = np.linspace(0.0, 1.0, len(position))
-        for motion in "XYZABC":
-            unit = "um" if motion in "XYZ" else "urad"
-            size = 6.0 if unit == "um" else 14.0
-            waves = sum(
-                rng.normal(scale=1.0 / k) * np.sin(k * math.pi * s + rng.uniform(0, 6))
-                for k in (1, 2, 3)
-            )
-            waves = size * (waves - waves[0])
-            if unit == "um" and motion != axis:
-                waves = waves - s * waves[-1]
-            u = (0.25 if unit == "um" else 0.8) * (1 + 1.6 * (2 * s - 1) ** 2)
-            tables[f"E{motion}{axis}"] = {
-                "position_mm": position.round(3).tolist(),
-                f"value_{unit}": waves.round(3).tolist(),
-                f"uncertainty_{unit}": u.round(3).tolist(),
-            }
-    del tables["ECZ"]
-    return {
-        "schema": "result/1",
-        "machine": MACHINE,
-        "mode": "otf",
-        "error_tables": tables,
-        "squareness_urad": {
-            "C0Y": {"value": 23.4, "uncertainty": 0.9},
-            "B0Z": {"value": -11.8, "uncertainty": 1.1},
-            "A0Z": {"value": 5.2, "uncertainty": 1.2},
-        },
-        "alignment": {},
-        "residuals": {"rms_um": 4.3},
-        "observability": {
-            "rank": 161,
-            "parameters": 165,
-            "unobservable": [
-                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
-            ],
-        },
-        "provenance": {},
-    }
-
-
-def problem(status: int, code: str, title: str, detail: str, action: str) -> Response:
-    body = {
-        "type": f"/problems/{code}",
-        "code": code,
-        "title": title,
-        "detail": detail,
-        "action": action,
-        "status": status,
-    }
-    return JSONResponse(body, status, media_type="application/problem+json")
 
 
 def event_text(kind: str, body: Any) -> str:
@@ -145,6 +41,9 @@ class ScriptedService:
         self.jobs: dict[str, dict[str, Any]] = {}
         self.runs: list[dict[str, Any]] = []
         self.plan = planned_path()
+        self.machine: dict[str, Any] = MACHINE
+        self.result = result()
+        self.estimates: dict[str, dict[str, Any]] = {}
         self._numbers = itertools.count(1)
         self._streams: set[tuple[asyncio.AbstractEventLoop, asyncio.Queue[str]]] = set()
         self._lock = threading.Lock()
@@ -169,6 +68,8 @@ class ScriptedService:
             "run_id": None,
             "result": None,
             "error": None,
+            "target_um": None,
+            "early_end": None,
             **more,
         }
         self.jobs[job["id"]] = job
@@ -213,6 +114,17 @@ class ScriptedService:
             "tracker_mm": [(position + TRACKER_STANDS_MM).tolist()],
         }
         self.tell("live", live)
+
+    def estimate(self, job_id: str, content: dict[str, Any] | int) -> None:
+        """Tell an estimate: what it says, or after how many lines it is made."""
+        body = estimate(content) if isinstance(content, int) else content
+        before = self.estimates.get(job_id, {"course": {}})["course"]
+        course = {
+            name: [*before.get(name, []), body[name]]
+            for name in ("elapsed_s", "done", "volumetric_uncertainty_um")
+        }
+        self.estimates[job_id] = {"job_id": job_id, **body, "course": course}
+        self.tell("estimate", {"job_id": job_id, **body})
 
     def finish(self, job_id: str) -> None:
         """Let the job succeed."""
@@ -281,110 +193,3 @@ class ScriptedService:
         finally:
             with self._lock:
                 self._streams.discard(entry)
-
-
-def scripted_app(service: ScriptedService) -> FastAPI:
-    """Return the page and the REST interface that the script plays."""
-    app = FastAPI(docs_url=None, redoc_url=None)
-    app.include_router(router)
-    app.mount(STATIC_PATH, static_files())
-
-    def machine() -> dict[str, Any]:
-        found = copy.deepcopy(MACHINE)
-        known = service.connected
-        return found | {
-            "tracker_noise": TRACKER_NOISE,
-            "connected": known,
-            "tracker": TRACKER if known else None,
-            "motion": MOTION if known else None,
-        }
-
-    @app.get(f"{API}/system")
-    def system() -> dict[str, Any]:
-        cell = {"state": "ready" if service.connected else "idle"}
-        return {"version": "0", "simulated": True, "machine": MACHINE, "cell": cell}
-
-    @app.get(f"{API}/machines/current")
-    def current() -> dict[str, Any]:
-        return machine()
-
-    @app.post(f"{API}/machines/current:connect")
-    def connect() -> Any:
-        if service.refuse_connect:
-            return problem(
-                409,
-                "wrong-device",
-                "Another device answers",
-                "The tracker's port is answered by a barcode reader.",
-                "Check the cable, then connect again.",
-            )
-        service.connected = True
-        return {"connected": True, "tracker": TRACKER, "motion": MOTION}
-
-    @app.get(f"{API}/jobs")
-    def jobs(limit: int = 50) -> Any:
-        newest = sorted(service.jobs.values(), key=lambda j: j["created"], reverse=True)
-        return {"items": newest[:limit], "next": None}
-
-    @app.post(f"{API}/jobs", status_code=202)
-    async def create(request: Request) -> Any:
-        order = await request.json()
-        service.requests.append(("POST", "/jobs", order))
-        return service.new_job(order["kind"], run_id=order.get("run_id"))
-
-    @app.get(f"{API}/jobs/{{job_id}}")
-    def job(job_id: str) -> Any:
-        if job_id not in service.jobs:
-            return problem(404, "not-found", "No such job", job_id, "")
-        return service.jobs[job_id]
-
-    @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
-    def act(job_id: str, verb: str, request: Request) -> Any:
-        version = request.headers.get("if-match")
-        service.requests.append(("POST", f"/jobs/{job_id}/{verb}", version))
-        return service.act(job_id, verb)
-
-    @app.post(f"{API}/stop", status_code=202)
-    def stop() -> Any:
-        return {"jobs": service.stop()}
-
-    @app.get(f"{API}/jobs/{{job_id}}/plan")
-    def plan(job_id: str) -> Any:
-        return service.plan
-
-    @app.get(f"{API}/nc-dialects")
-    def nc_dialects() -> Any:
-        return {"items": [{"name": "heidenhain", "control": "Heidenhain TNC"}]}
-
-    @app.get(f"{API}/jobs/{{job_id}}/nc-program")
-    def nc_program(job_id: str, dialect: str) -> Response:
-        return Response(
-            "0 BEGIN PGM\n",
-            media_type="text/plain",
-            headers={"Content-Disposition": f'attachment; filename="{dialect}.h"'},
-        )
-
-    @app.get(f"{API}/jobs/{{job_id}}/result")
-    def job_result(job_id: str) -> Any:
-        return result()
-
-    @app.get(f"{API}/jobs/{{job_id}}/result/error-tables.csv")
-    def table(job_id: str) -> Response:
-        return Response("error,position_mm\n", media_type="text/csv")
-
-    @app.get(f"{API}/runs")
-    def runs() -> Any:
-        return {"items": service.runs, "next": None}
-
-    @app.post(f"{API}/runs", status_code=201)
-    async def upload(bundle: UploadFile) -> Any:
-        service.requests.append(("POST", "/runs", bundle.filename))
-        return service.add_run("run-uploaded")
-
-    @app.get(f"{API}/events")
-    def events(request: Request) -> StreamingResponse:
-        return StreamingResponse(
-            service.events(request), media_type="text/event-stream"
-        )
-
-    return app

@@ -4,6 +4,10 @@ import { addressOf, hasEnded, isActive, isMeasuring } from "./flow.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
+const COURSE = ["elapsed_s", "done", "volumetric_uncertainty_um"];
+
+/** The course of the uncertainty before the first estimate. */
+export const NO_COURSE = Object.fromEntries(COURSE.map((name) => [name, []]));
 
 /** Bind the actions to a store; `go(address)` changes the step. */
 export function createActions(store, go) {
@@ -50,10 +54,31 @@ export function createActions(store, go) {
   function follow(job) {
     const { job: before } = store.get();
     const other = before?.id !== job.id;
-    const forgotten = { live: null, estimate: null, plan: null, result: null };
+    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null };
     store.set({ job, ...(other ? forgotten : {}) });
     fetchPlan();
     fetchResult();
+    if (other) fetchEstimate();
+  }
+
+  /** What has been estimated before this page came. */
+  async function fetchEstimate() {
+    const { job } = store.get();
+    if (!isMeasuring(job) || !job.started) return;
+    await keep("estimate", job, api.estimate);
+    const { estimate } = store.get();
+    if (estimate?.course) store.set({ course: estimate.course });
+  }
+
+  /** Take a newer estimate; one that is only told again adds nothing to the course. */
+  function hearEstimate(estimate) {
+    const { course } = store.get();
+    const step = COURSE.map((name) => estimate[name]);
+    const last = COURSE.map((name) => course[name].at(-1));
+    const again = step.every((value, i) => value === last[i]);
+    const longer = again ? course
+      : Object.fromEntries(COURSE.map((name, i) => [name, [...course[name], step[i]]]));
+    store.set({ estimate, course: longer });
   }
 
   async function fetchPlan() {
@@ -111,7 +136,7 @@ export function createActions(store, go) {
   }
 
   return {
-    loadSystem, loadRecords, hear, follow, fetchPlan, fetchResult, refuse,
+    loadSystem, loadRecords, hear, hearEstimate, follow, fetchPlan, fetchResult, refuse,
     connect: () => during("connect", async () => {
       await api.connect();
       await loadSystem();

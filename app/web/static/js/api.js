@@ -56,6 +56,7 @@ export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limi
 export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
 export const plan = (id) => call("GET", `/jobs/${id}/plan`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
+export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });

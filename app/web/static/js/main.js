@@ -1,10 +1,10 @@
 /* Wires store, stream, views and shell together. */
-import { createActions } from "./actions.js";
+import { createActions, NO_COURSE } from "./actions.js";
 import * as api from "./api.js";
-import { addressOf, hasEnded, isActive, isMeasuring, place, stepOf } from "./flow.js";
+import { addressOf, hasEnded, isActive, isMeasuring, isMoving, place, stepOf } from "./flow.js";
 import { updateBar, updateLead, updateProblems, updateSteps } from "./shell.js";
 import { createStore } from "./store.js";
-import { listen } from "./stream.js";
+import { listen, STALE_MS } from "./stream.js";
 import * as check from "./views/check.js";
 import * as connect from "./views/connect.js";
 import * as plan from "./views/plan.js";
@@ -19,7 +19,7 @@ const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null,
-  live: null, estimate: null, problem: null, busy: null, asked: null,
+  live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, asked: null,
   link: { stale: false, last: null },
 });
 const go = (address) => {
@@ -90,7 +90,18 @@ function hear(type, data) {
     store.set({ job: { ...job, stage, progress, health } });
   }
   if (type === "live" && own) store.set({ live: data });
-  if (type === "estimate" && own) store.set({ estimate: data });
+  if (type === "estimate" && own) {
+    estimated = { at: Date.now(), ms: performance.now() };
+    actions.hearEstimate(data);
+  }
+}
+
+let estimated = null;
+
+/** When the estimate was last told, if that is too long ago for a machine that moves. */
+function estimateStale({ job, estimate }) {
+  const due = estimate && estimated && isMoving(job);
+  return due && performance.now() - estimated.ms > STALE_MS ? estimated.at : null;
 }
 
 let linked = {};
@@ -99,6 +110,8 @@ function age(link) {
   const changed = link.stale !== linked.stale || Boolean(link.last) !== Boolean(linked.last);
   const regained = linked.stale && !link.stale;
   if (changed) store.set({ link });
+  const stale = estimateStale(store.get());
+  if (stale !== store.get().estimateStale) store.set({ estimateStale: stale });
   linked = link;
   if (regained) load().catch(actions.refuse);
 }

@@ -1,6 +1,9 @@
 /* Pieces that several views share. */
 import { h, icon } from "./dom.js";
-import { known, t } from "./texts.js";
+import { hasEnded } from "./flow.js";
+import { COVERAGE } from "./plots/error-chart.js";
+import { known, number, t } from "./texts.js";
+import { quantity } from "./units.js";
 
 /** Heading of a view. */
 export const head = (title, text) =>
@@ -72,4 +75,18 @@ export function errorNotice(job, tone = "fault") {
   if (!job.error) return null;
   const { title, detail, action } = job.error;
   return notice(tone, title || t("problem.refused"), detail, action);
+}
+
+/** Why a measurement left out the rest of its plan, as a notice; null if it did not. */
+export function earlyEndNotice(job) {
+  if (!job.early_end) return null;
+  const { reached_um, done, total } = job.early_end;
+  const expanded = (um) => quantity(COVERAGE * um, "error");
+  const values = {
+    reached: expanded(reached_um), target: expanded(job.target_um), k: COVERAGE,
+    done: number(done), total: number(total),
+    unit: t(job.kind === "measure-standstill" ? "unit.points" : "unit.lines"),
+  };
+  const over = hasEnded(job) ? t("early.over") : t("early.under_way");
+  return notice(null, t("early.title"), t("early.text", values), over);
 }

@@ -7,20 +7,22 @@ const ROTATIONS = "ABC";
 /** Error motions of a result by axis: [{axis, tables: [table, …]}, …], known or not.
  *
  * table: {symbol, axis, name, kind, positionKind, positions, values, uncertainties, known,
+ *         halves: half the difference of both directions of approach, null where there is none,
  *         why: what the result says of an error motion that it does not hold}
  */
 export function tablesByAxis(result) {
   const entries = result.error_tables ?? {};
+  const ways = result.direction?.half_difference ?? {};
   const unseen = result.observability?.unobservable ?? [];
   const axes = Object.keys(result.machine?.axes ?? {}).sort(byLetter("XYZABC"));
   return axes.map((axis) => ({
     axis,
     tables: [...TRANSLATIONS + ROTATIONS].map((motion) => `E${motion}${axis}`)
-      .map((symbol) => read(symbol, entries[symbol] ?? {}, unseen)).sort(byMotion(axis)),
+      .map((symbol) => read(symbol, entries[symbol] ?? {}, ways[symbol], unseen)).sort(byMotion(axis)),
   }));
 }
 
-function read(symbol, entry, unseen) {
+function read(symbol, entry, way, unseen) {
   const kind = TRANSLATIONS.includes(symbol[1]) ? "error" : "angle";
   const rotary = Boolean(entry.position_deg);
   const values = entry.value_um ?? entry.value_urad ?? [];
@@ -30,6 +32,7 @@ function read(symbol, entry, unseen) {
     positions: entry.position_mm ?? entry.position_deg ?? [],
     values,
     uncertainties: entry.uncertainty_um ?? entry.uncertainty_urad ?? [],
+    halves: way ? way.value_um ?? way.value_urad : null,
     known: values.length > 0 && values.every((v) => v !== null),
     why: unseen.find((text) => text.startsWith(symbol)) ?? "",
   };
@@ -49,6 +52,18 @@ function rotaryName(motion, axis) {
   if (motion === axis) return t("error.angular_positioning", { axis });
   if (TRANSLATIONS.includes(motion)) return t("error.shift", { axis, along: motion });
   return t("error.tilt", { axis, about: TRANSLATIONS[ROTATIONS.indexOf(motion)] });
+}
+
+/** Squareness and location errors of a result: [{symbol, name, kind, value, uncertainty}, …]. */
+export function singleErrors(result) {
+  const squareness = Object.entries(result.squareness_urad ?? {}).map(([symbol, entry]) =>
+    ({ symbol, name: squarenessName(symbol), kind: "angle", ...entry }));
+  const locations = Object.entries(result.axis_location ?? {}).map(([symbol, entry]) =>
+    ({ symbol, name: squarenessName(symbol),
+      kind: entry.value_um === undefined ? "angle" : "error",
+      value: entry.value_um ?? entry.value_urad,
+      uncertainty: entry.uncertainty_um ?? entry.uncertainty_urad }));
+  return [...squareness, ...locations];
 }
 
 /** What a squareness or location error is between: C0Y is Y to X. */

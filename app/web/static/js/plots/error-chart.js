@@ -5,34 +5,52 @@ import { colour, font } from "./colours.js";
 
 export const COVERAGE = 2;
 
-/** Values of a table in shown units: {x, value, low, high, expanded}. */
+/** Values of a table in shown units: {x, value, low, high, expanded, up, down}.
+ *
+ * up, down: approaching with growing and with falling position, null where nothing tells them apart
+ */
 export function columns(table) {
   const positions = table.positions.map((v) => shown(v, table.positionKind));
   const value = table.values.map((v) => shown(v, table.kind));
   const expanded = table.uncertainties.map((u) => COVERAGE * shown(u, table.kind));
+  const half = table.halves?.map((v) => shown(v, table.kind));
   return {
     x: positions, value, expanded,
     low: value.map((v, i) => v - expanded[i]),
     high: value.map((v, i) => v + expanded[i]),
+    up: half ? value.map((v, i) => v + half[i]) : null,
+    down: half ? value.map((v, i) => v - half[i]) : null,
   };
 }
 
-/** Largest magnitude that a table's band reaches, in shown units. */
+/** Largest magnitude that is drawn of a table, in shown units. */
 export function reachOf(table) {
-  const { low, high } = columns(table);
-  return Math.max(...low.map(Math.abs), ...high.map(Math.abs));
+  const { low, high, up, down } = columns(table);
+  return Math.max(...[low, high, up ?? [], down ?? []].flat().map(Math.abs));
 }
 
-/** Draw a table; `reach` fixes the scale to ± reach, `read(text)` follows the cursor. */
+/** The next round number: a scale that goes down in steps while values settle. */
+export function roundReach(reach) {
+  const decade = 10 ** Math.floor(Math.log10(reach || 1));
+  return decade * [1, 1.5, 2, 3, 4, 6, 8, 10].find((step) => step * decade >= reach - 1e-12);
+}
+
+/** Draw a table; `reach` fixes the scale to ± reach, `read(text)` follows the cursor.
+ *
+ * Answers {update(table, reach), close}.
+ */
 export function drawErrors(element, table, { reach = null, read = () => {} } = {}) {
-  const data = columns(table);
-  const chart = new uPlot(options(element, table, data, reach, read),
-    [data.x, data.value, data.low, data.high], element);
+  const drawn = { table, reach, data: columns(table) };
+  const chart = new uPlot(options(element, drawn, read), rows(drawn.data), element);
   const watcher = new ResizeObserver(() => {
     if (element.clientWidth) chart.setSize(sizeOf(element));
   });
   watcher.observe(element);
   return {
+    update(next, nextReach) {
+      Object.assign(drawn, { table: next, reach: nextReach, data: columns(next) });
+      chart.setData(rows(drawn.data));
+    },
     close() {
       watcher.disconnect();
       chart.destroy();
@@ -40,29 +58,29 @@ export function drawErrors(element, table, { reach = null, read = () => {} } = {
   };
 }
 
+const rows = ({ x, value, low, high, up, down }) =>
+  [x, value, low, high, ...(up ? [up, down] : [])];
+
 const sizeOf = (element) => ({ width: element.clientWidth, height: element.clientHeight });
 
-function options(element, table, data, reach, read) {
+function options(element, drawn, read) {
   const accent = colour("accent");
-  const range = () => scale(reach ?? reachOf(table));
+  const range = () => scale(drawn.reach ?? reachOf(drawn.table));
   // Not aligned to whole pixels: a smooth error must not look like a staircase.
-  const edge = { stroke: "transparent", points: { show: false }, pxAlign: 0 };
+  const line = (stroke, width, dash) => ({ stroke, width, dash, points: { show: false }, pxAlign: 0 });
+  const edge = line("transparent");
+  const ways = drawn.data.up ? [line(colour("trace-y"), 1.75), line(colour("trace-z"), 1.75, [5, 4])] : [];
   return {
     ...sizeOf(element),
     legend: { show: false },
     padding: [6, 18, 0, 0],
     cursor: { drag: { x: false, y: false }, y: false, points: { size: 8 } },
     scales: { x: { time: false }, y: { range } },
-    axes: axes(table),
-    series: [
-      {},
-      { stroke: accent, width: 2.25, points: { show: false }, pxAlign: 0 },
-      edge,
-      edge,
-    ],
+    axes: axes(drawn.table),
+    series: [{}, line(accent, 2.25), edge, edge, ...ways],
     bands: [{ series: [3, 2], fill: colour("band") }],
     hooks: {
-      setCursor: [(chart) => read(reading(chart.cursor.idx, table, data))],
+      setCursor: [(chart) => read(reading(chart.cursor.idx, drawn))],
       drawAxes: [drawZero],
     },
   };
@@ -100,7 +118,7 @@ function drawZero(chart) {
   chart.ctx.restore();
 }
 
-function reading(index, table, data) {
+function reading(index, { table, data }) {
   if (index === null || index === undefined) return "";
   const digits = decimalsOf(table.kind);
   const position = `${table.axis} ${number(data.x[index], decimalsOf(table.positionKind))} `

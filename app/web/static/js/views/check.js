@@ -2,6 +2,7 @@
 import { h, icon } from "../dom.js";
 import { addressOf, hasEnded, stepOf } from "../flow.js";
 import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
 import { pathCard } from "./path-card.js";
@@ -71,6 +72,10 @@ function describe(job, plan, machine) {
     number(plan.position.length - (standing ? 0 : 1))]);
   facts.push([t("check.length"), quantity(length, "distance")]);
   if (!standing) facts.push([t("check.feed"), feeds(plan.feed_mm_min)]);
+  if (job.target_um) {
+    const target = quantity(COVERAGE * job.target_um, "error");
+    facts.push([t("check.target"), t("check.target_at", { target, k: COVERAGE })]);
+  }
   const time_s = job.progress?.eta_s ?? plan.duration_s;
   if (time_s) facts.push([t("check.time"), `${duration(time_s)} min`]);
   return facts;

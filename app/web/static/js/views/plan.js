@@ -1,17 +1,19 @@
-/* Step 2: how to measure. */
+/* Step 2: how to measure, and how well. */
 import { h, mark } from "../dom.js";
 import { addressOf, isActive, isConnected } from "../flow.js";
 import { head } from "../parts.js";
-import { number, plain, t } from "../texts.js";
-import { decimalsOf, shown, stored, unitOf } from "../units.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { t } from "../texts.js";
+import { numberField, within } from "./number-field.js";
 
 const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
-const choices = { kind: "measure-otf", feed_mm_min: FEED_MM_MIN.usual, perpendicular_only: false };
+const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100] };
+const choices = {
+  kind: "measure-otf", feed_mm_min: FEED_MM_MIN.usual, expanded_um: null, perpendicular_only: false,
+};
 
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
 const streams = () => choices.kind === "measure-otf";
-
-const withinLimits = (feed) => feed >= FEED_MM_MIN.least && feed <= FEED_MM_MIN.most;
 
 /** Button that leads on. */
 export function lead({ machine, busy, job }, { actions, go }) {
@@ -27,14 +29,19 @@ export function lead({ machine, busy, job }, { actions, go }) {
 }
 
 function refusal(machine, busy) {
+  const { feed_mm_min, expanded_um } = choices;
   if (busy) return t("plan.preparing");
   if (!isConnected(machine)) return t("plan.not_connected");
-  return !streams() || withinLimits(choices.feed_mm_min) ? "" : t("plan.feed_refused");
+  const fed = feed_mm_min !== null && within(feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most);
+  if (streams() && !fed) return t("plan.feed_refused");
+  return within(expanded_um, TARGET_UM.least, TARGET_UM.most) ? "" : t("plan.target_refused");
 }
 
+/** What is sent: files and interface carry standard uncertainties, the page shows k = 2. */
 function order() {
-  const { kind, feed_mm_min, perpendicular_only } = choices;
-  return { kind, perpendicular_only, ...(streams() ? { feed_mm_min } : {}) };
+  const { kind, feed_mm_min, expanded_um, perpendicular_only } = choices;
+  return { kind, perpendicular_only, ...(streams() ? { feed_mm_min } : {}),
+    ...(expanded_um === null ? {} : { target_um: expanded_um / COVERAGE }) };
 }
 
 /** Show the choices. */
@@ -44,9 +51,8 @@ export function mount(root, { store }) {
   root.append(
     head(t("plan.title"), t("plan.text")),
     h("div", { class: "columns" },
-      h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed)),
-      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")),
-        feed, perpendicular())),
+      h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()),
+      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), feed, targetField(changed))),
   );
   return {
     update() {
@@ -70,53 +76,35 @@ function kinds(changed) {
   return h("div", { class: "stack", role: "radiogroup", "aria-label": t("plan.how") }, options);
 }
 
+/** Keep a choice and tell it. */
+const keep = (name, changed) => (value) => {
+  choices[name] = value;
+  changed();
+};
+
 function feedField(changed) {
-  const input = h("input", { id: "feed", inputmode: "decimal", autocomplete: "off",
-    "aria-describedby": "feed-note feed-error" });
-  const error = h("p", { class: "field-error", id: "feed-error", role: "status" });
-  const limits = { least: limit(FEED_MM_MIN.least), most: limit(FEED_MM_MIN.most), unit: unitOf("feed") };
-
-  function show() {
-    input.value = plain(shown(choices.feed_mm_min, "feed"), decimalsOf("feed"));
-    check();
-  }
-
-  function check() {
-    const good = withinLimits(choices.feed_mm_min);
-    mark(input, "aria-invalid", good ? null : "true");
-    error.textContent = good ? "" : t("plan.feed_limits", limits);
-    changed();
-  }
-
-  function step(direction) {
-    const from = Number.isFinite(choices.feed_mm_min) ? choices.feed_mm_min : FEED_MM_MIN.usual;
-    const next = (Math.round(from / FEED_MM_MIN.step) + direction) * FEED_MM_MIN.step;
-    choices.feed_mm_min = Math.min(FEED_MM_MIN.most, Math.max(FEED_MM_MIN.least, next));
-    show();
-  }
-
-  input.addEventListener("input", () => {
-    choices.feed_mm_min = stored(typed(input.value), "feed");
-    check();
+  const { usual, least, most, step } = FEED_MM_MIN;
+  return numberField({
+    id: "feed", kind: "feed", label: t("plan.feed"), note: t("plan.feed_note"),
+    less: t("plan.slower"), more: t("plan.faster"), least, most,
+    get: () => choices.feed_mm_min ?? NaN, set: keep("feed_mm_min", changed),
+    next: (feed, direction) => (Math.round((feed ?? usual) / step) + direction) * step,
   });
-  show();
-  return h("div", { class: "field" }, h("label", { for: "feed" }, t("plan.feed")),
-    h("div", { class: "stepper" },
-      h("button", { class: "button", type: "button", "aria-label": t("plan.slower"), onclick: () => step(-1) }, "−"),
-      input,
-      h("button", { class: "button", type: "button", "aria-label": t("plan.faster"), onclick: () => step(1) }, "+"),
-      h("span", { class: "suffix" }, unitOf("feed"))),
-    h("p", { class: "field-note", id: "feed-note" }, t("plan.feed_note")), error);
 }
 
-const limit = (feed) => number(shown(feed, "feed"), 0);
-
-/** A typed number; grouping and decimal sign as the language writes them. */
-function typed(text) {
-  const sign = number(1.5, 1)[1];
-  const group = sign === "," ? /[.\s]/g : /[,\s]/g;
-  const digits = text.replace(group, "").replace(sign, ".");
-  return digits === "" ? NaN : Number(digits);
+function targetField(changed) {
+  const { usual, least, most, steps } = TARGET_UM;
+  const finer = (target) => steps.findLast((s) => s < target - 1e-9) ?? least;
+  const coarser = (target) => steps.find((s) => s > target + 1e-9) ?? null;
+  return numberField({
+    id: "target", kind: "error", label: t("plan.target", { k: COVERAGE }), note: t("plan.target_note"),
+    less: t("plan.finer"), more: t("plan.coarser"), least, most,
+    get: () => choices.expanded_um, set: keep("expanded_um", changed),
+    next: (target, direction) => {
+      if (target === null) return usual;
+      return direction < 0 ? finer(target) : coarser(target);
+    },
+  });
 }
 
 function perpendicular() {

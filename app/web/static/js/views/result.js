@@ -1,10 +1,10 @@
 /* Step 5: error tables with their uncertainty, squareness, and what can be taken away. */
 import { links } from "../api.js";
 import { h, icon, write } from "../dom.js";
-import { card, head, kindOf, linkButton, segments, tile } from "../parts.js";
+import { card, earlyEndNotice, head, kindOf, linkButton, segments, tile } from "../parts.js";
 import { COVERAGE, drawErrors, reachOf } from "../plots/error-chart.js";
 import { prefer, preference } from "../preferences.js";
-import { squarenessName, tablesByAxis } from "../tables.js";
+import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { showTable } from "./table-sheet.js";
@@ -28,7 +28,9 @@ export function mount(root) {
   function draw(job, result, run) {
     close();
     const body = h("div", { class: "stack" });
-    root.replaceChildren(heading(job, result), verdict(run ?? job.health, result), body);
+    const early = earlyEndNotice(job);
+    root.replaceChildren(heading(job, result), verdict(run ?? job.health, result),
+      ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
   }
 
@@ -67,7 +69,10 @@ function verdict(stream, result) {
     .map((table) => [Math.max(...table.values.map(Math.abs)), table.symbol])
     .sort((a, b) => b[0] - a[0])[0];
   const [error, angle] = [worst("error"), worst("angle")];
+  const { before, after_expected: after } = result.volumetric_error ?? {};
   const figures = [
+    before && [t("result.volumetric"), before.mean.value_um, "error"],
+    after && [t("result.volumetric_after"), after.mean.value_um, "error"],
     error && [t("result.worst", { symbol: error[1] }), error[0], "error"],
     angle && [t("result.worst", { symbol: angle[1] }), angle[0], "angle"],
     [t("result.residual"), result.residuals?.rms_um, "error"],
@@ -77,10 +82,9 @@ function verdict(stream, result) {
     return shown.element;
   });
   const counts = [
-    [t("run.samples"), number(stream?.samples)],
-    [t("run.lost"), number(stream?.lost_samples)],
+    stream && [t("result.samples_lost"), `${number(stream.samples)} (${number(stream.lost_samples)})`],
     [t("result.determined"), `${number(tables.length)} / ${number(all.length)}`],
-  ].filter(([, value]) => value !== "–").map(([name, value]) => tile(name, value).element);
+  ].filter(Boolean).map(([name, value]) => tile(name, value).element);
   return h("section", { class: "card verdict", "aria-label": t("result.summary") },
     h("dl", { class: "tiles" }, figures, counts));
 }
@@ -96,7 +100,8 @@ function drawTables(body, result) {
   const groups = tablesByAxis(result);
   const charts = [];
   const grid = h("div");
-  body.append(...[toolbar(() => fill()), grid, squareness(result), unseen(result)].filter(Boolean));
+  const directed = groups.some((group) => group.tables.some((table) => table.halves));
+  body.append(...[toolbar(() => fill(), directed), grid, squareness(result), unseen(result)].filter(Boolean));
   fill();
   return charts;
 
@@ -124,7 +129,7 @@ function reaches(groups) {
   return { error: largest("error"), angle: largest("angle") };
 }
 
-function toolbar(redraw) {
+function toolbar(redraw, directed) {
   const scale = segments(t("result.scale"),
     [["common", t("result.scale_common")], ["own", t("result.scale_own")]], preference("scale"),
     (value) => {
@@ -132,7 +137,9 @@ function toolbar(redraw) {
       redraw();
     });
   const legend = h("ul", { class: "key" }, h("li", {}, h("i"), t("result.value")),
-    h("li", { class: "is-band" }, h("i"), t("result.band", { k: COVERAGE })));
+    h("li", { class: "is-band" }, h("i"), t("result.band", { k: COVERAGE })),
+    directed && [h("li", { class: "is-up" }, h("i"), t("result.up")),
+      h("li", { class: "is-down" }, h("i"), t("result.down"))]);
   return h("div", { class: "result-bar" }, h("h2", {}, t("result.tables")), legend, scale);
 }
 
@@ -166,14 +173,14 @@ function summary(table) {
 }
 
 function squareness(result) {
-  const rows = Object.entries(result.squareness_urad ?? {}).map(([symbol, { value, uncertainty }]) =>
-    h("tr", {}, h("td", { class: "symbol" }, symbol), h("td", {}, squarenessName(symbol)),
-      h("td", { class: "right" }, figure(value, "angle")),
-      h("td", { class: "right" }, `± ${figure(uncertainty === null ? null : COVERAGE * uncertainty, "angle")}`)));
-  return card(t("result.squareness"), h("div", { class: "table-scroll" }, h("table", {},
-    h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
-      h("th", { class: "right" }, t("result.value_in", { unit: unitOf("angle") })),
-      h("th", { class: "right" }, t("result.u_in", { unit: unitOf("angle"), k: COVERAGE })))),
-    h("tbody", {}, rows))));
+  const rows = singleErrors(result).map(({ symbol, name, kind, value, uncertainty }) =>
+    h("tr", {}, h("td", { class: "symbol" }, symbol), h("td", {}, name),
+      h("td", { class: "right" }, quantity(value, kind)),
+      h("td", { class: "right" }, `± ${uncertainty === null ? "–" : quantity(COVERAGE * uncertainty, kind)}`)));
+  return card(t(result.axis_location ? "result.squareness_location" : "result.squareness"),
+    h("div", { class: "table-scroll" }, h("table", {},
+      h("thead", {}, h("tr", {}, h("th", {}, t("result.symbol")), h("th", {}, t("result.between")),
+        h("th", { class: "right" }, t("result.value")),
+        h("th", { class: "right" }, t("result.u", { k: COVERAGE })))),
+      h("tbody", {}, rows))));
 }
-

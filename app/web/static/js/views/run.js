@@ -1,17 +1,21 @@
-/* Step 4: the machine moves; numbers, the path, pause and resume. Or: a Run is analysed. */
+/* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
 import { h, icon, mark, write } from "../dom.js";
 import { hasEnded, isActive, isComputing, isMeasuring, isMoving } from "../flow.js";
 import { holdToConfirm } from "../hold.js";
-import { card, errorNotice, head, kindOf, notice, tile, wordOf } from "../parts.js";
+import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
 import { drawStrip } from "../plots/strip-chart.js";
-import { duration, known, number, t } from "../texts.js";
-import { figure, quantity, unitOf } from "../units.js";
+import { number, t } from "../texts.js";
+import { figure, unitOf } from "../units.js";
+import { estimateCard } from "./estimate-card.js";
 import { pathCard } from "./path-card.js";
+import { progressCard } from "./progress-card.js";
 
 const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
   analyse: ["aligning", "estimating", "reporting"],
 };
+
+let looksAt = "path";
 
 /** Button that leads on. */
 export function lead({ job, link }, { actions, go }) {
@@ -35,8 +39,9 @@ export function mount(root, context) {
   return measuring ? mountMeasuring(root, context) : mountAnalysis(root);
 }
 
-function mountMeasuring(root, { actions }) {
+function mountMeasuring(root, { store, actions }) {
   const path = pathCard(true);
+  const estimate = estimateCard();
   const progress = progressCard(STAGES.measure);
   const position = positionCard();
   const strip = h("div", { class: "strip" });
@@ -46,31 +51,44 @@ function mountMeasuring(root, { actions }) {
   root.append(
     h("h1", { class: "unseen" }, t("run.title")), ending,
     h("div", { class: "columns is-main-left is-run" },
-      h("div", { class: "stack" }, path.element, health.element),
+      h("div", { class: "stack" },
+        h("div", { class: "run-main" }, chooser(look), path.element, estimate.element), health.element),
       h("div", { class: "stack" }, progress.element, buttons.element, position.element)),
   );
   const chart = drawStrip(strip);
   let live = null;
   let ended = "";
+  look(looksAt);
+
+  /** Show the path or the tables; what is hidden rests. */
+  function look(at) {
+    looksAt = at;
+    path.element.hidden = at !== "path";
+    estimate.show(at === "tables");
+    dispatchEvent(new Event("resize"));  // the plot of the path measures its frame anew
+    store.set({});
+  }
+
   return {
     update(state) {
       const { job, plan, machine, link } = state;
       if (!job) return;
-      path.update(plan, machine);
+      if (looksAt === "path") path.update(plan, machine);
+      estimate.update(state);
       progress.update(state);
       position.update(state);
       health.update(state);
       buttons.update(state);
-      path.progress(reached(state), positionOf(state));
+      if (looksAt === "path") path.progress(reached(state), positionOf(state));
       const stale = isActive(job) && link.stale;
-      for (const element of [progress.element, position.element, health.element, path.element]) {
+      for (const { element } of [progress, position, health, path, estimate]) {
         element.classList.toggle("is-stale-data", stale);
       }
       if (state.live && state.live !== live) {
         live = state.live;
         addSamples(chart, live);
       }
-      const key = [job.id, job.state, job.error?.detail].join();
+      const key = [job.id, job.state, job.error?.detail, Boolean(job.early_end)].join();
       if (ended !== key) {
         ended = key;
         ending.replaceChildren(...endingOf(job));
@@ -78,6 +96,7 @@ function mountMeasuring(root, { actions }) {
     },
     close() {
       path.close();
+      estimate.close();
       chart.close();
     },
   };
@@ -100,6 +119,9 @@ function mountAnalysis(root) {
   };
 }
 
+const chooser = (look) => h("div", { class: "run-chooser" }, segments(t("run.look"),
+  [["path", t("run.path")], ["tables", t("run.tables")]], looksAt, look, true));
+
 /** Rows of the plan that the machine has reached. */
 function reached({ job, plan }) {
   if (!plan) return 0;
@@ -119,52 +141,6 @@ function addSamples(chart, live) {
   const end_s = live.device_time_s ?? 0;
   const step_s = 0.1 / Math.max(1, points.length);
   points.forEach((point, i) => chart.add(end_s - (points.length - 1 - i) * step_s, point));
-}
-
-function progressCard(stages) {
-  const list = h("ol", { class: "stages", "aria-label": t("run.stages") });
-  const entries = new Map(stages.map((stage) => [stage, h("li", {}, t(`stage.${stage}`))]));
-  list.append(...entries.values());
-  const percent = h("strong", {}, "–");
-  const remaining = h("b", {}, "–");
-  const bar = h("i");
-  const meter = h("div", { class: "meter", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100,
-    "aria-label": t("run.progress") }, bar);
-  const count = h("span", { class: "quiet number" });
-  const uncertainty = h("span", { class: "number", id: "uncertainty" });
-  const element = card(null, list,
-    h("div", { class: "big-progress" }, percent,
-      h("span", {}, h("span", { class: "quiet" }, t("run.remaining")), h("br"), remaining)),
-    meter, h("p", { class: "beside" }, count, uncertainty));
-  element.style.display = "grid";
-  return { element, update };
-
-  function update({ job, estimate }) {
-    const now = job.progress ?? {};
-    const stage = hasEnded(job) ? null : job.stage;
-    markStages(job, stage);
-    const share = job.state === "succeeded" ? 1 : now.total ? Math.min(1, now.done / now.total) : null;
-    percent.replaceChildren(number(share === null ? null : Math.floor(100 * share)),
-      h("span", { class: "unit" }, "%"));
-    bar.style.transform = share === null ? "" : `scaleX(${share})`;
-    meter.classList.toggle("is-waiting", share === null && isActive(job));
-    meter.classList.toggle("is-held", ["pausing", "paused", "aborting"].includes(job.state));
-    mark(meter, "aria-valuenow", share === null ? null : Math.floor(100 * share));
-    write(remaining, isActive(job) ? duration(now.eta_s) : "–");
-    write(count, now.unit && now.total && isActive(job)
-      ? t("run.count", { done: number(now.done), total: number(now.total),
-        unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");
-    const sigma = isActive(job) ? estimate?.volumetric_uncertainty_um : null;
-    write(uncertainty, sigma ? t("run.uncertainty", { value: quantity(2 * sigma, "error") }) : "");
-  }
-
-  function markStages(job, stage) {
-    const at = job.state === "succeeded" ? stages.length : stages.indexOf(stage);
-    [...entries.values()].forEach((entry, i) => {
-      mark(entry, "data-done", i < at ? "" : null);
-      mark(entry, "aria-current", i === at ? "step" : null);
-    });
-  }
 }
 
 function positionCard() {
@@ -237,11 +213,12 @@ function key() {
 }
 
 function endingOf(job) {
-  if (!hasEnded(job)) return job.error ? [below(errorNotice(job, "held"))] : [];
-  if (job.state === "succeeded") return [];
+  const early = earlyEndNotice(job);
+  if (!hasEnded(job)) return [job.error && errorNotice(job, "held"), early].filter(Boolean).map(below);
+  if (job.state === "succeeded") return early ? [below(early)] : [];
   const kept = isMeasuring(job) && job.run_id ? t("run.kept") : "";
   const said = errorNotice(job) ?? notice("fault", wordOf(job.state), t("run.ended", { kind: kindOf(job.kind) }), kept);
   return [below(said)];
 }
 
-const below = (said) => h("div", { style: "margin-bottom: 20px" }, said);
+const below = (said) => h("div", { class: "below" }, said);

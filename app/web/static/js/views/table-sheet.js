@@ -21,16 +21,18 @@ export function showTable(table) {
 }
 
 function values(table) {
-  const { x, value, expanded } = columns(table);
+  const { x, value, expanded, up, down } = columns(table);
   const digits = decimalsOf(table.kind);
   const unit = unitOf(table.kind);
   const rows = x.map((position, i) => h("tr", {},
     h("td", { class: "right" }, number(position, decimalsOf(table.positionKind))),
     h("td", { class: "right" }, number(value[i], digits)),
-    h("td", { class: "right" }, `± ${number(expanded[i], digits)}`)));
+    h("td", { class: "right" }, `± ${number(expanded[i], digits)}`),
+    [up, down].filter(Boolean).map((way) => h("td", { class: "right" }, number(way[i], digits)))));
   const title = (text) => h("th", { class: "right" }, text);
   return h("div", { class: "detail-table", tabindex: "0" }, h("table", {},
     h("thead", {}, h("tr", {}, title(`${table.axis} (${unitOf(table.positionKind)})`),
-      title(t("result.value_in", { unit })), title(t("result.u_in", { unit, k: COVERAGE })))),
+      title(t("result.value_in", { unit })), title(t("result.u_in", { unit, k: COVERAGE })),
+      up && [title(t("result.up_in", { unit })), title(t("result.down_in", { unit }))])),
     h("tbody", {}, rows)));
 }

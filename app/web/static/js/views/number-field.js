@@ -1,0 +1,59 @@
+/* A number to type or to step, with its unit; what is kept is the stored unit. */
+import { h, mark } from "../dom.js";
+import { number, plain, t } from "../texts.js";
+import { decimalsOf, shown, stored, unitOf } from "../units.js";
+
+/** Make a field.
+ *
+ * id, kind: of the input, of the quantity; label, note, less, more: texts
+ * get(), set(value): the stored value, null where it is left empty, NaN where it is nonsense
+ * least, most: limits; next(value, direction): the value one step away
+ */
+export function numberField({ id, kind, label, note, less, more, get, set, least, most, next }) {
+  const input = h("input", { id, inputmode: "decimal", autocomplete: "off",
+    "aria-describedby": `${id}-note ${id}-error` });
+  const error = h("p", { class: "field-error", id: `${id}-error`, role: "status" });
+  const limit = (value) => number(shown(value, kind), shown(value, kind) < 10 ? decimalsOf(kind) : 0);
+  const limits = { least: limit(least), most: limit(most), unit: unitOf(kind) };
+
+  function show() {
+    const value = get();
+    input.value = value === null ? "" : plain(shown(value, kind), decimalsOf(kind));
+    check();
+  }
+
+  function check() {
+    const good = within(get(), least, most);
+    mark(input, "aria-invalid", good ? null : "true");
+    error.textContent = good ? "" : t("plan.limits", limits);
+  }
+
+  function step(direction) {
+    const wanted = next(Number.isFinite(get()) ? get() : null, direction);
+    set(wanted === null ? null : Math.min(most, Math.max(least, wanted)));
+    show();
+  }
+
+  input.addEventListener("input", () => {
+    set(typed(input.value, kind));
+    check();
+  });
+  show();
+  const button = (name, sign, direction) =>
+    h("button", { class: "button", type: "button", "aria-label": name, onclick: () => step(direction) }, sign);
+  return h("div", { class: "field" }, h("label", { for: id }, label),
+    h("div", { class: "stepper" }, button(less, "−", -1), input, button(more, "+", 1),
+      h("span", { class: "suffix" }, unitOf(kind))),
+    h("p", { class: "field-note", id: `${id}-note` }, note), error);
+}
+
+/** Whether a value may be sent: inside its limits, or left empty where that is allowed. */
+export const within = (value, least, most) => value === null || (value >= least && value <= most);
+
+/** A typed number in stored units; grouping and decimal sign as the language writes them. */
+function typed(text, kind) {
+  const sign = number(1.5, 1)[1];
+  const group = sign === "," ? /[.\s]/g : /[,\s]/g;
+  const digits = text.replace(group, "").replace(sign, ".");
+  return digits === "" ? null : stored(Number(digits), kind);
+}

@@ -1,0 +1,141 @@
+"""The routes by which the page talks to the scripted service."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from fastapi import FastAPI, Request, UploadFile
+from fastapi.responses import JSONResponse, Response, StreamingResponse
+from scripted_data import MACHINE, MOTION, TRACKER, TRACKER_NOISE
+from scripted_service import ScriptedService
+
+from app.web.pages import STATIC_PATH, router, static_files
+
+API = "/api/v1"
+
+
+def problem(status: int, code: str, title: str, detail: str, action: str) -> Response:
+    body = {
+        "type": f"/problems/{code}",
+        "code": code,
+        "title": title,
+        "detail": detail,
+        "action": action,
+        "status": status,
+    }
+    return JSONResponse(body, status, media_type="application/problem+json")
+
+
+def scripted_app(service: ScriptedService) -> FastAPI:
+    """Return the page and the REST interface that the script plays."""
+    app = FastAPI(docs_url=None, redoc_url=None)
+    app.include_router(router)
+    app.mount(STATIC_PATH, static_files())
+
+    def machine() -> dict[str, Any]:
+        found = copy.deepcopy(service.machine)
+        known = service.connected
+        return found | {
+            "tracker_noise": TRACKER_NOISE,
+            "connected": known,
+            "tracker": TRACKER if known else None,
+            "motion": MOTION if known else None,
+        }
+
+    @app.get(f"{API}/system")
+    def system() -> dict[str, Any]:
+        cell = {"state": "ready" if service.connected else "idle"}
+        return {"version": "0", "simulated": True, "machine": MACHINE, "cell": cell}
+
+    @app.get(f"{API}/machines/current")
+    def current() -> dict[str, Any]:
+        return machine()
+
+    @app.post(f"{API}/machines/current:connect")
+    def connect() -> Any:
+        if service.refuse_connect:
+            return problem(
+                409,
+                "wrong-device",
+                "Another device answers",
+                "The tracker's port is answered by a barcode reader.",
+                "Check the cable, then connect again.",
+            )
+        service.connected = True
+        return {"connected": True, "tracker": TRACKER, "motion": MOTION}
+
+    @app.get(f"{API}/jobs")
+    def jobs(limit: int = 50) -> Any:
+        newest = sorted(service.jobs.values(), key=lambda j: j["created"], reverse=True)
+        return {"items": newest[:limit], "next": None}
+
+    @app.post(f"{API}/jobs", status_code=202)
+    async def create(request: Request) -> Any:
+        order = await request.json()
+        service.requests.append(("POST", "/jobs", order))
+        known = {name: order.get(name) for name in ("run_id", "target_um")}
+        return service.new_job(order["kind"], **known)
+
+    @app.get(f"{API}/jobs/{{job_id}}")
+    def job(job_id: str) -> Any:
+        if job_id not in service.jobs:
+            return problem(404, "not-found", "No such job", job_id, "")
+        return service.jobs[job_id]
+
+    @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
+    def act(job_id: str, verb: str, request: Request) -> Any:
+        version = request.headers.get("if-match")
+        service.requests.append(("POST", f"/jobs/{job_id}/{verb}", version))
+        return service.act(job_id, verb)
+
+    @app.post(f"{API}/stop", status_code=202)
+    def stop() -> Any:
+        return {"jobs": service.stop()}
+
+    @app.get(f"{API}/jobs/{{job_id}}/plan")
+    def plan(job_id: str) -> Any:
+        return service.plan
+
+    @app.get(f"{API}/nc-dialects")
+    def nc_dialects() -> Any:
+        return {"items": [{"name": "heidenhain", "control": "Heidenhain TNC"}]}
+
+    @app.get(f"{API}/jobs/{{job_id}}/nc-program")
+    def nc_program(job_id: str, dialect: str) -> Response:
+        return Response(
+            "0 BEGIN PGM\n",
+            media_type="text/plain",
+            headers={"Content-Disposition": f'attachment; filename="{dialect}.h"'},
+        )
+
+    @app.get(f"{API}/jobs/{{job_id}}/result")
+    def job_result(job_id: str) -> Any:
+        return service.result
+
+    @app.get(f"{API}/jobs/{{job_id}}/estimate")
+    def job_estimate(job_id: str) -> Any:
+        if job_id not in service.estimates:
+            return problem(404, "not-found", "No estimate yet", job_id, "")
+        return service.estimates[job_id]
+
+    @app.get(f"{API}/jobs/{{job_id}}/result/error-tables.csv")
+    def table(job_id: str) -> Response:
+        return Response("error,position_mm\n", media_type="text/csv")
+
+    @app.get(f"{API}/runs")
+    def runs() -> Any:
+        return {"items": service.runs, "next": None}
+
+    @app.post(f"{API}/runs", status_code=201)
+    async def upload(bundle: UploadFile) -> Any:
+        service.requests.append(("POST", "/runs", bundle.filename))
+        return service.add_run("run-uploaded")
+
+    @app.get(f"{API}/events")
+    def events(request: Request) -> StreamingResponse:
+        return StreamingResponse(
+            service.events(request), media_type="text/event-stream"
+        )
+
+    return app

@@ -1,0 +1,174 @@
+"""What a service tells of one machine: its file, a path, estimates, a result."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+
+MACHINE = {
+    "schema": "machine/1",
+    "name": "VMC 500",
+    "kinematic_chain": "w-X-b-Y-Z-t",
+    "axes": {
+        "X": {"type": "linear", "min_mm": 0.0, "max_mm": 500.0},
+        "Y": {"type": "linear", "min_mm": 0.0, "max_mm": 400.0},
+        "Z": {"type": "linear", "min_mm": -300.0, "max_mm": 0.0},
+    },
+    "tool_offset_mm": [20.0, 30.0, -150.0],
+}
+TRACKER_NOISE = {"range_sigma_um": 1.0, "angle_sigma_urad": 3.0, "rate_hz": 500}
+TRACKER_STANDS_MM = np.array([1200.0, 300.0, -80.0])
+TRACKER = {
+    "maker": "Truepath",
+    "model": "Simulated tracker",
+    "serial_number": "T-0001",
+    "firmware": "1.0",
+}
+MOTION = {
+    "maker": "Truepath",
+    "model": "Simulated CNC",
+    "serial_number": "C-0001",
+    "firmware": "1.0",
+}
+
+
+def planned_path(lines: int = 22) -> dict[str, Any]:
+    """Return chords through the travel, ends on its faces."""
+    rng = np.random.default_rng(5)
+    low = np.array([10.0, 10.0, -290.0])
+    high = np.array([490.0, 390.0, -10.0])
+    share = rng.random((lines + 1, 3))
+    share[np.arange(lines + 1), rng.integers(0, 3, lines + 1)] = (
+        np.arange(lines + 1) % 2
+    )
+    share[0] = 0.0
+    position = low + share * (high - low)
+    return {
+        "kind": "path",
+        "axes": ["X", "Y", "Z"],
+        "position": np.round(position, 3).tolist(),
+        "feed_mm_min": [6000.0] * len(position),
+        "dwell_s": [0.35] * len(position),
+    }
+
+
+def result() -> dict[str, Any]:
+    """Return smooth error tables with uncertainties that open towards the ends."""
+    rng = np.random.default_rng(11)
+    tables = {}
+    for axis in "XYZ":
+        travel = MACHINE["axes"][axis]
+        position = np.linspace(travel["min_mm"], travel["max_mm"], 21)
+        s = np.linspace(0.0, 1.0, len(position))
+        for motion in "XYZABC":
+            unit = "um" if motion in "XYZ" else "urad"
+            size = 6.0 if unit == "um" else 14.0
+            waves = sum(
+                rng.normal(scale=1.0 / k) * np.sin(k * math.pi * s + rng.uniform(0, 6))
+                for k in (1, 2, 3)
+            )
+            waves = size * (waves - waves[0])
+            if unit == "um" and motion != axis:
+                waves = waves - s * waves[-1]
+            u = (0.25 if unit == "um" else 0.8) * (1 + 1.6 * (2 * s - 1) ** 2)
+            tables[f"E{motion}{axis}"] = {
+                "position_mm": position.round(3).tolist(),
+                f"value_{unit}": waves.round(3).tolist(),
+                f"uncertainty_{unit}": u.round(3).tolist(),
+            }
+    del tables["ECZ"]
+    return {
+        "schema": "result/1",
+        "machine": MACHINE,
+        "mode": "otf",
+        "error_tables": tables,
+        "squareness_urad": {
+            "C0Y": {"value": 23.4, "uncertainty": 0.9},
+            "B0Z": {"value": -11.8, "uncertainty": 1.1},
+            "A0Z": {"value": 5.2, "uncertainty": 1.2},
+        },
+        "alignment": {},
+        "residuals": {"rms_um": 4.3},
+        "observability": {
+            "rank": 161,
+            "parameters": 165,
+            "unobservable": [
+                "ECZ (roll of Z) cannot be told from EXZ, EYZ with this offset"
+            ],
+        },
+        "provenance": {},
+    }
+
+
+def half_differences() -> dict[str, Any]:
+    """Return what the direction of approach adds to two tables of `result`."""
+    found = {}
+    for symbol, size in (("EXX", 2.5), ("EBX", 6.0)):
+        unit = "um" if symbol[1] in "XYZ" else "urad"
+        position = result()["error_tables"][symbol]["position_mm"]
+        found[symbol] = {
+            "position_mm": position,
+            f"value_{unit}": [size] * len(position),
+            f"uncertainty_{unit}": [0.2] * len(position),
+        }
+    return found
+
+
+def estimate(done: int, total: int = 22) -> dict[str, Any]:
+    """Return the live estimate after so many lines: it tightens with each."""
+    final = result()
+    wider = 40.0 / max(done, 1) ** 1.5
+    tables = copy.deepcopy(final["error_tables"])
+    for table in tables.values():
+        for name in [name for name in table if name.startswith("uncertainty")]:
+            table[name] = [round(wider * u, 3) for u in table[name]]
+    return {
+        "error_tables": tables,
+        "squareness_urad": {
+            symbol: {"value": s["value"], "uncertainty": wider * s["uncertainty"]}
+            for symbol, s in final["squareness_urad"].items()
+        },
+        "volumetric_uncertainty_um": round(0.5 * wider, 4),
+        "done": done,
+        "total": total,
+        "elapsed_s": 5.6 * done,
+        "age_s": 0.0,
+        "is_last": False,
+    }
+
+
+TURNTABLE = {
+    **MACHINE,
+    "name": "Turntable",
+    "kinematic_chain": "w-C-X-b-Y-Z-t",
+    "axes": {
+        **MACHINE["axes"],
+        "C": {
+            "type": "rotary",
+            "min_deg": 0.0,
+            "max_deg": 360.0,
+            "origin_mm": [0, 0, 0],
+        },
+    },
+}
+
+
+def turntable_estimate(done: int) -> dict[str, Any]:
+    """Return an estimate that also has the error motions of a rotary axis."""
+    found = estimate(done)
+    degrees = np.linspace(0.0, 360.0, 37)
+    for motion in "XYZABC":
+        unit = "um" if motion in "XYZ" else "urad"
+        found["error_tables"][f"E{motion}C"] = {
+            "position_deg": degrees.tolist(),
+            f"value_{unit}": (5 * np.sin(np.radians(degrees))).tolist(),
+            f"uncertainty_{unit}": [1.5] * len(degrees),
+        }
+    found["axis_location"] = {
+        "XOC": {"value_um": 12.5, "uncertainty_um": 0.4},
+        "AOC": {"value_urad": -8.0, "uncertainty_urad": 1.0},
+    }
+    return found
