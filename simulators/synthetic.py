@@ -68,8 +68,13 @@ ROUGH = Defects(
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a recording is made, besides machine, program and seed."""
+    """How a recording is made, besides machine, program and seed.
 
+    machine_seed : which machine, where it is not that of the recording's seed: so that
+        several recordings of one machine differ in noise, clock and tracker pose
+    """
+
+    machine_seed: int | None = None
     rate_hz: float | None = None
     lead_in_s: float = 1.0
     lead_out_s: float = 1.0
@@ -95,7 +100,8 @@ def record(
     """
     setting = setting or Setting()
     machine = parse_machine(content)
-    truth = random_machine(machine, seed, scale=setting.error_scale)
+    which = seed if setting.machine_seed is None else setting.machine_seed
+    truth = random_machine(machine, which, scale=setting.error_scale)
     pose = setting.pose or tracker_head.random_pose(machine, seed)
     timeline = _motion(program, setting)
     device_s, true_s = _sample_times(machine, timeline, seed, setting)
@@ -221,6 +227,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             options.seed,
             options.mode,
             Setting(
+                machine_seed=options.machine_seed,
                 rate_hz=options.rate,
                 error_scale=options.error_scale,
                 defects=ROUGH if options.rough else Defects(),
@@ -261,6 +268,9 @@ def _options() -> argparse.ArgumentParser:
         "--machine", default="demo", help="machine.json, or bundled name"
     )
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--machine-seed", type=int, help="which machine, if not that of --seed"
+    )
     parser.add_argument("--mode", choices=["otf", "standstill"], default="otf")
     parser.add_argument("--feed", type=float, default=5000.0, help="mm/min")
     parser.add_argument("--rows", type=int, default=60, help="waypoints of the path")
