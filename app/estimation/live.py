@@ -36,6 +36,7 @@ from app.estimation.recursive import Linearisation, Recursive, begun
 from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
 from app.kinematics.effects.base import Parameter
+from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
@@ -44,7 +45,10 @@ from drivers.interfaces.records import Path, TrackerSamples
 
 _FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
 _WEAK = {"mm": 0.1, "rad": 1e-3}
-_WEAK_NUISANCE = 10.0  # pose and timing, in mm, rad, mm/s: as good as nothing
+# Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
+# that it drowns in the rounding of what is known.
+_WEAK_NUISANCE = {"mm": 10.0, "rad": 1e-2}
+_WEAK_SPEED = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,10 +182,9 @@ def _weakened(data: Information, parameters: tuple[Parameter, ...]) -> Informati
 
 def _weak_sigma(parameter: Parameter) -> float:
     if parameter.nuisance:
-        return _WEAK_NUISANCE
+        return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
     return _WEAK.get(parameter.unit, 1.0)
 
 
 def _pose_parameters(model: MachineModel) -> tuple[Parameter, ...]:
-    pose = tuple(Parameter(f"pose-{i}", "mm", nuisance=True) for i in range(6))
-    return (*model.parameters, *pose)
+    return (*model.parameters, *TrackerPose((0.0, 0.0, 0.0)).parameters)

@@ -142,13 +142,13 @@ def _next_strength(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         part, old = prior.model.slices[name], prior.strength[name]
         theta, spread = result.theta[part], result.covariance[part, part]
         free = charge.rank - old * float(np.sum(spread * charge.form))
-        energy = float(theta @ charge.form @ theta)
+        # An effect that is nothing within the noise, or not seen yet, keeps a finite
+        # strength.
+        energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:
             centre = usual[charge.kind] / charge.usual
             strength[name] = _pooled_strength(free, energy, centre)
         else:
-            # An effect that is nothing within the noise keeps a finite strength.
-            energy += _STRAIGHT * charge.usual
             strength[name] = max(free, 0.05) / energy
     return strength
 
