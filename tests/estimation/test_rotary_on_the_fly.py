@@ -1,0 +1,170 @@
+"""Machines with rotary axes, measured on the fly along planned lines and arcs."""
+
+from __future__ import annotations
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.estimation.batch import estimate
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import information, without_rest
+from app.estimation.live import LiveEstimator
+from app.estimation.noise import NoiseModel
+from app.estimation.problem import pose_problem
+from app.estimation.recursive import Linearisation, begun
+from app.estimation.volumetric_map import volumetric_map
+from app.kinematics.effects.base import standstill
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.measurement.machine_file import machine_from_json
+from app.measurement.run import Run
+from app.planning.paths import default_path
+from app.reporting.error_tables import error_tables
+from drivers.interfaces.records import TrackerSamples
+from simulators import synthetic
+from simulators.scenario import load_machine
+from simulators.timeline import Program
+
+pytestmark = pytest.mark.timeout(300)
+NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
+
+
+def measured(name, seed, stands_on="base", lines=None):
+    content = load_machine(name)
+    content["tracker"]["stands_on"] = stands_on
+    machine = machine_from_json(content)
+    path = default_path(machine, 6000.0, lines=lines, seed=seed)
+    program = Program(path.position, path.feed_mm_min / 60, path.dwell_s, path.target)
+    made = synthetic.record(content, program, seed)
+    samples = TrackerSamples(
+        np.arange(len(made)), made.time_s, made.position_mm, made.status
+    )
+    run = Run(name, machine, path, samples)
+    return SimpleNamespace(run=run, truth=made.truth, seen=align(run))
+
+
+@cache
+def from_base(name):
+    found = measured(name, 3)
+    found.result = estimate(found.seen)
+    return found
+
+
+def deviations(result, truth):
+    """Estimate minus truth, in standard uncertainties, over tables and numbers."""
+    known = {**truth.squareness_rad, **truth.locations()}
+    found = []
+    for effect in result.model.effects:
+        part = result.model.slices[effect.name]
+        theta, covariance = result.theta[part], result.covariance[part, part]
+        if isinstance(effect, ErrorMotion):
+            s = np.linspace(effect.axis.low, effect.axis.high, 7)
+            rows, true = effect.rows(s), truth.error_motions()[effect.symbol].at(s)
+        elif effect.name in known:
+            rows, true = np.eye(1), np.array([known[effect.name]])
+        else:
+            continue
+        sigma = np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows))
+        told = sigma > 1e-8  # not where the gauge makes both nothing
+        found.append(((rows @ theta - true) / np.maximum(sigma, 1e-12))[told])
+    return np.concatenate(found)
+
+
+def share_left(result, truth, rigid_free):
+    machine = truth.machine
+    q = np.random.default_rng(1).uniform(machine.low, machine.high, (200, 5))
+    at, maps = standstill(result.model.machine, q), volumetric_map(result.model)
+    before = rigid_free(at.point_mm, truth.deviation_mm(q, "T1"))
+    left = before - rigid_free(at.point_mm, maps.error_mm(at, result.theta))
+    inside = np.abs(left) < 2 * maps.sigma_mm(at, result.covariance)
+    return np.abs(left).mean() / np.abs(before).mean(), inside.mean()
+
+
+@pytest.mark.parametrize("name", ["head-table", "trunnion"])
+def test_a_planned_path_recovers_all_tables_within_their_uncertainties(
+    name, rigid_free
+):
+    result, truth = from_base(name).result, from_base(name).truth
+    names = {e.name for e in result.model.effects}
+    assert set(truth.locations()) | set(truth.error_motions()) <= names
+    assert result.observability.rank == result.observability.parameters
+    assert not result.observability.unobservable
+    share, inside = share_left(result, truth, rigid_free)
+    assert share < 0.03
+    assert inside > 0.85
+    assert (np.abs(deviations(result, truth)) < 2.0).mean() > 0.87
+
+
+@pytest.mark.parametrize("name", ["head-table", "trunnion"])
+def test_residuals_on_arcs_are_no_more_than_those_of_straight_lines(name):
+    found = from_base(name)
+    residuals, line = found.result.residuals, found.seen.at.line
+    assert residuals.rms_mm < 1.2 * residuals.floor_mm
+    turning = np.array([_turns(found.run, p.row) for p in found.seen.passes])
+    bent = (line >= 0) & turning[line]
+    straight = (line >= 0) & ~turning[line]
+    assert min(bent.sum(), straight.sum()) > 300
+    across = np.square(residuals.across_mm * np.sqrt(found.seen.count))
+    assert across[bent].mean() < 1.3 * across[straight].mean()
+
+
+def _turns(run, row):
+    return bool(np.diff(run.commanded.position[row - 1 : row + 1], axis=0)[0][3:].any())
+
+
+def test_a_tracker_on_the_table_sees_turns_of_both_sides(rigid_free):
+    found = measured("head-table", 4, "workpiece")
+    assert set(found.run.commanded.target) == {"T1", "T2", "T3"}
+    result = estimate(found.seen)
+    share, inside = share_left(result, found.truth, rigid_free)
+    assert share < 0.03
+    assert inside > 0.85
+
+
+def test_arcs_and_stops_added_one_by_one_are_the_batch(rng):
+    seen = from_base("head-table").seen
+    model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
+    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
+    about = Linearisation(model, seen.pose, (x, y, z), NOISE)
+    sums = begun(about)
+    cuts = np.sort(rng.choice(np.arange(1, len(seen)), 40, replace=False))
+    for part in np.split(np.arange(len(seen)), cuts):
+        sums = sums.added(seen.taken(part))
+    problem = pose_problem(seen, model, seen.pose)
+    expected = without_rest(information(problem, NOISE), about.size)
+    found = sums.information()
+    scale = 1.0 / np.sqrt(np.diag(expected.matrix))
+    off = (found.matrix - expected.matrix) * scale[:, None] * scale
+    assert np.abs(off).max() < 1e-9
+    pull = (found.vector - expected.vector) * scale
+    assert np.abs(pull).max() < 1e-9 * np.sqrt(expected.square)
+    assert found.square == pytest.approx(expected.square, rel=1e-9)
+
+
+def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
+    run, batch = from_base("trunnion").run, from_base("trunnion").result
+    live, early = LiveEstimator(run.machine, run.commanded), None
+    for begin in range(0, len(run.tracker), 500):
+        rows = slice(begin, begin + 500)
+        block = TrackerSamples(
+            run.tracker.sequence[rows],
+            run.tracker.device_time_s[rows],
+            run.tracker.position_mm[rows],
+            run.tracker.status[rows],
+        )
+        if live.take(block) and early is None and begin > len(run.tracker) // 3:
+            early = live.estimate()  # no target on the table has been seen yet
+    live.finish()
+    last = live.estimate()
+    assert early.volumetric_sigma_mm > 10 * last.volumetric_sigma_mm
+    tables = error_tables(last.model, last.theta, last.covariance)
+    off = [
+        (tables.table(table.symbol).value - table.value)
+        / np.maximum(table.uncertainty, 0.05)
+        for table in error_tables(batch.model, batch.theta, batch.covariance).tables
+    ]
+    assert np.abs(np.concatenate(off)).max() < 1.5
+    assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 0.4
