@@ -37,7 +37,10 @@ STOP_S = 3.0
 
 
 class Measurement:
-    """One order on connected devices. `run` belongs to one thread, verbs to any."""
+    """One order on connected devices. `run` belongs to one thread, verbs to any.
+
+    limits : how long it waits for what; clock : by which it waits, monotonic
+    """
 
     def __init__(
         self,
@@ -48,9 +51,11 @@ class Measurement:
         report: Report,
         *,
         limits: Limits | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._order, self._tracker, self._motion = order, tracker, motion
         self._devices, self._report, self._limits = dict(devices), report, limits
+        self._clock = clock
         self._control = Control(self._state_changed)
         self._session: Session | None = None
         self._recorder: Recorder | None = None
@@ -156,6 +161,7 @@ class Measurement:
             self._report,
             schedule_of(order.commanded, order.feed_mm_min),
             limits=self._limits,
+            clock=self._clock,
         )
         rate_hz, feed = order.rate_hz, order.feed_mm_min
         if isinstance(commanded, Path):

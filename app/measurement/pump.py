@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 from app.measurement.recorder import Recorder
 from app.measurement.stream_watch import StreamWatch
@@ -16,12 +17,20 @@ READ_S = 0.02
 
 
 class Pump:
-    """Reads blocks of some 20 ms and hands batches of some 100 ms to the recorder."""
+    """Reads blocks of some 20 ms and hands batches of some 100 ms to the recorder.
+
+    clock : stamps what has come, for the watch
+    """
 
     def __init__(
-        self, tracker: Tracker, recorder: Recorder, watch: StreamWatch
+        self,
+        tracker: Tracker,
+        recorder: Recorder,
+        watch: StreamWatch,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._tracker, self._recorder, self._watch = tracker, recorder, watch
+        self._clock = clock
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pump", daemon=True)
         self._failure: Exception | None = None
@@ -61,7 +70,7 @@ class Pump:
         end_s = time.monotonic() + BATCH_S
         while (left_s := end_s - time.monotonic()) > 0 and not self._stopping.is_set():
             block = self._tracker.read(left_s)
-            self._watch.seen(block, time.monotonic())
+            self._watch.seen(block, self._clock())
             blocks.append(block)
             self._stopping.wait(READ_S)
         self._hand_over(blocks)

@@ -95,7 +95,7 @@ class Session:
     def open_stream(self, rate_hz: float) -> None:
         """Start the tracker's stream and record `lead_s` of it before any motion."""
         self._watch = StreamWatch(self.limits.patience, self._clock())
-        self._pump = Pump(self._tracker, self._recorder, self._watch)
+        self._pump = Pump(self._tracker, self._recorder, self._watch, self._clock)
         self._pump.start(rate_hz)
         deadline_s = self._clock() + self.limits.first_sample_s
         while not self._watch.has_valid:

@@ -193,12 +193,13 @@ class FakeMotion(MotionController):
         self.here = np.zeros(3)
         self.loaded: Path | None = None
         self.alarm = ""
-        self.longest_beat_gap_s = 0.0
+        self.beats = self.looks = 0
+        self._is_fed = False
         self._state, self._reason = MotionState.IDLE, ""
         self._rows: list[np.ndarray] = []
         self._feed = 6000.0
         self._done_s = 0.0
-        self._since_s = self._beat_s = time.monotonic()
+        self._since_s = time.monotonic()
         self._lock = threading.RLock()
 
     @property
@@ -217,16 +218,16 @@ class FakeMotion(MotionController):
 
     def beat(self) -> None:
         self._reach()
-        now_s = time.monotonic()
-        if self._state is MotionState.RUNNING:
-            gap_s = now_s - max(self._beat_s, self._since_s)
-            self.longest_beat_gap_s = max(self.longest_beat_gap_s, gap_s)
-        self._beat_s = now_s
+        self._is_fed = True
 
     def status(self) -> MotionStatus:
         self._reach()
         with self._lock:
             line = self._advance()
+            if self._state is MotionState.RUNNING:
+                self.looks += 1
+                self.beats += self._is_fed
+            self._is_fed = False
             return MotionStatus(
                 self._state, tuple(self.here), line, self.alarm, self._reason
             )
