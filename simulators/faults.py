@@ -6,6 +6,7 @@
     tracker:bit-flip@5s+10s*0.01    one frame in a hundred damaged for ten seconds
     tracker:spike@800n*0.3          sample 800 is off by 0.3 mm
     cnc:alarm@row5                  alarm on the way to row 5
+    tracker:target@row12*4          from row 12 on the fourth target is looked at
 
 `begin` counts device seconds (`s`) since the first START (tracker) or the first motion
 (CNC), samples (`n`) or rows (`row5`); in a fault injected into a running simulator it
@@ -49,6 +50,7 @@ TRACKER_KINDS = {
     "spike": Kind("valid samples that are off by so many mm", 0.5, lasts=False),
     "disconnect": Kind("the link closes and comes back", lasts=False),
     "wrong-identity": Kind("another device answers"),
+    "target": Kind("it turns to the machine's target of this number", 1.0),
 }
 CNC_KINDS = {
     "alarm": Kind("alarm with this code; its cause stays", 1001.0, lasts=False),

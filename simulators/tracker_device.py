@@ -217,9 +217,7 @@ class TrackerDevice:
         parts = self._parts
         clock_us = stream.clock_us(index)
         moments_s = parts.clock.true_s(1e-6 * clock_us)
-        point = parts.pose.from_table(
-            parts.truth.seen_mm(timeline.positions(moments_s))
-        )
+        point = parts.pose.from_table(self._seen_mm(timeline, moments_s))
         noise = stream.noise.draw(len(index))
         polar = measured(point, noise, parts.truth.machine.tracker)
         for fault, mask in self._faults.struck("spike", moments_s, number):
@@ -241,6 +239,17 @@ class TrackerDevice:
             status,
             np.where(locked, _LOCKED_SIGNAL, 0),
         ), moments_s
+
+    def _seen_mm(self, timeline: Timeline, moments_s: np.ndarray) -> np.ndarray:
+        """Return where the target is that the tracker looks at, the first at first."""
+        truth, position = self._parts.truth, timeline.positions(moments_s)
+        reflectors = truth.machine.reflectors
+        point = truth.seen_mm(position, reflectors[0].name)
+        rows = timeline.rows(moments_s)
+        for fault, mask in self._faults.struck("target", moments_s, rows):
+            number = min(max(int(fault.amount), 1), len(reflectors))
+            point[mask] = truth.seen_mm(position[mask], reflectors[number - 1].name)
+        return point
 
     def _beam_event(self, raw: RawSamples) -> bytes:
         locked = not raw.status[-1] & StatusBit.BEAM_BROKEN

@@ -6,6 +6,8 @@ target changes, the machine stands for the tracker to turn to it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from simulators.machine_file import MachineFile, Reflector
@@ -65,6 +67,21 @@ def turning_points(
     places = np.round(drawn, 4)
     feed = _feed_s(places, feed_mm_min / 60.0)
     return Program(places, feed, np.full(points, dwell_s), _named(target))
+
+
+def looking_at(machine: MachineFile, targets: Sequence[str]) -> tuple[str, ...]:
+    """Return the orders that turn a simulated tracker to the target of each row.
+
+    In the words of `simulators.faults`; none where the first target is measured alone.
+    """
+    known = [reflector.name for reflector in machine.reflectors]
+    orders: list[str] = []
+    latest = known[0]
+    for row, name in enumerate(targets):
+        if name != latest:
+            orders.append(f"tracker:target@row{row}*{known.index(name) + 1}")
+            latest = name
+    return tuple(orders)
 
 
 def _measured(machine: MachineFile) -> list[str]:

@@ -9,14 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.tracker.streaming.codec import StreamDecoder
+from drivers.tracker.streaming.messages import Start, encode_message
 from simulators import synthetic, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.errors import SimulatorError
+from simulators.faults import Schedule, parse_fault
 from simulators.machine_file import MachineFile, Reflector, parse_machine
 from simulators.profile import Limits
 from simulators.rotary_joint import RotaryJoint, local_frame
 from simulators.scenario import load_machine
 from simulators.timeline import follow, path_length
+from simulators.tracker_device import TrackerDevice, TrackerParts
+from simulators.tracker_head import Air, TrackerClock, random_pose
 from simulators.truth_machine import perfect, random_machine
 
 BUNDLED = ("head-table", "trunnion")
@@ -217,3 +222,27 @@ def test_a_bad_rotary_axis_is_refused_by_name(
 ) -> None:
     with pytest.raises(SimulatorError, match=said):
         head_table(**change)
+
+
+def test_the_tracker_is_turned_to_the_target_of_each_row(
+    five_axes: MachineFile,
+) -> None:
+    program = turning_paths.turning_path(five_axes, 3, 24, 8000.0)
+    orders = turning_paths.looking_at(five_axes, program.target)
+    assert len(orders) == 5
+    truth, pose = perfect(five_axes), random_pose(five_axes, 1)
+    device = TrackerDevice(
+        TrackerParts(truth, pose, TrackerClock(0.0, 0.0), Air(), 1),
+        Schedule(map(parse_fault, orders)),
+    )
+    timeline = follow(program, program.position[0], 0.0, Limits())
+    device.receive(encode_message(Start(1, 50.0)), 0.0, 0.0)
+    frames = device.due(timeline, timeline.end_s, 0.1)
+    samples = StreamDecoder().feed(frames).samples
+    row = timeline.rows(samples.device_time_s)
+    position = timeline.positions(samples.device_time_s)
+    for name in dict.fromkeys(program.target):
+        mine = np.array(program.target)[row] == name
+        expected = pose.from_table(truth.seen_mm(position[mine], name))
+        assert mine.any()
+        np.testing.assert_allclose(samples.position_mm[mine], expected, atol=0.1)
