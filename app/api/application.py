@@ -9,7 +9,16 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI
 
-from app.api import documentation, events, jobs, machine, nc_programs, problems, runs
+from app.api import (
+    documentation,
+    events,
+    grades,
+    jobs,
+    machine,
+    nc_programs,
+    problems,
+    runs,
+)
 from app.api.documentation import SCHEMA_PATH
 from app.api.models.base import PREFIX
 from app.api.security import Guard
@@ -90,6 +99,7 @@ def _api() -> APIRouter:
         jobs.router,
         jobs.results,
         jobs.stop,
+        grades.router,
         nc_programs.router,
         nc_programs.dialects,
         runs.router,

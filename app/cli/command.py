@@ -181,6 +181,42 @@ def analyse(
 
 
 @app.command()
+def grade(
+    machine: Annotated[Path, typer.Argument(metavar="MACHINE.json")],
+    commanded: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH.csv", help="A path, or standstill points: no feed column."
+        ),
+    ],
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z", help="Where the tracker stands, mm. Else usual places."
+        ),
+    ] = None,
+    perpendicular_only: Annotated[
+        bool,
+        typer.Option(
+            "--perpendicular-only", help="Leave out what is seen along each line."
+        ),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """What a set-up is worth, from its geometry alone; nothing moves."""
+    _compute_on_one_thread()
+    from app.cli.grading import grade_set_up
+
+    grade_set_up(
+        machine,
+        commanded,
+        tracker,
+        perpendicular_only=perpendicular_only,
+        as_json=json,
+    )
+
+
+@app.command()
 def predict(
     result: Annotated[
         Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")

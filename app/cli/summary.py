@@ -28,6 +28,7 @@ def summarised(result: Result, folder: Path) -> dict[str, Any]:
         "squareness_urad": result["squareness_urad"],
         "residual_rms_um": result["residuals"]["rms_um"],
         "observability": result["observability"],
+        "grade": result["grade"],
         "monte_carlo": _verdict(result),
         "files": [str(path) for path in _files(folder)],
     }
@@ -47,6 +48,10 @@ def print_result(result: Result, folder: Path) -> None:
     print_table(f"Errors of {result['machine']['name']}", columns, rows)
     for statement in result["observability"]["unobservable"]:
         print(f"not seen by this measurement: {statement}")
+    for statement in result["observability"]["weak"]:
+        print(f"told only weakly: {statement}")
+    if result["grade"] is not None:
+        print(f"grade of the set-up: {result['grade']['text']}")
     print(f"residuals {result['residuals']['rms_um']:.2f} µm rms")
     if (trials := result["monte_carlo"]) is not None:
         print(_worded(trials))

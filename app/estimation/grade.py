@@ -44,7 +44,9 @@ GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
 _INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
 _NAMED = 3  # weakest motions
-_UNKNOWN_PLACE = 1e-6  # a metre, a radian: the tracker's place before it is measured
+# What any measurement tells of the tracker's pose: 1 mm, 10 mrad. Less drowns in
+# rounding where a set-up tells hardly anything.
+_ROUGH_POSE = np.array([1.0, 1.0, 1.0, 1e4, 1e4, 1e4])
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +150,7 @@ def grade(
             perpendicular_only,
         ).number,
         weakest,
-        weak_shapes(refined.T @ told @ refined, coarse),
+        weak_shapes(refined.T @ told @ refined, coarse, refined.T @ gram @ refined),
         statements(machine, worst.seen.at.offset_mm, merged, model, worst.covariance),
     )
 
@@ -177,7 +179,7 @@ def _judged(
     prior = np.zeros_like(data.matrix)
     prior[: model.size, : model.size] = usual_precision(model)
     free = np.arange(model.size, len(prior))
-    prior[free, free] = _UNKNOWN_PLACE
+    prior[free, free] = _ROUGH_POSE
     covariance = posterior(data, prior).covariance[: model.size, : model.size]
     sigma = float(np.sqrt(max(np.sum(gram * covariance), 0.0)))
     return _Judged(seen, model, data, covariance, sigma, sample_sigma_mm(seen))
@@ -186,7 +188,7 @@ def _judged(
 def _machine_part(data: Information, model: MachineModel) -> Float64[np.ndarray, "p p"]:
     """Return what is told of the machine whatever the tracker's pose."""
     p = model.size
-    pose = data.matrix[p:, p:] + _UNKNOWN_PLACE * np.eye(len(data.matrix) - p)
+    pose = data.matrix[p:, p:] + np.diag(_ROUGH_POSE)
     cross = data.matrix[:p, p:]
     return data.matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
 

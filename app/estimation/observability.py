@@ -11,6 +11,7 @@ from app.estimation.estimate import Observability
 from app.estimation.identifiable import identifiable_model
 from app.estimation.runs import Measured, shares_of, together
 from app.estimation.separation import statements
+from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.machine import Machine
@@ -34,11 +35,12 @@ def observability(machine: Machine, runs: Sequence[Measured]) -> Observability:
     every = np.concatenate(offsets_mm)
     said = statements(machine, every, merged, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
+    weak = weak_shapes(told, model, volumetric_gram(model), blind=False)
     return Observability(
         model.size + sum(_shapes(m.symbol, model.machine) for m in merged),
         int(model.size - blind.sum()),
         said,
-        tuple(str(shape) for shape in weak_shapes(told, model, blind=False)),
+        tuple(str(shape) for shape in weak),
     )
 
 

@@ -9,14 +9,14 @@ uncertainty that is the prior's more than the measurement's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import eigh
 
 from app.estimation.prior import first_guess
-from app.estimation.volumetric_map import volumetric_gram
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.model import MachineModel
@@ -62,26 +62,38 @@ class WeakShape:
         )
 
 
-def usual_precision(model: MachineModel) -> Float64[np.ndarray, "p p"]:
-    """Return the prior precision of a usual machine, proper in every direction."""
-    precision = first_guess(model).precision(model.size)
+def usual_precision(
+    model: MachineModel, strength: Mapping[str, float] | None = None
+) -> Float64[np.ndarray, "p p"]:
+    """Return the prior precision of a usual machine, proper in every direction.
+
+    strength : of effects, by name, where it is known better
+    """
+    prior = first_guess(model)
+    known = {n: s for n, s in (strength or {}).items() if n in prior.strength}
+    prior = replace(prior, strength={**prior.strength, **known})
+    precision = prior.precision(model.size)
     slack = [USUAL.get(p.unit, 1.0) ** -2 for p in model.parameters]
     return precision + np.diag(slack)
 
 
 def weak_shapes(
-    told: Float64[np.ndarray, "p p"], model: MachineModel, *, blind: bool = True
+    told: Float64[np.ndarray, "p p"],
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    *,
+    blind: bool = True,
 ) -> tuple[WeakShape, ...]:
     """Return the shapes that matter and are hardly told, the worst first.
 
     told : information of the data on the model, everything else integrated out
+    gram : θᵀ G θ is the mean square of the volumetric error over the travel
     blind : those of which nothing is told as well
     """
     prior = usual_precision(model)
     # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
     value, vector = eigh(told, prior)
     left = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
-    gram = volumetric_gram(model)
     size = left * np.sqrt(np.einsum("ps,pq,qs->s", vector, gram, vector, optimize=True))
     order = np.argsort(-size)
     most = 1.0 if blind else _BLIND
