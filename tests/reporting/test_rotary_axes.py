@@ -14,13 +14,18 @@ from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
 
+pytestmark = pytest.mark.timeout(300)
 
-@pytest.fixture(scope="module")
-def analysed(tmp_path_factory):
+
+@pytest.fixture(scope="module", params=["standstill", "otf"])
+def analysed(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("five-axes")
     content = load_machine("head-table")
-    program = turning_paths.turning_points(parse_machine(content), 3, 160, dwell_s=0.5)
-    made = synthetic.record(content, program, 3, "standstill")
+    machine = parse_machine(content)
+    program = turning_paths.turning_points(machine, 3, 160, dwell_s=0.5)
+    if request.param == "otf":
+        program = turning_paths.turning_path(machine, 3, 90, 9000.0)
+    made = synthetic.record(content, program, 3, request.param)
     write_bundle_files(folder / "bundle", made)
     analysis = analyse(read_bundle(folder / "bundle"))
     write_analysis(analysis, folder)
