@@ -105,6 +105,7 @@ def _of_one(share: Share, machine: Posterior) -> RunEstimate:
         refined_pose(problem, theta),
         covariance[:6, :6],  # the pose comes first of what is the Run's own
         seen.at.point_mm.mean(axis=0),
+        seen.at.machine.tracker,
         float(np.linalg.norm(seen.tracker_mm, axis=1).mean()),
         _residuals(problem, theta, share.noise),
         len(seen),

@@ -10,6 +10,7 @@ from jaxtyping import Float64, Int64
 from app.estimation.direction import Fit
 from app.estimation.extrapolation import Ranges
 from app.estimation.noise import NoiseModel
+from app.kinematics.machine import TrackerNoise
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 
@@ -54,6 +55,7 @@ class RunEstimate:
 
     pose : workpiece to tracker; pose_covariance : (6, 6) shift in mm and turn in rad
         about `centre_mm`
+    tracker : as the Run's own machine file states it
     distance_mm : mean distance of the measured points from the tracker
     lines : rows of the path or points that it has data of
     """
@@ -62,6 +64,7 @@ class RunEstimate:
     pose: RigidTransform
     pose_covariance: Float64[np.ndarray, "6 6"]
     centre_mm: Float64[np.ndarray, "3"]
+    tracker: TrackerNoise
     distance_mm: float
     residuals: Residuals
     cells: int
@@ -100,51 +103,6 @@ class Estimate:
     def main(self) -> int:
         """The Run that most used samples come from."""
         return int(np.argmax([run.used_samples for run in self.runs]))
-
-    @property
-    def residuals(self) -> Residuals:
-        """Residuals of the main Run."""
-        return self.runs[self.main].residuals
-
-    @property
-    def noise(self) -> NoiseModel:
-        """Noise of the main Run."""
-        return self.runs[self.main].noise
-
-    @property
-    def pose(self) -> RigidTransform:
-        """Pose of the main Run."""
-        return self.runs[self.main].pose
-
-    @property
-    def pose_covariance(self) -> Float64[np.ndarray, "6 6"]:
-        """Covariance of that pose."""
-        return self.runs[self.main].pose_covariance
-
-    @property
-    def centre_mm(self) -> Float64[np.ndarray, "3"]:
-        """Point about which that pose turns."""
-        return self.runs[self.main].centre_mm
-
-    @property
-    def cells(self) -> int:
-        """Cells of all Runs."""
-        return sum(run.cells for run in self.runs)
-
-    @property
-    def used_samples(self) -> int:
-        """Samples that went into cells, of all Runs."""
-        return sum(run.used_samples for run in self.runs)
-
-    @property
-    def offered_samples(self) -> int:
-        """Samples of all streams."""
-        return sum(run.offered_samples for run in self.runs)
-
-    @property
-    def lines(self) -> int:
-        """Rows of paths and points with data."""
-        return sum(run.lines for run in self.runs)
 
     @property
     def rms_mm(self) -> float:

@@ -1,4 +1,4 @@
-"""Analysis as a job does it: one Run in; result file, tables and report out.
+"""Analysis as a job does it: Runs in; result file, tables and report out.
 
 `analyse` reads and writes nothing; `write_analysis` puts each file down whole or not at
 all. `predict_points` answers from a result file alone.
@@ -7,7 +7,7 @@ all. `predict_points` answers from a result file alone.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -15,11 +15,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from app.alignment.align import align
-from app.errors import BundleError
+from app.alignment.observations import Observations
+from app.errors import AlignmentError, BundleError
 from app.estimation.batch import estimate
-from app.estimation.grade import grade
+from app.estimation.estimate import Estimate
+from app.estimation.grade import Grade, grade
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import parse_json
+from app.measurement.one_machine import one_machine
 from app.measurement.run import Run
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.reporting.error_tables_csv import error_tables_csv
@@ -51,7 +54,7 @@ _SHARES_WITH_TRIALS = _Shares(0.01, 0.09, 0.98)
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What became of a Run.
+    """What became of one Run, or of several together.
 
     result : content of `result.json`; the others are texts of the files of that name
     """
@@ -63,14 +66,13 @@ class Analysis:
 
 
 def analyse(
-    run: Run,
-    *,
+    *runs: Run,
     perpendicular_only: bool = False,
     monte_carlo: TrialPlan | None = None,
     mapper: Mapper = map,
     progress: Progress | None = None,
 ) -> Analysis:
-    """Analyse a Run.
+    """Analyse Runs of one machine, of either mode, in one estimate.
 
     perpendicular_only : leave out what is measured along the travel
     monte_carlo : the trials that the uncertainty is held against, if it is to be
@@ -78,7 +80,8 @@ def analyse(
     progress : told the share done and the stage: aligning, estimating, validating where
         trials are run, reporting
 
-    Raises EstimationError if the data do not carry the answer.
+    Raises EstimationError if the data do not carry the answer, BundleError if the Runs
+    are not of one machine.
     """
     told = progress or (lambda share, stage: None)
     shares = _SHARES if monte_carlo is None else _SHARES_WITH_TRIALS
@@ -90,10 +93,15 @@ def analyse(
         told(shares.solved + share * (shares.tried - shares.solved), "validating")
 
     told(0.0, "aligning")
-    seen = align(run)
+    names = told_apart([run.name for run in runs])
+    one_machine([run.machine for run in runs], names)  # before the work, not after
+    observed = [
+        _aligned(run, name, len(runs)) for run, name in zip(runs, names, strict=True)
+    ]
     solved(0.0)
     estimated = estimate(
-        seen,
+        *observed,
+        names=names,
         perpendicular_only=perpendicular_only,
         keep_fit=monte_carlo is not None,
         progress=solved,
@@ -103,19 +111,47 @@ def analyse(
         tried(0.0)
         trials = held_against_trials(estimated, monte_carlo, mapper, tried)
     told(shares.tried, "reporting")
-    provenance = Provenance(account_of(run), version("truepath"), datetime.now(UTC))
-    graded = grade(
-        run.machine,
-        run.commanded,
-        stand_mm=estimated.pose.inverse().shift_mm,
-        perpendicular_only=perpendicular_only,
+    accounts = tuple(
+        replace(account_of(run), name=name)
+        for run, name in zip(runs, names, strict=True)
     )
+    provenance = Provenance(accounts, version("truepath"), datetime.now(UTC))
+    graded = _graded(runs, estimated)
     found = find(replace(estimated, fit=None), provenance, trials, graded)
     analysis = Analysis(
         found, result_json(found), error_tables_csv(found.tables), report_html(found)
     )
     told(1.0, "reporting")
     return analysis
+
+
+def told_apart(names: Sequence[str]) -> list[str]:
+    """Return the names of Runs, numbered where some have the same."""
+    if len(set(names)) == len(names):
+        return list(names)
+    return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+
+
+def _aligned(run: Run, name: str, count: int) -> Observations:
+    """Align a Run, and name it if it cannot be and there are others."""
+    try:
+        return align(run)
+    except AlignmentError as error:
+        if count == 1:
+            raise
+        raise AlignmentError(f"{name}: {error}") from error
+
+
+def _graded(runs: Sequence[Run], estimated: Estimate) -> Grade | None:
+    """Grade the set-up of a single Run; of several, none was planned as a whole."""
+    if len(runs) > 1:
+        return None
+    return grade(
+        runs[0].machine,
+        runs[0].commanded,
+        stand_mm=estimated.runs[0].pose.inverse().shift_mm,
+        perpendicular_only=estimated.perpendicular_only,
+    )
 
 
 def write_analysis(analysis: Analysis, folder: str | Path) -> None:

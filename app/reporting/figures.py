@@ -9,7 +9,7 @@ from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import error_motions, meaning
 from app.reporting.chart import Frame, Scale
 from app.reporting.error_tables import MILLI, ErrorTable, error_table
-from app.reporting.findings import Findings
+from app.reporting.findings import Findings, RunFindings
 from app.reporting.svg import WIDTH, Colour, band, curve, image, segments, words
 
 SIGN = {"um": "µm", "urad": "µrad"}
@@ -37,14 +37,14 @@ def axis_figure(found: Findings, axis: Axis) -> str:
     return image(height, f"Error motions of axis {axis.name} over its travel", parts)
 
 
-def residual_figure(found: Findings) -> str:
+def residual_figure(run: RunFindings) -> str:
     """Draw what is left on each line against the noise, and its distribution."""
     left = Frame(_LEFT, _TOP, 436.0, 152.0)
     right = Frame(486.0, _TOP, WIDTH - _EDGE, 152.0)
     return image(
         180.0,
         "Residuals by line, and the distribution of their components",
-        [_by_line(left, found), _histogram(right, found)],
+        [_by_line(left, run), _histogram(right, run)],
     )
 
 
@@ -105,9 +105,9 @@ def _level(
     return segments(begin, end, colour, width=width, dash=dash)
 
 
-def _by_line(frame: Frame, found: Findings) -> str:
-    lines, floor = found.by_line, MILLI * found.estimate.residuals.floor_mm
-    otf = found.provenance.run.mode == "otf"
+def _by_line(frame: Frame, run: RunFindings) -> str:
+    lines, floor = run.by_line, MILLI * run.estimate.residuals.floor_mm
+    otf = run.account.mode == "otf"
     row = lines.row.astype(np.float64)
     x = frame.across(float(row.min()), float(row.max()), margin=0.03)
     y = frame.up(0.0, 1.05 * max(float(lines.rms_um.max()), floor), margin=0.0)
@@ -132,8 +132,8 @@ def _by_line(frame: Frame, found: Findings) -> str:
     )
 
 
-def _histogram(frame: Frame, found: Findings) -> str:
-    residual = MILLI * found.estimate.residuals.residual_mm
+def _histogram(frame: Frame, run: RunFindings) -> str:
+    residual = MILLI * run.estimate.residuals.residual_mm
     reach = max(3.0 * float(np.std(residual)), 1e-3)
     edge = np.linspace(-reach, reach, _BINS + 1)
     share = [np.histogram(component, edge)[0] for component in residual.T]

@@ -8,9 +8,8 @@ from datetime import datetime
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.estimate import Estimate
+from app.estimation.estimate import Estimate, RunEstimate
 from app.estimation.grade import Grade
-from app.kinematics.effects.base import standstill
 from app.reporting.error_tables import MILLI, ErrorTables, error_tables
 from app.reporting.held_trials import HeldTrials
 from app.reporting.run_account import RunAccount
@@ -19,9 +18,9 @@ from app.reporting.volumetric_error import VolumetricError, volumetric_error
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Which program computed a result from which Run, when and how."""
+    """Which program computed a result from which Runs, when and how."""
 
-    run: RunAccount
+    runs: tuple[RunAccount, ...]
     software_version: str
     created: datetime
 
@@ -56,9 +55,24 @@ class NoiseFound:
 
 
 @dataclass(frozen=True, slots=True)
+class RunFindings:
+    """What is said of one Run.
+
+    number : of the Run in the estimate, from 0
+    """
+
+    number: int
+    account: RunAccount
+    estimate: RunEstimate
+    by_line: LineResiduals
+    noise: NoiseFound
+
+
+@dataclass(frozen=True, slots=True)
 class Findings:
     """An estimate and what follows from it.
 
+    runs : the Runs that it was made from, in the order given
     trials : what trials say of it, if they were run
     grade : what the set-up was worth before the measurement, if it was asked
     """
@@ -67,10 +81,14 @@ class Findings:
     provenance: Provenance
     tables: ErrorTables
     volumetric: VolumetricError
-    by_line: LineResiduals
-    noise: NoiseFound
+    runs: tuple[RunFindings, ...]
     trials: HeldTrials | None = None
     grade: Grade | None = None
+
+    @property
+    def main(self) -> RunFindings:
+        """The Run that most used samples come from."""
+        return self.runs[self.estimate.main]
 
 
 def find(
@@ -86,17 +104,30 @@ def find(
         provenance,
         error_tables(*parts, estimate.measured),
         volumetric_error(*parts),
-        residuals_by_line(estimate),
-        noise_found(estimate),
+        tuple(
+            RunFindings(
+                number,
+                account,
+                run,
+                residuals_by_line(run, across_only=estimate.perpendicular_only),
+                noise_found(run),
+            )
+            for number, (account, run) in enumerate(
+                zip(provenance.runs, estimate.runs, strict=True)
+            )
+        ),
         trials,
         grade,
     )
 
 
-def residuals_by_line(estimate: Estimate) -> LineResiduals:
-    """Return the residuals of each row, as `Residuals.rms_mm` counts them."""
-    residuals = estimate.residuals
-    if estimate.perpendicular_only:
+def residuals_by_line(run: RunEstimate, *, across_only: bool) -> LineResiduals:
+    """Return the residuals of each row, as `Residuals.rms_mm` counts them.
+
+    across_only : only what lies across the travel was used
+    """
+    residuals = run.residuals
+    if across_only:
         square = residuals.across_mm**2 / 3.0
     else:
         square = np.mean(residuals.residual_mm**2, axis=1)
@@ -107,20 +138,13 @@ def residuals_by_line(estimate: Estimate) -> LineResiduals:
     return LineResiduals(row, cells, MILLI * np.sqrt(mean))
 
 
-def noise_found(estimate: Estimate) -> NoiseFound:
-    """Return the noise of the Run in µm."""
-    machine, noise = estimate.model.machine, estimate.noise
-    position_mm = estimate.residuals.position_mm
-    offset_mm = np.tile(np.array(machine.target().offset_mm), (len(position_mm), 1))
-    at = standstill(machine, position_mm, offset_mm)
-    seen_from = machine.tracker.stands_on
-    at = at.seen_by(seen_from, np.zeros(len(position_mm), bool))
-    seen_mm = estimate.pose.apply(at.point_mm)
-    distance = float(np.linalg.norm(seen_mm, axis=1).mean())
-    stated = MILLI * machine.tracker.sigma_mm(np.array([distance]))[0]
+def noise_found(run: RunEstimate) -> NoiseFound:
+    """Return the noise of a Run in µm."""
+    noise = run.noise
+    stated = MILLI * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]
     along = MILLI * noise.along_sigma_mm
     return NoiseFound(
-        distance,
+        run.distance_mm,
         stated,
         stated * np.array(noise.white),
         stated * np.array(noise.slow),

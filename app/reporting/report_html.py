@@ -20,6 +20,7 @@ from app.reporting.report_measurement import (
     unobservable,
     validation,
 )
+from app.reporting.report_runs import measured_how
 from app.reporting.report_style import STYLE
 
 
@@ -48,11 +49,10 @@ def report_html(found: Findings) -> str:
 
 
 def _header(found: Findings, name: str) -> str:
-    run, created = found.provenance.run, found.provenance.created
-    how = "on the fly" if run.mode == "otf" else "at standstill"
+    created = found.provenance.created
     return (
         f"<header><p class=kind>Geometric calibration report</p><h1>{name}</h1>"
-        f"<p>Run {escape(run.name)}, measured {how} by laser tracker, analysed "
+        f"<p>{measured_how(found)} by laser tracker, analysed "
         f"{created:%Y-%m-%d %H:%M} {escape(created.tzname() or '')}</p></header>\n"
     )
 

@@ -21,7 +21,6 @@ from app.measurement.json_fields import Field, Fields
 from app.measurement.machine_file import machine_from_json, machine_to_json
 from app.reporting.direction_tables import half_differences
 from app.reporting.error_tables import (
-    MICRO,
     MILLI,
     ErrorTable,
     ErrorTables,
@@ -30,6 +29,14 @@ from app.reporting.error_tables import (
 from app.reporting.findings import Findings
 from app.reporting.grade_json import grade_json
 from app.reporting.model_json import model_from_json, model_to_json
+from app.reporting.run_account import digest_of_all
+from app.reporting.run_json import (
+    alignment_json,
+    by_direction_json,
+    lines_json,
+    noise_json,
+    run_json,
+)
 from app.reporting.trials_json import trials_json
 
 SCHEMA = "result/1"
@@ -74,7 +81,7 @@ def result_json(found: Findings) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "machine": machine_to_json(estimate.model.machine),
-        "mode": found.provenance.run.mode,
+        "mode": found.main.account.mode,
         "error_tables": {t.symbol: _table_json(t) for t in found.tables.tables},
         "squareness_urad": {
             s.symbol: {"value": s.value_urad, "uncertainty": s.uncertainty_urad}
@@ -85,9 +92,10 @@ def result_json(found: Findings) -> dict[str, Any]:
         **_locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
-        "alignment": _alignment_json(found),
+        "alignment": alignment_json(found.main),
         "residuals": _residuals_json(found),
-        "noise": _noise_json(found),
+        "noise": {**noise_json(found.main), "prior_strength": estimate.strength},
+        "runs": [run_json(run) for run in found.runs],
         "observability": {
             "rank": estimate.observability.rank,
             "parameters": estimate.observability.parameters,
@@ -225,70 +233,29 @@ def _volumetric_json(found: Findings) -> dict[str, Any]:
     }
 
 
-def _alignment_json(found: Findings) -> dict[str, Any]:
-    estimate, run = found.estimate, found.provenance.run
-    sigma = np.sqrt(np.maximum(np.diag(estimate.pose_covariance), 0.0))
-    first = 1 if run.mode == "otf" else 0
-    rows = set(range(first, first + run.lines))
-    return {
-        "pose": {
-            "from": "workpiece",
-            "to": "tracker",
-            "rotation": estimate.pose.rotation.tolist(),
-            "shift_mm": estimate.pose.shift_mm.tolist(),
-        },
-        "pose_uncertainty": {
-            "about_mm": estimate.centre_mm.tolist(),
-            "shift_um": (MILLI * sigma[:3]).tolist(),
-            "turn_urad": (MICRO * sigma[3:]).tolist(),
-        },
-        "lines": run.lines,
-        "matched_lines": estimate.lines,
-        "rows_without_data": sorted(rows - set(found.by_line.row.tolist())),
-        "cells": estimate.cells,
-        "samples": estimate.offered_samples,
-        "used_samples": estimate.used_samples,
-    }
-
-
 def _residuals_json(found: Findings) -> dict[str, Any]:
-    residuals, lines = found.estimate.residuals, found.by_line
-    beam = MILLI * np.sqrt(np.mean(residuals.residual_mm**2, axis=0))
-    rows = zip(lines.row, lines.cells, lines.rms_um, strict=True)
+    """Return the residuals over the cells of all Runs."""
+    every = np.concatenate([run.estimate.residuals.residual_mm for run in found.runs])
     return {
-        "rms_um": MILLI * residuals.rms_mm,
-        "noise_floor_um": MILLI * residuals.floor_mm,
-        "by_direction_um": dict(
-            zip(("beam", "azimuth", "elevation"), beam.tolist(), strict=True)
-        ),
+        "rms_um": MILLI * found.estimate.rms_mm,
+        "noise_floor_um": MILLI * found.estimate.floor_mm,
+        "by_direction_um": by_direction_json(every),
         "by_line": [
-            {"row": int(row), "cells": int(cells), "rms_um": float(rms)}
-            for row, cells, rms in rows
+            {"run": run.number, **line}
+            for run in found.runs
+            for line in lines_json(run)
         ],
     }
 
 
-def _noise_json(found: Findings) -> dict[str, Any]:
-    noise, known = found.noise, ("along_beam", "across_beam")
-    return {
-        "distance_mm": noise.distance_mm,
-        "stated_um": dict(zip(known, noise.stated_um.tolist(), strict=True)),
-        "white_um": dict(zip(known, noise.white_um.tolist(), strict=True)),
-        "slow_um": dict(zip(known, noise.slow_um.tolist(), strict=True)),
-        "slow_time_s": noise.slow_time_s,
-        "along_travel_um": noise.along_travel_um,
-        "prior_strength": found.estimate.strength,
-    }
-
-
 def _provenance_json(found: Findings) -> dict[str, Any]:
-    provenance, run = found.provenance, found.provenance.run
+    provenance, run = found.provenance, found.main.account
     return {
         "software": "truepath",
         "software_version": provenance.software_version,
         "created": provenance.created.isoformat(timespec="seconds"),
-        "run": run.name,
-        "input_sha256": run.digest,
+        "run": ", ".join(account.name for account in provenance.runs),
+        "input_sha256": digest_of_all(provenance.runs),
         "source": run.source,
         "options": {"perpendicular_only": found.estimate.perpendicular_only},
         "measured_s": run.measured_s,

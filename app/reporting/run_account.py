@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +75,14 @@ def run_digest(run: Run) -> str:
         kind = "<f8" if np.issubdtype(block.dtype, np.floating) else "<i8"
         digest.update(np.ascontiguousarray(block, dtype=kind).tobytes())
     return digest.hexdigest()
+
+
+def digest_of_all(accounts: Sequence[RunAccount]) -> str:
+    """Return the digest of a Run, or the SHA-256 of the digests of several."""
+    if len(accounts) == 1:
+        return accounts[0].digest
+    every = "\n".join(account.digest for account in accounts)
+    return hashlib.sha256(every.encode()).hexdigest()
 
 
 def _temperature(run: Run) -> dict[str, tuple[float, float]]:

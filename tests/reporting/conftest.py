@@ -43,6 +43,7 @@ def of_a_run(residuals: Residuals) -> RunEstimate:
         RigidTransform(np.eye(3), np.array([900.0, 100.0, -200.0])),
         1e-6 * np.eye(6),
         np.array([50.0, 200.0, 0.0]),
+        TrackerNoise(),
         1_100.0,
         residuals,
         CELLS,
@@ -119,7 +120,7 @@ def provenance() -> Provenance:
         {"X": (19.9, 20.1)},
         {"source": "monday.zip"},
     )
-    return Provenance(run, "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
+    return Provenance((run,), "9.9", datetime(2026, 3, 7, 8, 30, tzinfo=UTC))
 
 
 @pytest.fixture(scope="session")

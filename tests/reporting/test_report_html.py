@@ -149,9 +149,9 @@ def test_residuals_above_the_noise_are_a_warning(estimate, provenance, with_resi
 
 def test_a_standstill_run_speaks_of_points(estimate, provenance):
     run = replace(
-        provenance.run, mode="standstill", feed_mm_min=None, temperature_degc={}
+        provenance.runs[0], mode="standstill", feed_mm_min=None, temperature_degc={}
     )
-    at_rest = find(estimate, replace(provenance, run=run))
+    at_rest = find(estimate, replace(provenance, runs=(run,)))
     assert "measured at standstill" in report_html(at_rest)
     text = machine_and_measurement(1, at_rest)
     assert "12 points" in text
@@ -164,8 +164,8 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
 
 
 def test_one_feed_is_one_number(estimate, provenance):
-    run = replace(provenance.run, feed_mm_min=(2500.0, 2500.0))
-    found = find(estimate, replace(provenance, run=run))
+    run = replace(provenance.runs[0], feed_mm_min=(2500.0, 2500.0))
+    found = find(estimate, replace(provenance, runs=(run,)))
     assert "on the fly at 2,500 mm/min" in machine_and_measurement(1, found)
 
 
@@ -179,9 +179,9 @@ def test_names_cannot_smuggle_markup_into_the_page(estimate, provenance):
     evil = "<script>alert(1)</script>"
     machine = replace(estimate.model.machine, name=evil)
     model = replace(estimate.model, machine=machine)
-    run = replace(provenance.run, name=evil, source={evil: evil})
+    run = replace(provenance.runs[0], name=evil, source={evil: evil})
     page = report_html(
-        find(replace(estimate, model=model), replace(provenance, run=run))
+        find(replace(estimate, model=model), replace(provenance, runs=(run,)))
     )
     assert "<script" not in page
     assert "&lt;script&gt;" in page
@@ -214,13 +214,14 @@ def test_errors_of_nothing_are_drawn_all_the_same(estimate, provenance):
 
 
 def test_residuals_across_the_travel_count_where_only_those_were_used(across_only):
-    lines = residuals_by_line(across_only)
-    square = across_only.runs[0].residuals.across_mm.reshape(len(lines.row), -1) ** 2
+    run = across_only.runs[0]
+    lines = residuals_by_line(run, across_only=True)
+    square = run.residuals.across_mm.reshape(len(lines.row), -1) ** 2
     assert lines.rms_um == pytest.approx(1e3 * np.sqrt(square.mean(axis=1) / 3))
 
 
 def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
-    noise = noise_found(estimate)
+    noise = noise_found(estimate.runs[0])
     tracker = estimate.model.machine.tracker
     stated = 1e3 * tracker.sigma_mm(np.array([noise.distance_mm]))[0]
     assert 500.0 < noise.distance_mm < 2000.0

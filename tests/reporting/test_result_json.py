@@ -94,8 +94,8 @@ def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance
 
 
 def test_standstill_rows_count_from_the_first_point(estimate, provenance):
-    run = replace(provenance.run, mode="standstill", feed_mm_min=None)
-    found = find(estimate, replace(provenance, run=run))
+    run = replace(provenance.runs[0], mode="standstill", feed_mm_min=None)
+    found = find(estimate, replace(provenance, runs=(run,)))
     content = result_json(found)
     assert content["mode"] == "standstill"
     assert content["alignment"]["rows_without_data"] == [0]
