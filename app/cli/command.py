@@ -263,3 +263,26 @@ def compare(
 
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
     compare_result(result, reference, output, uncertainty, as_json=json)
+
+
+@app.command()
+def export(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")
+    ],
+    format: Annotated[
+        str, typer.Option(metavar="F", help="Of the controller; another word lists.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
+    ],
+    spacing: Annotated[
+        float, typer.Option(min=0.1, help="Of the rows of a table, mm.")
+    ] = 10.0,
+    json: Json = False,
+) -> None:
+    """A controller's compensation file, and what it leaves behind."""
+    _compute_on_one_thread()
+    from app.cli.exporting import export_compensation
+
+    export_compensation(result, format, output, spacing, as_json=json)

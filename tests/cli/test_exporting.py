@@ -1,0 +1,100 @@
+"""`export`: files a controller loads, held against the machine's true errors."""
+
+import json
+
+import numpy as np
+import pytest
+
+from app.cli.command import run
+from app.measurement.machine_file import machine_from_json
+from app.reporting.compensation.isg_csv import IsgCsv
+from app.reporting.compensation.linuxcnc import LinuxCnc
+from simulators.scenario import load_machine
+
+
+def exported(analysed, name, output, *more):
+    result = str(analysed / "result.json")
+    return run(["export", result, "--format", name, "-o", str(output), *more])
+
+
+def test_a_format_of_one_file_is_written_where_it_is_asked(analysed, tmp_path, capsys):
+    assert exported(analysed, "siemens-lec", tmp_path / "axes.ini") == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"axes.ini", "axes.json"}
+    said = capsys.readouterr()
+    assert "carries: positioning of each axis" in said.out
+    assert "µm, with these tables" in said.out
+    assert "sign is not verified" not in said.err
+
+
+def test_a_format_of_one_file_keeps_another_suffix(analysed, tmp_path):
+    assert exported(analysed, "siemens-lec", tmp_path / "axes.arc") == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"axes.arc", "axes.json"}
+
+
+def test_a_format_of_a_file_an_axis_begins_their_names(analysed, tmp_path, summary):
+    assert exported(analysed, "linuxcnc", tmp_path / "new" / "comp.tbl", "--json") == 0
+    said = summary()
+    names = {"comp-X.tbl", "comp-Y.tbl", "comp-Z.tbl"}
+    assert {p.name for p in (tmp_path / "new").iterdir()} == names | {"comp.json"}
+    assert {path.rsplit("/", 1)[1] for path in said["files"]} == names
+    beside = json.loads((tmp_path / "new" / "comp.json").read_text())
+    assert beside == said
+    assert said["schema"] == "compensation/1"
+    assert said["provenance"]["software"] == "truepath"
+    assert len(said["unobservable"]) == 4
+
+
+def test_a_sign_that_no_manual_states_is_said_to_be_tried_first(
+    analysed, tmp_path, capsys
+):
+    assert exported(analysed, "heidenhain", tmp_path / "comp") == 0
+    assert "try one deliberate value before first use" in capsys.readouterr().err
+
+
+def test_volumetric_tables_take_the_true_errors_away(
+    analysed, record, volume, rigid_free, tmp_path
+):
+    assert exported(analysed, "isg-csv", tmp_path / "comp.csv") == 0
+    machine = machine_from_json(load_machine("demo"))
+    text = (tmp_path / "comp.csv").read_text()
+    correction = IsgCsv().read({"comp.csv": text}, machine)
+    q = volume(machine)
+    true = record(1, rows=24)[1].deviation_mm(q)
+    before, after = (rigid_free(q, e) for e in (true, true + correction(q, 1.0)))
+    assert np.sqrt(np.mean(after**2)) < 0.12 * np.sqrt(np.mean(before**2))
+
+
+def test_an_axis_table_takes_the_true_positioning_away(analysed, record, tmp_path):
+    assert exported(analysed, "linuxcnc", tmp_path / "comp.tbl", "--spacing", "20") == 0
+    machine = machine_from_json(load_machine("demo"))
+    texts = {p.name: p.read_text() for p in tmp_path.glob("*.tbl")}
+    correction = LinuxCnc().read(texts, machine)
+    truth = record(1, rows=24)[1]
+    for column, axis in enumerate(machine.linear_axes):
+        q = np.tile([(a.min_mm + a.max_mm) / 2 for a in machine.linear_axes], (97, 1))
+        q[:, column] = np.linspace(axis.min_mm, axis.max_mm, 97)
+        true = truth.deviation_mm(q)[:, column]
+        left = true + correction(q, 1.0)[:, column]
+        assert np.ptp(left) < max(0.35 * np.ptp(true), 0.004)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--format", "vcs"], "installed: fanuc, heidenhain"),
+        (["--format", "fanuc", "--spacing", "0"], "spacing"),
+    ],
+)
+def test_what_cannot_be_written_says_why(
+    analysed, tmp_path, capsys, arguments, message
+):
+    result = str(analysed / "result.json")
+    assert run(["export", result, *arguments, "-o", str(tmp_path / "comp")]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_is_no_result_is_refused(tmp_path, capsys):
+    (tmp_path / "result.json").write_text("{}")
+    assert exported(tmp_path, "linuxcnc", tmp_path / "comp") == 2
+    assert "schema" in capsys.readouterr().err

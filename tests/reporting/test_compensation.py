@@ -1,0 +1,296 @@
+"""Compensation files: what a controller makes of them, by rule and by other hands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pyLSV2 import NCTable
+
+from app.errors import BadInput
+from app.reporting.compensation.export import export_result, format_names
+from app.reporting.compensation.fanuc import Fanuc
+from app.reporting.compensation.heidenhain import Heidenhain
+from app.reporting.compensation.isg_csv import IsgCsv
+from app.reporting.compensation.linuxcnc import LinuxCnc
+from app.reporting.compensation.siemens import SiemensCec, SiemensLec
+from app.reporting.compensation.source import source_of
+
+OURS = ("fanuc", "heidenhain", "isg-csv", "linuxcnc", "siemens-cec", "siemens-lec")
+every_format = pytest.mark.parametrize("name", OURS)
+
+
+@pytest.fixture(scope="module")
+def source(loaded):
+    return source_of(loaded)
+
+
+@pytest.fixture(scope="module")
+def with_backlash(source):
+    """The same machine, 8 µm of lost motion in X: half of it each way."""
+    axis = source.axes[0]
+    half = np.array([axis.min_mm, axis.max_mm]), np.full(2, 0.004)
+    return replace(source, half={"X": half})
+
+
+def along(source, axis, at):
+    """Positions along the middle of the other axes."""
+    place = np.tile(source.middle_mm(), (len(at), 1))
+    place[:, source.machine.axis_names.index(axis)] = at
+    return place
+
+
+def flat(values):
+    """Values without their mean: where an axis is 0 is a convention."""
+    return values - values.mean(axis=0)
+
+
+def test_our_formats_are_installed():
+    assert set(OURS) <= set(format_names())
+
+
+@every_format
+def test_what_is_left_is_stated_and_less_than_before(source, name):
+    account = export_result(source, name, "comp").account
+    stated = account["volumetric_error_um"]
+    assert 0.0 < stated["after"]["mean"] < stated["before"]["mean"]
+    assert stated["after"]["largest"] < 1.05 * stated["before"]["largest"]
+    assert account["interpolation_loss_um"] < 0.5
+    assert account["sign"]["verified"] == (name in ("linuxcnc", "siemens-lec"))
+    assert account["unobservable"] == list(source.result.unobservable)
+    assert account["target_offset_mm"]
+
+
+def test_only_the_format_with_all_motions_corrects_the_whole_volume(source):
+    left = {
+        name: export_result(source, name, "c").account["volumetric_error_um"]
+        for name in OURS
+    }
+    share = {n: v["after"]["mean"] / v["before"]["mean"] for n, v in left.items()}
+    assert share["isg-csv"] < 0.01
+    assert (
+        share["isg-csv"]
+        < share["heidenhain"]
+        < min(share["siemens-lec"], share["siemens-cec"])
+    )
+    assert share["linuxcnc"] == pytest.approx(share["siemens-lec"], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["fanuc", "heidenhain", "linuxcnc", "siemens-lec"])
+@pytest.mark.parametrize("axis", ["X", "Y", "Z"])
+def test_positioning_along_the_middle_is_gone_between_the_rows_too(source, name, axis):
+    kind = {"fanuc": Fanuc, "heidenhain": Heidenhain, "linuxcnc": LinuxCnc}
+    read = kind.get(name, SiemensLec)().read
+    correction = read(export_result(source, name, "comp").files, source.machine)
+    own = "XYZ".index(axis)
+    travel = source.axes[own]
+    place = along(source, axis, np.linspace(travel.min_mm, travel.max_mm, 333))
+    error = flat(source.error_mm(place))[:, own]
+    left = error + flat(correction(place, 1.0))[:, own]
+    assert np.abs(error).max() > 0.002
+    assert np.abs(left).max() < (0.0011 if name == "fanuc" else 0.0003)
+
+
+def test_tables_are_zero_at_the_reference_point(source):
+    for kind, name in ((SiemensLec, "siemens-lec"), (Fanuc, "fanuc")):
+        read = kind().read(export_result(source, name, "c").files, source.machine)
+        for axis in source.axes:
+            zero = 0.0 if axis.min_mm <= 0 <= axis.max_mm else axis.min_mm
+            added = read(along(source, axis.name, np.array([zero])), 1.0)
+            assert abs(added[0, "XYZ".index(axis.name)]) < 6e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("linuxcnc", LinuxCnc), ("heidenhain", Heidenhain)]
+)
+def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
+    files = export_result(with_backlash, name, "comp").files
+    correction = kind().read(files, with_backlash.machine)
+    travel = with_backlash.axes[0]
+    at = np.linspace(travel.min_mm + 1, travel.max_mm - 1, 101)
+    place = along(with_backlash, "X", at)
+    up, down = (
+        with_backlash.error_mm(place, d)[:, 0] + correction(place, d)[:, 0]
+        for d in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(up, down, atol=3e-5)
+    lost = with_backlash.error_mm(place, 1.0) - with_backlash.error_mm(place, -1.0)
+    np.testing.assert_allclose(lost[:, 0], 0.008, atol=1e-9)
+
+
+@every_format
+def test_every_file_is_ascii_and_says_where_it_comes_from(source, name):
+    files = export_result(source, name, "comp").files
+    assert all(text.isascii() and text.endswith("\n") for text in files.values())
+    commented = name in ("isg-csv", "siemens-lec", "siemens-cec")
+    said = all("target offset" in text for text in files.values())
+    assert said == commented
+
+
+@every_format
+def test_rows_fit_into_the_controller(source, name):
+    account = export_result(source, name, "comp", spacing_mm=0.1).account
+    most = {"linuxcnc": 256, "heidenhain": 256, "fanuc": 300, "siemens-cec": 500}
+    for table in account["tables"].values():
+        assert table["points"] <= most.get(name, 1000)
+
+
+def test_a_machine_without_errors_worth_a_table_gets_none(source):
+    tiny = replace(source.result, theta=2e-3 * source.result.theta)
+    with pytest.raises(BadInput, match="below what it resolves"):
+        export_result(source_of(tiny), "fanuc", "comp")
+
+
+def test_an_unknown_format_is_answered_with_those_that_are_installed(source):
+    with pytest.raises(BadInput, match="installed: fanuc, heidenhain, isg-csv"):
+        export_result(source, "vcs", "comp")
+
+
+# What controllers make of files written by hand.
+
+
+def at_x(*values):
+    return np.array([[value, 0.0, 0.0] for value in values])
+
+
+def test_linuxcnc_adds_nominal_less_column_by_direction(source):
+    # As measured on LinuxCNC 2.9: 99.950 going up, 99.970 going down, ends held.
+    text = "-10 -10.000 -10.000\n0 0.000 -0.010\n100 100.050 100.030\n510 510 509.98\n"
+    correction = LinuxCnc().read({"c-X.tbl": text}, source.machine)
+    up = correction(at_x(100.0, 50.0, 600.0), 1.0)
+    np.testing.assert_allclose(up[:, 0], [-0.05, -0.025, 0.0], atol=1e-12)
+    down = correction(at_x(100.0, -20.0), -1.0)
+    np.testing.assert_allclose(down[:, 0], [-0.03, 0.0], atol=1e-12)
+    assert not up[:, 1:].any()
+
+
+@pytest.mark.parametrize(
+    "text", ["# head\n0 0 0\n", "0,0,0\n1,1,1\n", "1 1 1\n0 0 0\n"]
+)
+def test_what_linuxcnc_would_ignore_without_a_word_is_refused(source, text):
+    with pytest.raises(BadInput):
+        LinuxCnc().read({"c-X.tbl": text}, source.machine)
+
+
+def test_a_positive_siemens_value_moves_the_axis_in_the_negative_direction(source):
+    text = """%_N_AX_EEC_INI
+CHANDATA(1)
+$AA_ENC_COMP[0,0,X1]=0.0 ; by hand
+$AA_ENC_COMP[0,1,X1]=0.01
+$AA_ENC_COMP[0,2,X1]=0.02
+$AA_ENC_COMP_STEP[0,X1]=100.0
+$AA_ENC_COMP_MIN[0,X1]=-100.0
+$AA_ENC_COMP_MAX[0,X1]=100.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+M17
+"""
+    correction = SiemensLec().read({"x.ini": text}, source.machine)
+    added = correction(at_x(-200.0, -50.0, 0.0, 100.0), 1.0)
+    np.testing.assert_allclose(added[:, 0], [0.0, -0.005, -0.01, -0.02])
+    with pytest.raises(BadInput, match="lacks points"):
+        SiemensLec().read(
+            {"x.ini": text.replace("[0,1,X1]", "[0,3,X1]")}, source.machine
+        )
+    with pytest.raises(BadInput, match="row 3"):
+        SiemensLec().read({"x.ini": text.replace("=0.0 ;", "=O.O ;")}, source.machine)
+
+
+def test_a_siemens_cross_table_corrects_one_axis_by_another(source):
+    text = """$AN_CEC[0,0]=0.0
+$AN_CEC[0,1]=0.03
+$AN_CEC_INPUT_AXIS[0]=(AX1)
+$AN_CEC_OUTPUT_AXIS[0]=(AX3)
+$AN_CEC_STEP[0]=300.0
+$AN_CEC_MIN[0]=0.0
+$AN_CEC_MAX[0]=300.0
+"""
+    added = SiemensCec().read({"c.ini": text}, source.machine)(at_x(100.0), 1.0)
+    np.testing.assert_allclose(added, [[0.0, 0.0, -0.01]])
+
+
+def test_fanuc_points_count_intervals_from_the_reference_point(source):
+    # FANUC's own example: travel −400 to 800, interval 50, reference point number 40:
+    # points 33 to 56.
+    axes = tuple(
+        replace(axis, min_mm=-400.0, max_mm=800.0)
+        for axis in source.machine.linear_axes
+    )
+    machine = replace(source.machine, axes=axes)
+    increments = dict.fromkeys(range(33, 57), 0) | {41: 2, 42: 1, 40: 3, 33: -1}
+    rows = [
+        f"N{10000 + 100 * axis + number}P{step}"
+        for axis in range(3)
+        for number, step in increments.items()
+    ]
+    words = {3620: 40, 3621: 33, 3622: 56}
+    parameters = [
+        f"N0{number}" + "".join(f"A{i + 1}P{value + 100 * i}" for i in range(3))
+        for number, value in words.items()
+    ]
+    parameters += ["N03623A1P1A2P1A3P2", "N03624A1P50.0A2P50.0A3P50.0"]
+    files = {
+        "c-pitch.txt": "\n".join(["%", *rows, "%", ""]),
+        "c-parameters.txt": "\n".join(["%", *parameters, "%", ""]),
+    }
+    correction = Fanuc().read(files, machine)
+    added = 1e3 * correction(at_x(0, 50, 100, 800, 25, -50, -350, -400), 1.0)[:, 0]
+    np.testing.assert_allclose(added, [0, 2, 3, 3, 1, -3, -3, -2], atol=1e-9)
+    place = np.array([[0.0, 0.0, 50.0]])
+    assert correction(place, 1.0)[0, 2] == pytest.approx(0.004)  # magnification 2
+
+
+def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(source):
+    files = export_result(source, "fanuc", "comp").files
+    steps = [
+        int(line.partition("P")[2])
+        for line in files["comp-pitch.txt"].split()
+        if line.startswith("N")
+    ]
+    assert max(map(abs, steps)) <= 7
+    larger = replace(source.result, theta=60.0 * source.result.theta)
+    account = export_result(source_of(larger), "fanuc", "comp").account
+    after = account["volumetric_error_um"]
+    assert after["after"]["mean"] < after["before"]["mean"]
+
+
+def test_isg_takes_the_errors_of_the_chain_away(source):
+    text = """// by hand
+X  EXX  EYX  EZX  EAX  EBX  ECX
+0  0  0  0  0  0  0
+100  0.01  0.02  0  0  0  0.0001
+"""
+    machine = source.machine
+    position = np.array([[100.0, 30.0, 0.0]])
+    added = IsgCsv().read({"c.csv": text}, machine)(position, 1.0)
+    later = machine.order[machine.order.index("X") + 1 :]
+    arm = 30.0 if "Y" in later else 0.0
+    np.testing.assert_allclose(added, [[-0.01 + 0.0001 * arm, -0.02, 0.0]], atol=1e-12)
+    with pytest.raises(BadInput, match="six motions"):
+        IsgCsv().read({"c.csv": text.replace("EYX", "EYY")}, machine)
+
+
+def test_heidenhain_tables_are_read_by_a_parser_that_is_not_ours(source, tmp_path):
+    files = export_result(source, "heidenhain", "comp").files
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    config = NCTable.parse_table(tmp_path / "config.cma").rows[0]
+    assert config["ACTIVE"] == "*"
+    for axis in source.axes:
+        table = NCTable.parse_table(tmp_path / config[axis.name])
+        assert table.column_names == ["NR", "AXISPOS", "BACKLASH", "X", "Y", "Z"]
+        at = np.array([float(row["AXISPOS"]) for row in table.rows])
+        value = np.array([float(row[axis.name]) for row in table.rows])
+        error = source.error_mm(along(source, axis.name, at))
+        own = flat(error)[:, "XYZ".index(axis.name)]
+        np.testing.assert_allclose(flat(value), -own, atol=2e-5)
+
+
+def test_heidenhain_tables_act_only_when_activated(source):
+    files = export_result(source, "heidenhain", "comp").files
+    off = {**files, "config.cma": files["config.cma"].replace("*", "-")}
+    with pytest.raises(BadInput, match="no line is active"):
+        Heidenhain().read(off, source.machine)
+    cut = {**files, "config.cma": "NR ACTIVE\n"}
+    with pytest.raises(BadInput, match=r"BEGIN and ends with \[END\]"):
+        Heidenhain().read(cut, source.machine)
