@@ -108,10 +108,10 @@ def _chain_model(
 ) -> tuple[MachineModel, tuple[Merged, ...]]:
     told = told_by(
         machine,
-        [
-            [t for t in machine.targets if _is_among(t.offset_mm, measured)]
+        tuple(
+            tuple(t for t in machine.targets if _is_among(t.offset_mm, measured))
             for measured in each_run
-        ],
+        ),
     )
     axes = {axis.name: axis for axis in machine.axes}
     motions = [

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
@@ -46,7 +47,8 @@ class Told:
     merged: tuple[tuple[str, tuple[str, ...]], ...]
 
 
-def told_by(machine: Machine, runs: Sequence[Sequence[Target]]) -> Told:
+@lru_cache(maxsize=16)  # asked anew by every stage of an estimate
+def told_by(machine: Machine, runs: tuple[tuple[Target, ...], ...]) -> Told:
     """Return what the targets of all Runs tell from where the tracker stands.
 
     runs : the targets measured in each Run
