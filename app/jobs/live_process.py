@@ -70,7 +70,7 @@ def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None
         now = live.estimate() if is_new else None
         if now is not None:
             elapsed_s = round(now.time_s - (stream.begun_s or 0.0), 4)
-            body = {**_body(now), "total": total, "elapsed_s": elapsed_s}
+            body = {**estimate_json(now), "total": total, "elapsed_s": elapsed_s}
             answers.send({**body, "is_last": stream.is_over})
 
 
@@ -104,7 +104,7 @@ class _Stream:
         return [block]
 
 
-def _body(now: Any) -> dict[str, Any]:
+def estimate_json(now: Any) -> dict[str, Any]:
     """Return a LiveEstimate in the words of `result.json`."""
     from app.reporting.error_tables import error_tables
 

@@ -97,6 +97,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def plan(job_id: str) -> Any:
         return service.plan
 
+    @app.get(f"{API}/jobs/{{job_id}}/plan/grade")
+    def grade(job_id: str) -> Any:
+        return service.grade
+
     @app.get(f"{API}/nc-dialects")
     def nc_dialects() -> Any:
         return {"items": [{"name": "heidenhain", "control": "Heidenhain TNC"}]}

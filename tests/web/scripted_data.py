@@ -35,6 +35,28 @@ MOTION = {
 }
 
 
+GRADE = {
+    "number": 0.86,
+    "verdict": "usable",
+    "thresholds": {"good": 0.25, "usable": 1.0},
+    "text": "0.86, usable: …",
+    "expected_uncertainty_um": 6.5,
+    "sample_sigma_um": 7.6,
+    "tracker": {"position_mm": [270, 1430, 0], "assumed": True, "best_number": 0.69},
+    "improved_number": 0.34,
+    "weakest": [
+        {
+            "error": "ECX",
+            "meaning": "turn of X about Z",
+            "at_tool_um": 6.3,
+            "remedy": "add a line along Y at the low end of X and the middle of Z",
+        }
+    ],
+    "weak_shapes": [],
+    "unobservable": [],
+}
+
+
 def planned_path(lines: int = 22) -> dict[str, Any]:
     """Return chords through the travel, ends on its faces."""
     rng = np.random.default_rng(5)

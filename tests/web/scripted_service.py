@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from fastapi import Request
 from scripted_data import (
+    GRADE,
     MACHINE,
     TRACKER_STANDS_MM,
     estimate,
@@ -41,6 +42,7 @@ class ScriptedService:
         self.jobs: dict[str, dict[str, Any]] = {}
         self.runs: list[dict[str, Any]] = []
         self.plan = planned_path()
+        self.grade: dict[str, Any] = GRADE
         self.machine: dict[str, Any] = MACHINE
         self.result = result()
         self.estimates: dict[str, dict[str, Any]] = {}

@@ -229,6 +229,17 @@ def test_a_discarded_check_leads_back_to_the_plan(panel, service):
     expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
 
 
+def test_the_set_up_is_graded_before_anything_moves(panel, service):
+    service.connected = True
+    ready(service)
+    page = panel.open()
+    card = page.locator(".card", has_text="Grade of the set-up")
+    expect(card).to_contain_text("0.86: usable")
+    expect(card).to_contain_text("13.0 µm")
+    expect(card).to_contain_text("add a line along Y at the low end of X")
+    expect(card).to_contain_text("0.34")
+
+
 def test_the_path_can_be_taken_away_as_a_program(panel, service, tmp_path: Path):
     service.connected = True
     ready(service)

@@ -8,7 +8,7 @@ import re
 import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
-from scripted_data import TURNTABLE, half_differences, turntable_estimate
+from scripted_data import TURNTABLE, turntable_estimate
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
@@ -174,23 +174,6 @@ def test_a_target_out_of_limits_cannot_be_planned(panel, service, typed):
     expect(page.locator("#target-error")).to_have_text("From 0.1 to 1,000 µm.")
     expect(page.locator(NEXT)).to_be_disabled()
     expect(page.locator("#reason")).to_contain_text("target uncertainty")
-
-
-def test_both_directions_of_approach_are_drawn_and_listed(panel, service):
-    service.result["direction"] = {
-        "model": "constant",
-        "half_difference": half_differences(),
-    }
-    job = measuring(service)
-    service.finish(job)
-    page = panel.open(f"#/result/{job}")
-    expect(page.locator(".key .is-up")).to_have_text("Approaching upwards")
-    page.locator("[data-symbol=EXX]").get_by_role("button").click()
-    sheet = page.locator("#detail")
-    expect(sheet.locator("thead th")).to_have_count(5)
-    first = sheet.locator("tbody tr").first.locator("td")
-    expect(first.nth(3)).to_have_text("2.5")
-    expect(first.nth(4)).to_have_text("−2.5")
 
 
 @pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")

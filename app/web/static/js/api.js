@@ -55,6 +55,7 @@ export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limi
 /** Make a job. The key makes one of it, even if the request is sent twice. */
 export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
 export const plan = (id) => call("GET", `/jobs/${id}/plan`);
+export const grade = (id) => call("GET", `/jobs/${id}/plan/grade`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
 export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);

@@ -5,6 +5,7 @@ import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
 import { programCard } from "./program-card.js";
 
@@ -37,6 +38,7 @@ async function discard(actions, go) {
 /** Show the plan. */
 export function mount(root) {
   const path = pathCard(false);
+  const grade = plannedGrade();
   const program = programCard();
   const facts = h("div");
   const reach = h("div", { class: "reach" });
@@ -44,13 +46,14 @@ export function mount(root) {
   root.append(
     head(t("check.title"), t("check.text")), failure,
     h("div", { class: "columns is-main-left" }, path.element,
-      h("div", { class: "stack" }, card(t("check.plan"), facts), card(t("check.reach"), reach),
+      h("div", { class: "stack" }, card(t("check.plan"), facts), grade.element, card(t("check.reach"), reach),
         card(t("check.before"), before()), program.element)),
   );
   let described = "";
   return {
     update({ job, plan, machine }) {
       path.update(plan, machine);
+      grade.update(job, plan);
       program.update(job, plan);
       const key = [job?.id, job?.state, Boolean(plan), Boolean(machine)].join();
       if (key === described || !job) return;

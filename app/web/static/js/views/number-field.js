@@ -5,12 +5,12 @@ import { decimalsOf, shown, stored, unitOf } from "../units.js";
 
 /** Make a field.
  *
- * id, kind: of the input, of the quantity; label, note, less, more: texts
+ * id, kind: of the input, of the quantity; label, note, less, more: texts; none: where it is empty
  * get(), set(value): the stored value, null where it is left empty, NaN where it is nonsense
  * least, most: limits; next(value, direction): the value one step away
  */
-export function numberField({ id, kind, label, note, less, more, get, set, least, most, next }) {
-  const input = h("input", { id, inputmode: "decimal", autocomplete: "off",
+export function numberField({ id, kind, label, note, less, more, none, get, set, least, most, next }) {
+  const input = h("input", { id, inputmode: "decimal", autocomplete: "off", placeholder: none,
     "aria-describedby": `${id}-note ${id}-error` });
   const error = h("p", { class: "field-error", id: `${id}-error`, role: "status" });
   const limit = (value) => number(shown(value, kind), shown(value, kind) < 10 ? decimalsOf(kind) : 0);

@@ -98,7 +98,7 @@ function targetField(changed) {
   const coarser = (target) => steps.find((s) => s > target + 1e-9) ?? null;
   return numberField({
     id: "target", kind: "error", label: t("plan.target", { k: COVERAGE }), note: t("plan.target_note"),
-    less: t("plan.finer"), more: t("plan.coarser"), least, most,
+    less: t("plan.finer"), more: t("plan.coarser"), none: t("plan.target_none"), least, most,
     get: () => choices.expanded_um, set: keep("expanded_um", changed),
     next: (target, direction) => {
       if (target === null) return usual;

@@ -7,6 +7,7 @@ import { prefer, preference } from "../preferences.js";
 import { singleErrors, tablesByAxis } from "../tables.js";
 import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
+import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
 
 /** Button that leads on. */
@@ -101,7 +102,8 @@ function drawTables(body, result) {
   const charts = [];
   const grid = h("div");
   const directed = groups.some((group) => group.tables.some((table) => table.halves));
-  body.append(...[toolbar(() => fill(), directed), grid, squareness(result), unseen(result)].filter(Boolean));
+  body.append(...[toolbar(() => fill(), directed), grid, squareness(result), gradeCard(result.grade),
+    unseen(result)].filter(Boolean));
   fill();
   return charts;
 
