@@ -19,6 +19,7 @@ from typing import Any
 
 from app.errors import TruepathError
 from app.measurement.faults import fault_of
+from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement
 from app.measurement.orders import CellConfig, CellState, Order
 from app.measurement.outbox import Outbox
@@ -168,6 +169,7 @@ class _Cell:
                 self._motion,
                 self._identities,
                 self._outbox.report,
+                limits=Limits(patience=self._config.patience),
             )
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()

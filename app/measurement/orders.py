@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from app.kinematics.machine import Machine
+from app.measurement.stream_watch import Patience
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 
@@ -29,12 +30,16 @@ class CellState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CellConfig:
-    """Which drivers a cell uses, by their names as plug-ins, and how they are made."""
+    """Which drivers a cell uses, by their names as plug-ins, and how they are made.
+
+    patience : for how long the tracker's stream may be less than good
+    """
 
     tracker_driver: str
     tracker_options: Mapping[str, Any]
     motion_driver: str
     motion_options: Mapping[str, Any]
+    patience: Patience = field(default_factory=Patience)
 
 
 @dataclass(frozen=True, slots=True)

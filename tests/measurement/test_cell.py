@@ -23,8 +23,9 @@ from app.measurement.bundle import read_bundle, write_bundle
 from app.measurement.cell import Cell, CellConfig, CellEvent, Order
 from app.measurement.cell_process import Command, serve
 from app.measurement.machine_file import machine_from_json
-from app.measurement.outbox import Outbox
+from app.measurement.outbox import MAX_BLOCKS, Outbox
 from app.measurement.recording import link_bytes, open_run, settle
+from app.measurement.stream_watch import Patience
 from app.planning.configurations import Configurations
 from app.planning.paths import default_path
 from app.plugins import load
@@ -33,6 +34,8 @@ from drivers.interfaces.records import MotionStatus
 from simulators.bench import Bench
 
 SPEED = 10.0
+# A computer that is busy with other things is no silent tracker.
+CALM = Patience(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +46,9 @@ def bench(tmp_path_factory) -> Iterator[Bench]:
         yield started
 
 
-def config_of(bench: Bench) -> CellConfig:
+def config_of(bench: Bench, patience: Patience = CALM) -> CellConfig:
     return CellConfig(
-        "streaming", bench.tracker_options, "modbus", bench.motion_options
+        "streaming", bench.tracker_options, "modbus", bench.motion_options, patience
     )
 
 
@@ -99,6 +102,16 @@ def driven(bench) -> Iterator[Driven]:
 def connected(driven) -> Driven:
     driven.cell.connect()
     return driven
+
+
+@pytest.fixture
+def watchful(bench) -> Iterator[Driven]:
+    """A connected cell with the patience of the service."""
+    made = Driven(config_of(bench, Patience()))
+    made.cell.start()
+    made.cell.connect()
+    yield made
+    made.cell.close()
 
 
 @pytest.fixture
@@ -175,6 +188,20 @@ def test_points_are_stepped_through_on_the_bench(connected, order):
     assert run.mode == "standstill"
     assert moves(run) == 2
     assert connected.of("progress")[-1]["done"] == 3
+
+
+def test_enough_after_some_points_ends_the_standstill_run_in_order(connected, order):
+    corners = order.commanded.position[:4]
+    points = Configurations(order.commanded.axes, corners, np.full(4, 8.0))
+    connected.cell.begin(replace(order, commanded=points, feed_mm_min=9000.0))
+    connected.until_line(1)
+    connected.cell.conclude()
+    assert connected.until_closed()["outcome"] == "finished"
+    run = open_run(order.run_file)
+    done = sum(event.kind == "point" for event in run.events)
+    assert 1 <= done < 4
+    assert [e.kind for e in run.events].count("concluded") == 1
+    assert moves(run) == done - 1
 
 
 def test_one_cell_measures_again_and_again(connected, order, tmp_path):
@@ -362,38 +389,40 @@ def test_closing_a_cell_that_measures_ends_the_run_properly(
 
 
 def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
-    bench, connected, long_order, machine_state
+    bench, watchful, long_order, machine_state
 ):
-    connected.cell.begin(long_order)
-    connected.until_line(1)
+    watchful.cell.begin(long_order)
+    watchful.until_line(1)
     bench.inject(f"tracker:silence+{5.6 * SPEED}s")
-    connected.until_state("paused")
+    watchful.until_state("paused")
     assert machine_state().hold_reason == "command"
-    assert connected.until_closed()["outcome"] == "faulted"
-    assert connected.faults == ["tracker-silent", "tracker-silent"]
+    assert watchful.until_closed()["outcome"] == "faulted"
+    assert len(watchful.faults) >= 2
+    assert set(watchful.faults) == {"tracker-silent"}
     assert machine_state().state == "held"
 
 
-def test_a_short_silence_is_lived_through(bench, connected, long_order):
-    connected.cell.begin(long_order)
-    connected.until_line(1)
+def test_a_short_silence_is_lived_through(bench, watchful, long_order):
+    watchful.cell.begin(long_order)
+    watchful.until_line(1)
     bench.inject(f"tracker:silence+{1.2 * SPEED}s")
-    closed = connected.until_closed()
+    closed = watchful.until_closed()
     assert closed["outcome"] == "finished"
-    assert connected.faults == ["tracker-silent"]
+    assert set(watchful.faults) == {"tracker-silent"}
     assert closed["lost_samples"] > 0.5 * SPEED * 500
 
 
-def test_a_broken_beam_waits_for_somebody(bench, connected, long_order):
-    connected.cell.begin(long_order)
-    connected.until_line(1)
+def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
+    watchful.cell.begin(long_order)
+    watchful.until_line(1)
     bench.inject(f"tracker:beam-break+{SPEED}s")
-    connected.until_state("paused")
-    assert connected.faults == ["beam-lost"]
-    seen = len(connected.of("live"))
-    connected.until(lambda: len(connected.of("live")) > seen + 2)
-    connected.cell.resume()
-    assert connected.until_closed()["outcome"] == "finished"
+    watchful.until(lambda: "beam-lost" in watchful.faults)
+    watchful.until_state("paused")
+    assert watchful.faults[-1] == "beam-lost"
+    seen = len(watchful.of("live"))
+    watchful.until(lambda: len(watchful.of("live")) > seen + 2)
+    watchful.cell.resume()
+    assert watchful.until_closed()["outcome"] == "finished"
     assert (open_run(long_order.run_file).tracker.status != 0).any()
 
 
@@ -569,3 +598,75 @@ def test_a_parent_that_is_gone_does_not_hang_the_outbox():
     outbox.close(5.0)
     assert not outbox._thread.is_alive()
     theirs.close()
+
+
+class Reluctant:
+    """A pipe's end whose other side takes nothing until it is told to."""
+
+    def __init__(self) -> None:
+        self.taken: list[CellEvent] = []
+        self.taking = threading.Event()
+        self.asked = threading.Event()
+
+    def send(self, event: CellEvent) -> None:
+        self.asked.set()
+        assert self.taking.wait(20.0)
+        self.taken.append(event)
+
+
+@pytest.fixture
+def reluctant() -> Iterator[tuple[Reluctant, Outbox]]:
+    link = Reluctant()
+    outbox = Outbox(link)
+    outbox.report("state", {"state": "running"})
+    assert link.asked.wait(5.0)  # one event is on its way, the others wait
+    yield link, outbox
+    link.taking.set()
+    outbox.close(5.0)
+
+
+def test_blocks_that_nobody_takes_are_dropped_and_counted(reluctant):
+    link, outbox = reluctant
+    for number in range(MAX_BLOCKS + 7):
+        outbox.report("block", {"number": number})
+    assert outbox.dropped_blocks == 7
+    link.taking.set()
+    outbox.close(5.0)
+    blocks = [e.body["number"] for e in link.taken if e.kind == "block"]
+    assert blocks == list(range(MAX_BLOCKS))
+
+
+def test_what_is_no_block_is_kept_in_order_beside_dropped_blocks(reluctant):
+    link, outbox = reluctant
+    for number in range(MAX_BLOCKS + 1):
+        outbox.report("block", {"number": number})
+    outbox.report("fault", {"code": "beam-lost"})
+    outbox.report("state", {"state": "paused"})
+    link.taking.set()
+    outbox.close(5.0)
+    told = [e.kind for e in link.taken if e.kind != "block"]
+    assert told == ["state", "fault", "state"]
+
+
+def test_there_is_room_for_blocks_again_once_they_are_taken(reluctant):
+    link, outbox = reluctant
+    for number in range(MAX_BLOCKS):
+        outbox.report("block", {"number": number})
+    link.taking.set()
+    deadline_s = time.monotonic() + 10.0
+    while len(link.taken) <= MAX_BLOCKS:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    outbox.report("block", {"number": MAX_BLOCKS})
+    outbox.close(5.0)
+    assert outbox.dropped_blocks == 0
+    assert link.taken[-1].body == {"number": MAX_BLOCKS}
+
+
+def test_a_parent_that_has_gone_ends_the_outbox_quietly():
+    ours, theirs = Pipe()
+    outbox = Outbox(theirs)
+    ours.close()
+    outbox.report("state", {"state": "running"})
+    outbox.close(5.0)
+    assert not outbox._thread.is_alive()

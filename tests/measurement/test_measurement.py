@@ -340,6 +340,67 @@ def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
     assert journal.states[-1] == "aborted"
 
 
+def test_enough_ends_the_path_in_order_after_the_line_under_way(
+    begin, long_order, motion, journal
+):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.conclude()
+    assert running.ended() == "finished"
+    assert "enough is known" in journal.of("state")[-1]["text"]
+    assert motion.calls[-1] == "abort"
+    run = running.run
+    (event,) = [e for e in run.events if e.kind == "concluded"]
+    assert "the rest is left out" in event.text
+    last = journal.of("progress")[-1]
+    assert last["stage"] == "closing"
+    assert 1 <= last["done"] < last["total"]
+    assert run.provenance["outcome"] == "finished"
+
+
+def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
+    begin, order, square, motion, journal
+):
+    points = Configurations(square.axes, square.position, np.full(4, 30.0))
+    running = begin(replace(order, commanded=points))
+    running.until(lambda: any(b["device_time_s"] > 105.0 for b in journal.of("live")))
+    running.measurement.conclude()
+    assert running.ended() == "finished"
+    assert motion.calls.count("move_to") == 1
+    run = running.run
+    kinds = [e.kind for e in run.events if e.kind in ("point", "concluded")]
+    assert kinds == ["point", "concluded"]
+    first = next(e.text for e in run.events if e.kind == "point")
+    assert float(first.split()[3]) > 100.0 + 30.0  # the dwell was finished
+    last = journal.of("progress")[-1]
+    assert (last["done"], last["total"], last["unit"]) == (1, 4, "points")
+
+
+def test_enough_at_the_last_point_leaves_nothing_out(
+    begin, order, square, motion, journal
+):
+    points = Configurations(square.axes, square.position[:1], np.full(1, 20.0))
+    running = begin(replace(order, commanded=points))
+    running.until(lambda: any(b["device_time_s"] > 102.0 for b in journal.of("live")))
+    running.measurement.conclude()
+    assert running.ended() == "finished"
+    assert not [e for e in running.run.events if e.kind == "concluded"]
+
+
+def test_enough_while_paused_waits_for_resume(begin, long_order, motion, journal):
+    running = begin(long_order)
+    running.until_moving()
+    running.measurement.pause()
+    running.until_state("paused")
+    running.measurement.conclude()
+    told = len(journal.of("progress"))
+    running.until(lambda: len(journal.of("progress")) > told + 3)
+    assert journal.states[-1] == "paused"
+    running.measurement.resume()
+    assert running.ended() == "finished"
+    assert [e.kind for e in running.run.events].count("concluded") == 1
+
+
 def test_halt_holds_the_feed_and_forgets_nothing(begin, long_order, motion):
     running = begin(long_order)
     running.until_moving()
