@@ -1,0 +1,156 @@
+"""The grade of a set-up from its geometry, held against what estimates then achieve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.errors import PlanningError
+from app.estimation.batch import estimate
+from app.estimation.grade import grade, verdict
+from app.estimation.volumetric_map import volumetric_gram
+from app.kinematics.machine import TrackerNoise
+from app.planning.configurations import Configurations
+from app.planning.paths import default_path
+from drivers.interfaces.records import Path
+
+STAND = np.array([-900.0, 200.0, 100.0])
+
+
+@pytest.fixture(scope="module")
+def demo(record):
+    """Return the machine that recordings are made of."""
+    return record(1)[0].machine
+
+
+def path_of(machine, rows, feed=6000.0):
+    position = np.array(rows, float)
+    n = len(position)
+    return Path(machine.axis_names, position, np.full(n, feed), np.full(n, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("mode", "rows"), [("otf", 14), ("otf", 40), ("standstill", 120)]
+)
+def test_what_is_expected_before_motion_is_what_the_estimate_achieves(
+    record, mode, rows
+):
+    run, _ = record(51, mode, rows=rows)
+    found = estimate(align(run))
+    stand = found.runs[0].pose.inverse().shift_mm
+    expected = grade(run.machine, run.commanded, stand_mm=stand).sigma_mm
+    achieved = np.sqrt(np.sum(volumetric_gram(found.model) * found.covariance))
+    assert 0.6 < achieved / expected < 1.6
+
+
+def test_more_lines_and_a_nearer_tracker_are_graded_better(demo):
+    few, many = (default_path(demo, lines=n) for n in (8, 24))
+    near = grade(demo, many, stand_mm=STAND)
+    assert grade(demo, few, stand_mm=STAND).number > 1.5 * near.number
+    assert near.sigma_mm < grade(demo, many, stand_mm=4.0 * STAND).sigma_mm
+
+
+def test_a_well_told_set_up_keeps_its_number_with_a_better_tracker(demo):
+    """Geometry decides; the noise is in the unit of the number."""
+    fine = TrackerNoise(0.5, 0.15, 1.5, 2.0)
+    path = default_path(demo)
+    number = grade(demo, path, stand_mm=STAND).number
+    finer = grade(replace(demo, tracker=fine), path, stand_mm=STAND).number
+    assert finer == pytest.approx(number, rel=0.15)
+
+
+def test_an_unknown_stand_counts_as_the_worst_of_usual_ones(demo):
+    path = default_path(demo, lines=10)
+    found = grade(demo, path)
+    assert found.assumed
+    assert found.best < found.number
+    known = grade(demo, path, stand_mm=found.stand_mm)
+    assert known.number == pytest.approx(found.number)
+    assert not known.assumed
+
+
+def test_the_default_plan_is_good_and_nothing_of_it_is_weak(demo):
+    found = grade(demo, default_path(demo))
+    assert found.verdict == "good"
+    assert found.shapes == ()
+    assert all(motion.remedy is None for motion in found.weakest)
+    assert found.improved is None
+
+
+def test_the_blind_spot_of_corner_paths_is_named_before_anything_moves(record):
+    run, _ = record(27, corners=True)
+    found = grade(run.machine, run.commanded, perpendicular_only=True)
+    assert {m.symbol for m in found.weakest} == {"EXX", "EYY", "EZZ"}
+    assert set(found.shapes[0].symbols) == {"EXX", "EYY", "EZZ"}
+    assert found.shapes[0].form == "an S of the error along X"
+    assert grade(run.machine, run.commanded).shapes == ()
+
+
+def test_a_short_reach_in_z_is_cured_by_lines_that_go_up_z(demo):
+    low = default_path(demo)
+    flat = replace(low, position=low.position * np.array([1.0, 1.0, 0.3]))
+    found = grade(demo, flat, stand_mm=STAND)
+    assert found.verdict == "poor"
+    assert found.weakest[0].symbol[2] == "Z"
+    remedy = found.weakest[0].remedy
+    assert abs(remedy.end[2] - remedy.begin[2]) > 0.8 * demo.linear_axes[2].max_mm
+    assert found.improved < 0.5 * found.number
+
+
+@pytest.mark.parametrize("number", [5, 6])
+def test_the_line_asked_for_lowers_the_number_it_promises(demo, number):
+    path = default_path(demo, lines=number)
+    found = grade(demo, path, stand_mm=STAND)
+    remedy = found.weakest[0].remedy
+    longer = np.vstack([path.position, remedy.begin, remedy.end])
+    again = grade(demo, path_of(demo, longer), stand_mm=STAND)
+    assert found.improved < found.number
+    assert again.number == pytest.approx(found.improved, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "rows", [[[0, 0, 0], [400, 300, 200]], [[0, 0, 0], [400, 0, 0]]]
+)
+def test_a_set_up_that_tells_next_to_nothing_is_poor_and_no_error(demo, rows):
+    assert grade(demo, path_of(demo, rows)).number > 5.0
+    stood = Configurations(demo.axis_names, np.array(rows[:1], float), np.ones(1))
+    assert grade(demo, stood).verdict == "poor"
+
+
+def test_nothing_at_all_is_no_set_up(demo):
+    stood = Configurations(demo.axis_names, np.zeros((1, 3)), np.zeros(1))
+    with pytest.raises(PlanningError, match="nothing would be measured"):
+        grade(demo, stood)
+
+
+def test_verdicts_change_at_a_quarter_and_at_one():
+    numbers = (0.25, 0.251, 1.0, 1.01)
+    assert [verdict(n) for n in numbers] == ["good", "usable", "usable", "poor"]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_what_is_left_of_the_error_follows_the_grade(
+    record, rigid_free, volume, at_rest
+):
+    """The table of docs/grade.md, on machines of one size."""
+    from app.estimation.volumetric_map import volumetric_map
+
+    share = {"good": [], "usable": [], "poor": []}
+    for seed, rows in enumerate([6, 7, 9, 11, 13, 16, 20, 26, 34, 45], 400):
+        run, truth = record(seed, rows=rows)
+        found = estimate(align(run))
+        stand = found.runs[0].pose.inverse().shift_mm
+        graded = grade(run.machine, run.commanded, stand_mm=stand)
+        q = volume(run.machine)
+        before = rigid_free(q, truth.deviation_mm(q))
+        at = at_rest(run.machine, q)
+        error = volumetric_map(found.model).error_mm(at, found.theta)
+        left = before - rigid_free(q, error)
+        share[graded.verdict].append(
+            np.linalg.norm(left, axis=1).mean() / np.linalg.norm(before, axis=1).mean()
+        )
+    assert max(share["good"]) < 0.12
+    assert np.median(share["good"]) < np.median(share["usable"])
+    assert np.median(share["usable"]) < np.median(share["poor"])

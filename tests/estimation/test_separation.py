@@ -1,0 +1,113 @@
+"""The tool that would tell merged motions apart: its length keeps its promise."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.estimation.grade import grade
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import posterior
+from app.estimation.rehearsal import expected_information, rehearsed
+from app.estimation.weak_shapes import usual_precision
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from app.planning.paths import default_path
+
+STAND = np.array([-900.0, 200.0, 100.0])
+SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")
+
+
+def mill(*offsets):
+    axes = tuple(
+        LinearAxis(a, 0.0, t) for a, t in zip("XYZ", (500.0, 400.0, 300.0), strict=True)
+    )
+    targets = tuple(Target(f"T{i}", "tool", o) for i, o in enumerate(offsets))
+    return Machine("m", (), ("X", "Y", "Z"), axes, targets, TrackerNoise())
+
+
+def statements(machine, **options):
+    found = grade(machine, default_path(machine), stand_mm=STAND, **options)
+    return {s[:3]: s for s in found.unobservable}
+
+
+def table_sigma(machine, path, symbol):
+    seen = rehearsed(machine, path, STAND)
+    model, _ = identifiable_model(machine, seen.at.offset_mm, intervals=10)
+    data = expected_information(seen, model)
+    prior = np.diag(np.full(model.size + 6, 1e-2))
+    prior[: model.size, : model.size] = usual_precision(model)
+    part = model.slices[symbol]
+    covariance = posterior(data, prior).covariance[part, part]
+    motion = next(e for e in model.effects if e.name == symbol)
+    rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, 25))
+    return np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows).mean())
+
+
+def driven_with_both(machine, path):
+    twice = np.vstack([path.position, path.position])
+    n = len(path)
+    return replace(
+        path,
+        position=twice,
+        feed_mm_min=np.tile(path.feed_mm_min, 2),
+        dwell_s=np.tile(path.dwell_s, 2),
+        target=("T0",) * n + ("T1",) * n,
+    )
+
+
+@pytest.mark.parametrize("symbol", ["EBZ", "EAZ", "ECZ"])
+def test_the_second_tool_tells_the_turn_as_well_as_promised(symbol):
+    first = (30.0, 20.0, -100.0)
+    length, expanded = SAID.search(statements(mill(first))[symbol]).groups()
+    way = np.array([0.6, 0.8, 0.0] if symbol == "ECZ" else [0.0, 0.0, -1.0])
+    second = tuple((np.array(first) + float(length) * way).tolist())
+    machine = mill(first, second)
+    path = driven_with_both(machine, default_path(machine))
+    promised = 0.5e-6 * float(expanded)
+    assert table_sigma(machine, path, symbol) == pytest.approx(promised, rel=0.35)
+
+
+def test_statements_begin_with_the_symbol_and_name_partners_and_length():
+    said = statements(mill((30.0, 20.0, -100.0)))
+    assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
+    assert "EBZ (turn of Z about Y) cannot be told from EXZ" in said["EBZ"]
+    assert "a second tool at least" in said["EBZ"]
+    assert "to the side, in X or Y," in said["ECZ"]
+
+
+def test_a_target_on_the_spindle_axis_is_told_to_move_aside():
+    said = statements(mill((0.0, 0.0, -100.0)))
+    assert "does not move the target" in said["ECZ"]
+    assert "to the side, in X or Y, shows it" in said["ECZ"]
+
+
+def test_with_two_tool_lengths_only_a_target_aside_is_asked_for():
+    machine = mill((0.0, 0.0, -100.0), (0.0, 0.0, -250.0))
+    path = driven_with_both(machine, default_path(machine))
+    said = grade(machine, path, stand_mm=STAND).unobservable
+    assert [s[:3] for s in said] == ["ECY", "ECZ"]
+    assert all("to the side" in s for s in said)
+
+
+def test_three_offsets_leave_nothing_to_separate():
+    offsets = [(0.0, 0.0, -100.0), (80.0, 0.0, -200.0), (0.0, 80.0, -300.0)]
+    machine = mill(*offsets)
+    path = default_path(machine)
+    n = len(path)
+    path = replace(path, target=tuple(f"T{i % 3}" for i in range(n)))
+    assert grade(machine, path, stand_mm=STAND).unobservable == ()
+
+
+def test_longer_tools_are_asked_for_where_less_is_measured():
+    machine = mill((30.0, 20.0, -100.0))
+    lengths = [
+        float(SAID.search(s)[1]) * float(SAID.search(s)[2])
+        for lines in (14, 40)
+        for found in [
+            grade(machine, default_path(machine, lines=lines), stand_mm=STAND)
+        ]
+        for s in found.unobservable
+        if s.startswith("EBZ")
+    ]
+    assert lengths[0] > 1.3 * lengths[1]  # length times uncertainty: √2 u of EXZ

@@ -1,0 +1,89 @@
+"""Shapes that are told, but hardly: found by what they leave, named by their form."""
+
+import numpy as np
+import pytest
+
+from app.estimation.identifiable import identifiable_model
+from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.weak_shapes import form_of, usual_precision, weak_shapes
+from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+
+X = LinearAxis("X", 0.0, 600.0)
+MILL = Machine(
+    "m",
+    (),
+    ("X", "Y", "Z"),
+    (X, LinearAxis("Y", 0.0, 500.0), LinearAxis("Z", 0.0, 400.0)),
+    (Target("", "tool", (20.0, 30.0, -100.0)),),
+    TrackerNoise(),
+)
+
+
+@pytest.fixture(scope="module")
+def known():
+    """A model, its Gram matrix, and data that tell all of it but one shape of EXX."""
+    model, _ = identifiable_model(MILL, np.array([(20.0, 30.0, -100.0)]), intervals=5)
+    return model, volumetric_gram(model)
+
+
+def told_but(model, shape, left):
+    """Return information that leaves a share of the usual deviation of one shape."""
+    root = np.linalg.cholesky(usual_precision(model))
+    direction = root.T @ shape
+    direction /= np.linalg.norm(direction)
+    size = model.size
+    rest = np.eye(size) - np.outer(direction, direction)
+    inner = 1e6 * rest + (left**-2 - 1.0) * np.outer(direction, direction)
+    return root @ inner @ root.T
+
+
+def shape_of(model, symbol):
+    shape = np.zeros(model.size)
+    shape[model.slices[symbol]] = 1.0
+    return shape
+
+
+def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
+    model, gram = known
+    (found,) = weak_shapes(told_but(model, shape_of(model, "EYY"), 0.8), model, gram)
+    assert found.symbols == ("EYY",)
+    assert found.left == pytest.approx(0.8, rel=1e-3)
+    assert str(found).startswith("EYY: ")
+    assert "80 % of what a usual machine may have stays open" in str(found)
+
+
+def test_what_is_told_well_is_not_weak(known):
+    model, gram = known
+    assert weak_shapes(told_but(model, shape_of(model, "EYY"), 0.3), model, gram) == ()
+
+
+def test_motions_that_share_a_shape_are_named_together(known):
+    model, gram = known
+    shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
+    (found,) = weak_shapes(told_but(model, shape, 0.9), model, gram)
+    assert found.symbols == ("EXX", "EZZ")
+
+
+def test_the_exact_null_space_can_be_left_to_others(known):
+    model, gram = known
+    told = told_but(model, shape_of(model, "EYY"), 1.0)
+    assert len(weak_shapes(told, model, gram)) == 1
+    assert weak_shapes(told, model, gram, blind=False) == ()
+
+
+@pytest.mark.parametrize(
+    ("shape", "name"),
+    [
+        (lambda s: s, "a slope"),
+        (lambda s: (s - 0.5) ** 2, "a bow"),
+        (lambda s: np.sin(2 * np.pi * s), "an S"),
+        (lambda s: np.sin(6 * np.pi * s), "a wave"),
+    ],
+)
+def test_a_shape_is_called_by_what_it_looks_like(shape, name):
+    motion = error_motion("EXX", X, 24)
+    at = np.linspace(X.low, X.high, 200)
+    value = shape(at / X.high)
+    theta = np.linalg.lstsq(motion.rows(at), value - value[0], rcond=None)[0]
+    assert form_of(motion, theta) == f"{name} of the error along X"
