@@ -63,6 +63,15 @@ class NominalChain:
 
     def reach(self, name: str) -> Reach:
         """Return how errors at an axis show."""
+        if name not in self._reached:  # the same for every error of the axis
+            self._reached[name] = self._reach(name)
+        return self._reached[name]
+
+    @cached_property
+    def _reached(self) -> dict[str, Reach]:
+        return {}
+
+    def _reach(self, name: str) -> Reach:
         axis = self._axis(name)
         side = self.machine.workpiece_side
         if name in side:

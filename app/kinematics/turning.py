@@ -8,6 +8,8 @@ letter's own direction (A: X, B: Y, C: Z) onto the direction of the axis.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -24,6 +26,7 @@ def turn_matrices(
     return np.eye(3) + sine * K + (1.0 - cosine) * (K @ K)
 
 
+@lru_cache(maxsize=64)
 def local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
     """Return the directions that X, Y, Z in its symbols mean, as columns."""
     own = np.eye(3)[TURNS.index(axis.name)]

@@ -101,7 +101,7 @@ def test_a_planned_path_recovers_all_tables_within_their_uncertainties(
 @pytest.mark.parametrize("name", ["head-table", "trunnion"])
 def test_residuals_on_arcs_are_no_more_than_those_of_straight_lines(name):
     found = from_base(name)
-    residuals, line = found.result.residuals, found.seen.at.line
+    residuals, line = found.result.runs[0].residuals, found.seen.at.line
     assert residuals.rms_mm < 1.2 * residuals.floor_mm
     turning = np.array([_turns(found.run, p.row) for p in found.seen.passes])
     bent = (line >= 0) & turning[line]
