@@ -37,10 +37,11 @@ export function roundReach(reach) {
 
 /** Draw a table; `reach` fixes the scale to ± reach, `read(text)` follows the cursor.
  *
+ * sparse: marks at 0 and ± reach alone, for charts too low for more
  * Answers {update(table, reach), close}.
  */
-export function drawErrors(element, table, { reach = null, read = () => {} } = {}) {
-  const drawn = { table, reach, data: columns(table) };
+export function drawErrors(element, table, { reach = null, read = () => {}, sparse = false } = {}) {
+  const drawn = { table, reach, sparse, data: columns(table) };
   const chart = new uPlot(options(element, drawn, read), rows(drawn.data), element);
   const watcher = new ResizeObserver(() => {
     if (element.clientWidth) chart.setSize(sizeOf(element));
@@ -76,7 +77,7 @@ function options(element, drawn, read) {
     padding: [6, 18, 0, 0],
     cursor: { drag: { x: false, y: false }, y: false, points: { size: 8 } },
     scales: { x: { time: false }, y: { range } },
-    axes: axes(drawn.table),
+    axes: axes(drawn),
     series: [{}, line(accent, 2.25), edge, edge, ...ways],
     bands: [{ series: [3, 2], fill: colour("band") }],
     hooks: {
@@ -86,7 +87,7 @@ function options(element, drawn, read) {
   };
 }
 
-function axes(table) {
+function axes(drawn) {
   const common = {
     stroke: colour("quiet"), font: font(12), ticks: { show: false },
     grid: { stroke: colour("line"), width: 1 },
@@ -94,13 +95,15 @@ function axes(table) {
   const x = { ...common, size: 26, space: 56, grid: { show: false },
     values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))) };
   const y = { ...common, size: 44, space: 26,
+    ...(drawn.sparse ? { splits: () => [-drawn.reach, 0, drawn.reach] } : {}),
     values: (_, marks) => marks.map((m) => number(m, decimalsFor(marks))) };
   return [x, y];
 }
 
 function decimalsFor(marks) {
   const step = marks.length > 1 ? Math.abs(marks[1] - marks[0]) : 1;
-  return step >= 1 ? 0 : Math.min(3, Math.ceil(-Math.log10(step) - 1e-9));
+  const isWhole = (value) => Math.abs(value - Math.round(value)) < 1e-6 * value;
+  return [0, 1, 2].find((digits) => isWhole(step * 10 ** digits)) ?? 3;
 }
 
 const scale = (reach) => [-1.08 * (reach || 1), 1.08 * (reach || 1)];
