@@ -74,7 +74,8 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     async def create(request: Request) -> Any:
         order = await request.json()
         service.requests.append(("POST", "/jobs", order))
-        known = {name: order.get(name) for name in ("run_id", "target_um")}
+        names = ("run_id", "target_um", "monte_carlo")
+        known = {name: order.get(name) for name in names}
         return service.new_job(order["kind"], **known)
 
     @app.get(f"{API}/jobs/{{job_id}}")

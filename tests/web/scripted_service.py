@@ -68,6 +68,7 @@ class ScriptedService:
             "started": None,
             "ended": None,
             "run_id": None,
+            "monte_carlo": None,
             "result": None,
             "error": None,
             "target_um": None,

@@ -289,6 +289,29 @@ def test_the_result_can_be_taken_away(panel, service, tmp_path: Path):
     expect(report).to_have_attribute("href", f"/api/v1/jobs/{job}/result/report.html")
 
 
+def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
+    job = measuring(service)
+    service.finish(job)
+    page = panel.open(f"#/result/{job}")
+    page.get_by_role("button", name="Run trials").click()
+    page.wait_for_url("**/#/run/*")
+    expect(page.locator(".stages li")).to_have_text(
+        ["Aligning", "Estimating", "Trials", "Reporting"]
+    )
+    trying = next(j for j in service.jobs if j != job)
+    order = next(body for _, path, body in service.requests[::-1] if path == "/jobs")
+    assert order == {"kind": "analyse", "run_id": "run-1", "monte_carlo": {}}
+    told = {"trials": 470_000, "settled": True, "agrees": False}
+    service.result["monte_carlo"] = {**told, "agreeing": 323, "numbers": 334}
+    service.finish(trying)
+    page.wait_for_url(f"**/#/result/{trying}")
+    card = page.locator(".card", has_text="Uncertainty held against trials")
+    expect(card).to_contain_text("470,000 trials validate")
+    expect(card).to_contain_text("323 of 334")
+    report = card.get_by_role("link", name="Report")
+    expect(report).to_have_attribute("href", f"/api/v1/jobs/{trying}/result/report.html")
+
+
 def test_an_error_table_opens_large_with_its_numbers(panel, service):
     job = measuring(service)
     service.finish(job)

@@ -147,6 +147,7 @@ export function createActions(store, go) {
     resume: () => verb("resume", api.resume),
     abort: () => verb("abort", api.abort),
     analyse: (run) => begin({ kind: "analyse", run_id: run }),
+    validate: (run) => begin({ kind: "analyse", run_id: run, monte_carlo: {} }),
     async upload(file) {
       const run = await during("upload", () => api.upload(file));
       if (run) await begin({ kind: "analyse", run_id: run.id });

@@ -3,7 +3,7 @@ export const STEPS = ["connect", "plan", "check", "run", "result"];
 
 const BEFORE_MOTION = new Set(["queued", "preparing", "ready"]);
 const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
-const COMPUTING = new Set(["aligning", "estimating", "reporting"]);
+const COMPUTING = new Set(["aligning", "estimating", "validating", "reporting"]);
 
 export const isMeasuring = (job) => Boolean(job) && job.kind !== "analyse";
 export const hasEnded = (job) => ENDED.has(job.state);

@@ -9,6 +9,7 @@ import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
+import { trialsCard } from "./trials-card.js";
 
 /** Button that leads on. */
 export function lead(state, { go }) {
@@ -17,7 +18,7 @@ export function lead(state, { go }) {
 }
 
 /** Show the result of the job. */
-export function mount(root) {
+export function mount(root, { actions }) {
   let charts = [];
   let drawn = null;
 
@@ -33,6 +34,7 @@ export function mount(root) {
     root.replaceChildren(heading(job, result), verdict(run ?? job.health, result),
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
+    body.append(...[trialsCard(job, result, actions)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));

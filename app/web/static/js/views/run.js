@@ -13,6 +13,7 @@ import { progressCard } from "./progress-card.js";
 const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
   analyse: ["aligning", "estimating", "reporting"],
+  validate: ["aligning", "estimating", "validating", "reporting"],
 };
 
 let looksAt = "path";
@@ -36,7 +37,7 @@ export function lead({ job, link }, { actions, go }) {
 export function mount(root, context) {
   const { job } = context.store.get();
   const measuring = job ? isMeasuring(job) : true;
-  return measuring ? mountMeasuring(root, context) : mountAnalysis(root);
+  return measuring ? mountMeasuring(root, context) : mountAnalysis(root, job);
 }
 
 function mountMeasuring(root, { store, actions }) {
@@ -102,8 +103,8 @@ function mountMeasuring(root, { store, actions }) {
   };
 }
 
-function mountAnalysis(root) {
-  const progress = progressCard(STAGES.analyse);
+function mountAnalysis(root, { monte_carlo: trials }) {
+  const progress = progressCard(trials ? STAGES.validate : STAGES.analyse);
   const ending = h("div");
   root.append(head(t("run.analysis_title"), t("run.analysis_text")), ending, progress.element);
   let ended = "";
