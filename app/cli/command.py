@@ -286,3 +286,34 @@ def export(
     from app.cli.exporting import export_compensation
 
     export_compensation(result, format, output, spacing, as_json=json)
+
+
+@app.command()
+def record(
+    commanded: Annotated[
+        Path, typer.Argument(metavar="PATH.csv", help="What the CNC will drive.")
+    ],
+    output: OutputFolder,
+    machine: Annotated[
+        Path | None, typer.Option(metavar="MACHINE.json", help="As in the settings.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Settings, as TOML: the tracker."),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=1.0, help="For so long; else until Ctrl-C.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """The tracker's stream beside a CNC without any link, as a bundle to analyse."""
+    from app.cli.recording import record_bundle
+
+    record_bundle(
+        commanded,
+        output,
+        machine=machine,
+        config=config,
+        seconds=seconds,
+        as_json=json,
+    )

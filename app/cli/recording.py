@@ -1,0 +1,129 @@
+"""Record a tracker beside a CNC without any link, and leave a measurement bundle."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from app.cli.terminal import print_json, progress, say
+from app.errors import BadInput
+from app.jobs.grading import read_set_up
+from app.measurement.bundle import write_bundle
+from app.measurement.detached import record_stream
+from app.measurement.recorder import ClosedRun, Recorder
+from app.measurement.recording import open_run
+from app.measurement.run_file import RunHeader
+from app.measurement.stream_watch import Verdict
+from app.plugins import load
+from app.settings import load_settings
+from drivers.interfaces.tracker import Tracker
+
+RUN_FILE = "run.sqlite"
+_NOTES = {
+    Verdict.GOOD: "",
+    Verdict.SILENT: "no samples",
+    Verdict.DEAD: "no samples",
+    Verdict.BEAM_LOST: "beam lost",
+}
+
+
+def record_bundle(
+    commanded: Path,
+    output: Path,
+    *,
+    machine: Path | None,
+    config: Path | None,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Record until Ctrl-C, or for so many seconds; write the bundle.
+
+    Raises BadInput for files that cannot be used, DeviceError if the tracker fails;
+    what was recorded by then is in the Run file.
+    """
+    settings = load_settings(config)
+    machine_file = machine or settings.machine_file
+    if machine_file is None:
+        raise BadInput("no machine is named; give --machine MACHINE.json")
+    described, planned = read_set_up(machine_file, commanded)
+    header = RunHeader(
+        output.name, described, planned, described.tracker.rate_hz, {}, ()
+    )
+    if (output / RUN_FILE).exists():
+        raise BadInput(f"{output / RUN_FILE}: is there already; name another folder")
+    tracker = load("truepath.trackers", settings.tracker_driver)(
+        **settings.tracker_options
+    )
+    output.mkdir(parents=True, exist_ok=True)
+    closed = _recorded(tracker, header, output / RUN_FILE, seconds)
+    write_bundle(open_run(closed.file), output)
+    _tell(closed, output, as_json=as_json)
+
+
+def _recorded(
+    tracker: Tracker, header: RunHeader, file: Path, seconds: float | None
+) -> ClosedRun:
+    """Record, and close the Run whatever happens."""
+    with tracker, _ending(seconds) as over, progress("record") as report:
+        who = {"tracker": tracker.connect()}
+        recorder = Recorder(file, replace(header, devices=who))
+        outcome = "failed"
+        begun_s = time.monotonic()
+
+        began = False
+
+        def told(samples: int, lost: int, verdict: Verdict) -> None:
+            nonlocal began
+            if samples and not began:
+                began = True
+                say("recording; press Ctrl-C 2 s after the last motion")
+            elapsed_s = time.monotonic() - begun_s
+            note = f"{samples} samples, {lost} lost {_NOTES[verdict]}".strip()
+            report(min(elapsed_s / (seconds or 1e9), 1.0), "recording", note)
+
+        try:
+            record_stream(tracker, recorder, header.rate_hz, over.wait, told)
+            outcome = "finished"
+        finally:
+            closed = recorder.close(outcome)
+    return closed
+
+
+@contextmanager
+def _ending(seconds: float | None) -> Iterator[threading.Event]:
+    """Give what tells the end: Ctrl-C, the end of the process, or the time."""
+    over = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {n: signal.signal(n, lambda *_: over.set()) for n in numbers}
+    timer = threading.Timer(seconds or threading.TIMEOUT_MAX, over.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield over
+    finally:
+        timer.cancel()
+        timer.join()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _tell(closed: ClosedRun, output: Path, *, as_json: bool) -> None:
+    files = sorted(str(path) for path in output.iterdir() if path.is_file())
+    if as_json:
+        summary: dict[str, Any] = {
+            "schema": "recording-summary/1",
+            "samples": closed.samples,
+            "lost_samples": closed.lost_samples,
+            "files": files,
+        }
+        print_json(summary)
+        return
+    print(f"{closed.samples} samples, {closed.lost_samples} lost")
+    for file in files:
+        print(file)

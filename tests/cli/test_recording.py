@@ -1,0 +1,177 @@
+"""`record`: the tracker beside a CNC of which the program knows nothing."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from app.cli.command import run
+from app.measurement.bundle import read_bundle
+from app.measurement.commanded_file import encode_commanded
+from app.measurement.machine_file import machine_from_json
+from app.planning.nc_programs.programs import nc_program, parse_nc_program
+from app.planning.paths import default_path
+from drivers.cnc.modbus.driver import ModbusController
+from drivers.interfaces.errors import DeviceTimeout
+from drivers.interfaces.records import MotionState
+from simulators.bench import Bench
+
+SPEED = 16.0
+PATIENCE_S = 40.0
+
+
+@pytest.fixture
+def bench():
+    with Bench(seed=4, speed=SPEED, tracker="tcp", rtu=False) as bench:
+        yield bench
+
+
+@pytest.fixture
+def files(bench, tmp_path):
+    """What an operator has: machine file, path, its program, settings."""
+    machine = machine_from_json(bench.machine)
+    path = default_path(machine, 15_000.0, lines=8)
+    (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
+    (tmp_path / "path.csv").write_bytes(encode_commanded(path, machine))
+    (tmp_path / "path.h").write_text(nc_program(path, machine, "heidenhain"))
+    options = ", ".join(
+        f"{key} = {json.dumps(v)}" for key, v in bench.tracker_options.items()
+    )
+    (tmp_path / "settings.toml").write_text(f"tracker_options = {{ {options} }}\n")
+    return tmp_path
+
+
+@pytest.fixture
+def recording(files):
+    """Begin to record in a process of its own; ended with the test."""
+    started = []
+
+    def begin(*more):
+        words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
+        process = subprocess.Popen(
+            [sys.executable, "-c", "from app.cli.command import main; main()", *words,
+             "--config", "settings.toml", *more],
+            cwd=files,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def until_it_records(process):
+    deadline_s = time.monotonic() + PATIENCE_S
+    while "press Ctrl-C" not in (line := process.stderr.readline()):
+        assert line, process.communicate()
+        assert time.monotonic() < deadline_s
+
+
+def stand(bench, seconds):
+    """Let so much of the machine's time pass, on the tracker's own clock."""
+    end_s = time.monotonic() + seconds / SPEED
+    while (left_s := end_s - time.monotonic()) > 0:
+        select.select([], [], [], left_s)
+
+
+def drive_by_hand(bench, motion):
+    """What the control does with the program, over a link the recorder has not."""
+    with ModbusController(**bench.motion_options) as cnc:
+        cnc.move_to(motion.position[0], 15_000.0)
+        until_it_stands(cnc)
+        cnc.load(motion.path)
+        cnc.start()
+        assert until_it_stands(cnc).state is MotionState.FINISHED
+
+
+def until_it_stands(cnc):
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        cnc.beat()
+        try:
+            return cnc.wait(0.2)
+        except DeviceTimeout:
+            assert time.monotonic() < deadline_s
+
+
+def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
+    bench, files, recording, volume, rigid_free
+):
+    motion = parse_nc_program((files / "path.h").read_text(), "heidenhain")
+    process = recording("--json")
+    until_it_records(process)
+    stand(bench, 2.0)
+    drive_by_hand(bench, motion)
+    stand(bench, 2.0)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    said = json.loads(out)
+    assert said["lost_samples"] == 0
+    bundle = files / "bundle"
+    assert {p.name for p in bundle.iterdir()} == {
+        "machine.json",
+        "path.csv",
+        "tracker.parquet",
+        "run.sqlite",
+    }
+    assert len(read_bundle(bundle).tracker) == said["samples"] > 5000
+    assert run(["analyse", str(bundle), "-o", str(files / "result")]) == 0
+    machine = machine_from_json(bench.machine)
+    q = volume(machine)
+    np.savetxt(files / "q.csv", q, "%.6f", ",", header="x_mm,y_mm,z_mm", comments="")
+    arguments = ["--points", str(files / "q.csv"), "-o", str(files / "map.csv")]
+    assert run(["predict", str(files / "result" / "result.json"), *arguments]) == 0
+    found = np.genfromtxt(files / "map.csv", delimiter=",", names=True)
+    error = np.stack([found[f"d{axis}_um"] for axis in "xyz"], axis=1)
+    true = bench.truth.deviation_mm(q)
+    before, left = (rigid_free(q, e) for e in (true, true - 1e-3 * error))
+    assert np.sqrt(np.mean(left**2)) < 0.15 * np.sqrt(np.mean(before**2))
+
+
+def test_a_recording_ends_after_the_seconds_that_were_given(recording, files):
+    process = recording("--seconds", "1")
+    out, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert "samples, 0 lost" in out
+    assert (files / "bundle" / "tracker.parquet").is_file()
+
+
+def test_a_tracker_that_falls_silent_ends_the_recording_and_keeps_it(
+    bench, recording, files
+):
+    process = recording()
+    until_it_records(process)
+    bench.inject("tracker:silence")
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert "no sample has come for some seconds" in err
+    assert (files / "bundle" / "run.sqlite").is_file()
+
+
+def test_an_earlier_recording_is_not_overwritten(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    (files / "bundle").mkdir()
+    (files / "bundle" / "run.sqlite").write_text("")
+    words = ["record", "path.csv", "-o", "bundle", "--machine", "machine.json"]
+    assert run([*words, "--config", "settings.toml"]) == 2
+    assert "name another folder" in capsys.readouterr().err
+
+
+def test_without_a_machine_file_it_says_what_to_give(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    words = ["record", "path.csv", "-o", "bundle", "--config", "settings.toml"]
+    assert run(words) == 2
+    assert "--machine MACHINE.json" in capsys.readouterr().err
