@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -121,6 +122,15 @@ def follow(client, job_id, *states, patience_s=50.0):
         time.sleep(0.02)
 
 
+def kept_state(tmp_path, job_id):
+    """Return the state that the catalogue of a service that has ended holds."""
+    with sqlite3.connect(tmp_path / "data" / "catalogue.sqlite") as catalogue:
+        found = catalogue.execute("SELECT state FROM jobs WHERE id = ?", (job_id,))
+        (state,) = found.fetchone()
+    catalogue.close()
+    return state
+
+
 def moving(client, job_id):
     """Wait until samples of a moving machine have come."""
     wait_until(
@@ -219,10 +229,12 @@ def test_the_end_in_motion_stops_the_machine_first_and_comes_in_time(tmp_path, h
                 running.send_signal(signal.SIGTERM)
             else:  # a terminal tells every process
                 os.killpg(running.pid, signal.SIGINT)
-            rest = "\n".join(lines)
-        assert running.wait(15) == 0
-        assert time.monotonic() - begun < 8
-        assert '"state":"interrupted"' in rest
+            for _ in lines:
+                pass
+        assert running.wait(40) == 0
+        # It takes two seconds; a busy computer may need more, and nobody waits longer.
+        assert time.monotonic() - begun < 30
+    assert kept_state(tmp_path, job["id"]) == "interrupted"
     said = [json.loads(x) for x in (tmp_path / "service.log").read_text().splitlines()]
     events = [line["event"] for line in said]
     assert events.index("ending: motion first") < events.index("job ended")

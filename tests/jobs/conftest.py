@@ -139,6 +139,20 @@ def machine():
 
 
 @pytest.fixture(scope="session")
+def scheduler():
+    """A real Dask scheduler with two workers, in threads of this process."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="session")
 def empty_catalogue(tmp_path_factory):
     """A migrated catalogue to copy: migrating takes longer than most tests."""
     file = tmp_path_factory.mktemp("catalogue") / "catalogue.sqlite"

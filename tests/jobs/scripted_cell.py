@@ -19,7 +19,7 @@ from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
 from drivers.interfaces.records import Identity, TrackerSamples
 
-DEADLINE_S = 8.0
+DEADLINE_S = 25.0  # of what comes at once unless the computer is busy
 DEVICES = {
     "tracker": Identity("Maker", "Tracker", "T-1", "1.0"),
     "motion": Identity("Maker", "Controller", "C-1", "2.0"),

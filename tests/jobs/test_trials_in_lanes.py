@@ -60,6 +60,17 @@ def test_a_job_brings_the_same_trials_from_any_workers(lane, run_file, tmp_path)
     assert stages == ["aligning", "estimating", "validating", "reporting"]
 
 
+def test_a_job_brings_the_same_trials_from_a_cluster(
+    lane, run_file, tmp_path, scheduler
+):
+    places = (Workers(count=2), Workers("dask", scheduler=scheduler))
+    for workers in places:
+        folder = str(tmp_path / workers.kind)
+        submit(lane, run_file, folder, False, TWO_BLOCKS, workers).result()
+    here, there = (trials_in(tmp_path / workers.kind) for workers in places)
+    assert here == there
+
+
 def test_an_aborted_job_ends_its_workers_and_leaves_no_result(lane, run_file, tmp_path):
     trying = threading.Event()
 

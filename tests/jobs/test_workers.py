@@ -53,20 +53,6 @@ def tasks(tmp_path_factory):
     sys.path.remove(str(folder))
 
 
-@pytest.fixture(scope="module")
-def scheduler():
-    """A real Dask scheduler with two workers, in threads of this process."""
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
-        yield cluster.scheduler_address
-
-
 @pytest.fixture
 def settled(tasks):
     """Return what adaptive trials make of blocks that somebody else computes."""
