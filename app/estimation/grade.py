@@ -17,7 +17,8 @@ On random simulated set-ups the error that was left is in `docs/grade.md`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -91,12 +92,26 @@ class Grade:
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
-    """One stand of the tracker, solved as far as nothing has been measured."""
+class SetUp:
+    """One Run of a set-up: its machine (with its targets), what it commands, the stand.
 
-    seen: Observations
-    model: MachineModel
-    data: Information
+    stand_mm : place of the tracker in the frame that it stands on
+    """
+
+    machine: Machine
+    commanded: Path | Configurations
+    stand_mm: Float64[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """Set-ups, solved as far as that goes before anything has been measured.
+
+    told : (p, p) information on the machine, whatever the tracker's poses
+    """
+
+    set_ups: tuple[SetUp, ...]
+    told: Float64[np.ndarray, "p p"]
     covariance: Float64[np.ndarray, "p p"]
     sigma_mm: float
     sample_sigma_mm: float
@@ -104,6 +119,32 @@ class _Judged:
     @property
     def number(self) -> float:
         return self.sigma_mm / self.sample_sigma_mm
+
+
+@dataclass(frozen=True, slots=True)
+class _Judge:
+    """What set-ups are judged by: gram is of the model's θ."""
+
+    model: MachineModel
+    gram: Float64[np.ndarray, "p p"]
+    perpendicular_only: bool
+
+    def judged(self, set_ups: tuple[SetUp, ...]) -> _Judged:
+        seen = [rehearsed(s.machine, s.commanded, s.stand_mm) for s in set_ups]
+        told = np.sum([self._told(one) for one in seen], axis=0)
+        nothing = Information(told, np.zeros(len(told)), 0.0, 0.0)
+        covariance = posterior(nothing, usual_precision(self.model)).covariance
+        sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
+        return _Judged(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
+
+    def _told(self, seen: Observations) -> Float64[np.ndarray, "p p"]:
+        """Return what one Run tells of the machine whatever the tracker's pose."""
+        matrix = expected_information(
+            seen, self.model, perpendicular_only=self.perpendicular_only
+        ).matrix
+        p = self.model.size
+        pose, cross = matrix[p:, p:] + np.diag(_ROUGH_POSE), matrix[:p, p:]
+        return matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
 
 
 def grade(
@@ -122,37 +163,60 @@ def grade(
     Raises PlanningError if nothing would be measured at all.
     """
     stands = usual_stands_mm(machine) if stand_mm is None else stand_mm[None, :]
-    seen = [rehearsed(machine, commanded, stand) for stand in stands]
-    model, merged = identifiable_model(
-        machine, seen[0].at.offset_mm, intervals=_INTERVALS
+    tried = [(SetUp(machine, commanded, stand),) for stand in stands]
+    found = _graded(machine, tried, perpendicular_only)
+    return replace(found, assumed=stand_mm is None)
+
+
+def grade_together(
+    machine: Machine, set_ups: Sequence[SetUp], *, perpendicular_only: bool = False
+) -> Grade:
+    """Grade several Runs that are solved together, each with its own stand.
+
+    machine : with the targets of all
+    """
+    return _graded(machine, [tuple(set_ups)], perpendicular_only)
+
+
+def _graded(
+    machine: Machine, tried: list[tuple[SetUp, ...]], perpendicular_only: bool
+) -> Grade:
+    offsets_mm = np.concatenate(
+        [
+            rehearsed(one.machine, one.commanded, one.stand_mm).at.offset_mm
+            for one in tried[0]
+        ]
     )
-    gram = volumetric_gram(model)
-    every = [_judged(one, model, gram, perpendicular_only) for one in seen]
-    last = int(np.argmax([one.number for one in every]))
-    worst = every[last]
-    told = _machine_part(worst.data, model)
+    model, merged = identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
+    judge = _Judge(model, volumetric_gram(model), perpendicular_only)
+    every = [judge.judged(set_ups) for set_ups in tried]
+    worst = max(every, key=lambda one: one.number)
+    weakest = _weakest(worst, judge)
     coarse, refined = _coarser(model)
-    weakest = _weakest(worst, gram)
     return Grade(
         worst.number,
         verdict(worst.number),
         worst.sigma_mm,
         worst.sample_sigma_mm,
-        stands[last],
-        stand_mm is None,
+        worst.set_ups[-1].stand_mm,
+        False,
         min(one.number for one in every),
-        None
-        if weakest[0].remedy is None
-        else _judged(
-            rehearsed(machine, with_line(commanded, weakest[0].remedy), stands[last]),
-            model,
-            gram,
-            perpendicular_only,
-        ).number,
+        _improved(worst, weakest[0].remedy, judge),
         weakest,
-        weak_shapes(refined.T @ told @ refined, coarse, refined.T @ gram @ refined),
-        statements(machine, worst.seen.at.offset_mm, merged, model, worst.covariance),
+        weak_shapes(
+            refined.T @ worst.told @ refined, coarse, refined.T @ judge.gram @ refined
+        ),
+        statements(machine, offsets_mm, merged, model, worst.covariance),
     )
+
+
+def _improved(worst: _Judged, remedy: Remedy | None, judge: _Judge) -> float | None:
+    """Return the number with a line more, at the end of the last Run."""
+    if remedy is None:
+        return None
+    *others, last = worst.set_ups
+    longer = replace(last, commanded=with_line(last.commanded, remedy))
+    return judge.judged((*others, longer)).number
 
 
 def verdict(number: float) -> str:
@@ -162,35 +226,12 @@ def verdict(number: float) -> str:
     return "usable" if number <= USABLE else "poor"
 
 
-def sample_sigma_mm(seen: Observations) -> float:
+def _sample_sigma_mm(seen: Sequence[Observations]) -> float:
     """Return the standard deviation of one sample as a vector, at usual distance."""
-    distance = np.linalg.norm(seen.tracker_mm, axis=1)
-    along, across = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
+    distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in seen])
+    tracker = seen[0].at.machine.tracker
+    along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     return float(np.sqrt(along**2 + 2.0 * across**2))
-
-
-def _judged(
-    seen: Observations,
-    model: MachineModel,
-    gram: Float64[np.ndarray, "p p"],
-    perpendicular_only: bool,
-) -> _Judged:
-    data = expected_information(seen, model, perpendicular_only=perpendicular_only)
-    prior = np.zeros_like(data.matrix)
-    prior[: model.size, : model.size] = usual_precision(model)
-    free = np.arange(model.size, len(prior))
-    prior[free, free] = _ROUGH_POSE
-    covariance = posterior(data, prior).covariance[: model.size, : model.size]
-    sigma = float(np.sqrt(max(np.sum(gram * covariance), 0.0)))
-    return _Judged(seen, model, data, covariance, sigma, sample_sigma_mm(seen))
-
-
-def _machine_part(data: Information, model: MachineModel) -> Float64[np.ndarray, "p p"]:
-    """Return what is told of the machine whatever the tracker's pose."""
-    p = model.size
-    pose = data.matrix[p:, p:] + np.diag(_ROUGH_POSE)
-    cross = data.matrix[:p, p:]
-    return data.matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
 
 
 def _coarser(
@@ -216,8 +257,8 @@ def _coarser(
     return coarse, refined
 
 
-def _weakest(one: _Judged, gram: Float64[np.ndarray, "p p"]) -> tuple[WeakMotion, ...]:
-    model = one.model
+def _weakest(one: _Judged, judge: _Judge) -> tuple[WeakMotion, ...]:
+    model, gram = judge.model, judge.gram
     share = {
         e.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
         for e in model.effects
@@ -225,12 +266,13 @@ def _weakest(one: _Judged, gram: Float64[np.ndarray, "p p"]) -> tuple[WeakMotion
         for p in (model.slices[e.name],)
     }
     names = sorted(share, key=lambda name: -share[name])[:_NAMED]
-    needed = one.number > GOOD
+    if one.number <= GOOD:
+        return tuple(WeakMotion(name, share[name], None) for name in names)
+    last = one.set_ups[-1]
+    seen = rehearsed(last.machine, last.commanded, last.stand_mm)
     return tuple(
         WeakMotion(
-            name,
-            share[name],
-            best_line(name, one.seen, model, one.covariance, gram) if needed else None,
+            name, share[name], best_line(name, seen, model, one.covariance, gram)
         )
         for name in names
     )

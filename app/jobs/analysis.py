@@ -19,7 +19,8 @@ from app.alignment.observations import Observations
 from app.errors import AlignmentError, BundleError
 from app.estimation.batch import estimate
 from app.estimation.estimate import Estimate
-from app.estimation.grade import Grade, grade
+from app.estimation.grade import Grade, SetUp, grade_together
+from app.kinematics.machine import Machine
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import parse_json
 from app.measurement.one_machine import one_machine
@@ -94,7 +95,7 @@ def analyse(
 
     told(0.0, "aligning")
     names = told_apart([run.name for run in runs])
-    one_machine([run.machine for run in runs], names)  # before the work, not after
+    machine = one_machine([run.machine for run in runs], names)  # before the work
     observed = [
         _aligned(run, name, len(runs)) for run, name in zip(runs, names, strict=True)
     ]
@@ -116,7 +117,7 @@ def analyse(
         for run, name in zip(runs, names, strict=True)
     )
     provenance = Provenance(accounts, version("truepath"), datetime.now(UTC))
-    graded = _graded(runs, estimated)
+    graded = _graded(machine, runs, estimated)
     found = find(replace(estimated, fit=None), provenance, trials, graded)
     analysis = Analysis(
         found, result_json(found), error_tables_csv(found.tables), report_html(found)
@@ -142,15 +143,14 @@ def _aligned(run: Run, name: str, count: int) -> Observations:
         raise AlignmentError(f"{name}: {error}") from error
 
 
-def _graded(runs: Sequence[Run], estimated: Estimate) -> Grade | None:
-    """Grade the set-up of a single Run; of several, none was planned as a whole."""
-    if len(runs) > 1:
-        return None
-    return grade(
-        runs[0].machine,
-        runs[0].commanded,
-        stand_mm=estimated.runs[0].pose.inverse().shift_mm,
-        perpendicular_only=estimated.perpendicular_only,
+def _graded(machine: Machine, runs: Sequence[Run], estimated: Estimate) -> Grade:
+    """Grade the set-up of all Runs together, from where the trackers stood."""
+    set_ups = [
+        SetUp(run.machine, run.commanded, found.pose.inverse().shift_mm)
+        for run, found in zip(runs, estimated.runs, strict=True)
+    ]
+    return grade_together(
+        machine, set_ups, perpendicular_only=estimated.perpendicular_only
     )
 
 

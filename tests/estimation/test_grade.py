@@ -8,9 +8,9 @@ import pytest
 from app.alignment.align import align
 from app.errors import PlanningError
 from app.estimation.batch import estimate
-from app.estimation.grade import grade, verdict
+from app.estimation.grade import SetUp, grade, grade_together, verdict
 from app.estimation.volumetric_map import volumetric_gram
-from app.kinematics.machine import TrackerNoise
+from app.kinematics.machine import Target, TrackerNoise
 from app.planning.configurations import Configurations
 from app.planning.paths import default_path
 from drivers.interfaces.records import Path
@@ -107,6 +107,30 @@ def test_the_line_asked_for_lowers_the_number_it_promises(demo, number):
     again = grade(demo, path_of(demo, longer), stand_mm=STAND)
     assert found.improved < found.number
     assert again.number == pytest.approx(found.improved, rel=0.1)
+
+
+def test_a_path_in_two_runs_is_worth_hardly_less_than_in_one(demo):
+    path = default_path(demo, lines=24)
+    half = len(path) // 2
+    parts = [
+        path_of(demo, rows)
+        for rows in (path.position[: half + 1], path.position[half:])
+    ]
+    together = grade_together(demo, [SetUp(demo, part, STAND) for part in parts])
+    alone = grade(demo, parts[0], stand_mm=STAND)
+    whole = grade(demo, path, stand_mm=STAND)
+    assert whole.number <= together.number < 1.3 * whole.number
+    assert together.number < alone.number
+
+
+def test_a_run_with_a_longer_tool_tells_what_the_first_could_not(demo):
+    second = (20.0, 30.0, -350.0)
+    longer = replace(demo, targets=(Target("", "tool", second),))
+    both = replace(demo, targets=(*demo.targets, Target("long", "tool", second)))
+    path = default_path(demo)
+    set_ups = [SetUp(machine, path, STAND) for machine in (demo, longer)]
+    said = {s[:3] for s in grade_together(both, set_ups).unobservable}
+    assert said == {s[:3] for s in grade(demo, path).unobservable} - {"EAZ", "EBZ"}
 
 
 @pytest.mark.parametrize(
