@@ -20,7 +20,7 @@ from drivers.interfaces.records import Path, TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
-from simulators.synthetic import Defects, Setting
+from simulators.synthetic import ROUGH, Defects, Setting
 from simulators.timeline import Program
 
 PERFECT = Setting(error_scale=0.0, noise_scale=0.0)
@@ -167,6 +167,23 @@ def test_a_hold_in_mid_arc_makes_two_passes_of_it():
     rows = [p.row for p in seen.passes]
     assert len(rows) == len(set(rows)) + 1
     assert np.abs(off_mm(seen)).max() < 1e-3
+
+
+def test_lost_frames_breaks_spikes_and_holds_cost_only_themselves_on_arcs():
+    clean, _ = random_path("trunnion")
+    rough, _ = random_path("trunnion", setting=Setting(defects=ROUGH))
+    tracker = rough.tracker
+    _, once = np.unique(tracker.device_time_s, return_index=True)
+    kept = TrackerSamples(
+        tracker.sequence[once],
+        tracker.device_time_s[once],
+        tracker.position_mm[once],
+        tracker.status[once],
+    )
+    a, b = align(clean), align(replace(rough, tracker=kept))
+    assert len({p.row for p in a.passes} - {p.row for p in b.passes}) < 3
+    assert b.used > 0.9 * a.used
+    assert np.abs(off_mm(b)).max() < 0.3
 
 
 def test_lines_whose_corner_is_lost_are_told_by_place():
