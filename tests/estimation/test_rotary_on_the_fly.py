@@ -168,3 +168,16 @@ def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
     ]
     assert np.abs(np.concatenate(off)).max() < 1.5
     assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 0.4
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+def test_ten_random_machines_are_recovered_within_their_uncertainties(rigid_free):
+    inside, left = [], []
+    for seed in range(10):
+        found = measured(("head-table", "trunnion")[seed % 2], 50 + seed)
+        result = estimate(found.seen)
+        inside.append((np.abs(deviations(result, found.truth)) < 2.0).mean())
+        left.append(share_left(result, found.truth, rigid_free)[0])
+    assert 0.88 < np.mean(inside) <= 1.0
+    assert np.median(left) < 0.03
