@@ -19,7 +19,7 @@ NEXT = "#next button"
 def test_the_tables_tighten_with_each_line(panel, service):
     job = measuring(service)
     page = tables(panel)
-    expect(page.locator(".estimate-card")).to_contain_text("first two or three lines")
+    expect(page.locator(".estimate-card")).to_contain_text("after a few lines")
     service.estimate(job, 4)
     exx = page.locator("[data-symbol=EXX] header strong")
     expect(exx).to_have_text("± 6.5")
