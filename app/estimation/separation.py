@@ -88,8 +88,10 @@ def _statement(
         )
     else:
         said += " does not move the target"
+    if _asks_for_the_table(merged.symbol, model.machine):
+        return f"{said}; targets on the workpiece, three off one line, show it"
     cure = next((w for w, names in left.items() if merged.symbol not in names), "")
-    if not cure:
+    if not cure or not is_turn(merged.symbol):
         return f"{said}; other targets, off one line with these, separate it"
     way = np.array(_TRIALS[cure])
     for wanted in (min(_usual_turn(model, covariance), _ENOUGH_RAD), _ENOUGH_RAD):
@@ -101,6 +103,16 @@ def _statement(
                 f"(to {2e6 * wanted:.1f} µrad, k = 2, on the same path)"
             )
     return f"{said}; the lines or points tell too little for any tool to change that"
+
+
+def _asks_for_the_table(symbol: str, machine: Machine) -> bool:
+    """Tell whether an axis moves the workpiece, which no target sits on yet.
+
+    A tracker on the base sees such an axis by targets on the workpiece alone.
+    """
+    from_base = machine.tracker.stands_on == "base"
+    there = any(t.on == "workpiece" for t in machine.targets)
+    return from_base and not there and symbol[2] in machine.workpiece_side
 
 
 def _usual_turn(model: MachineModel, covariance: Float64[np.ndarray, "p p"]) -> float:

@@ -11,7 +11,13 @@ from app.estimation.identifiable import identifiable_model
 from app.estimation.information import posterior
 from app.estimation.rehearsal import expected_information, rehearsed
 from app.estimation.weak_shapes import usual_precision
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from app.kinematics.machine import (
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    Target,
+    TrackerNoise,
+)
 from app.planning.paths import default_path
 
 STAND = np.array([-900.0, 200.0, 100.0])
@@ -111,3 +117,18 @@ def test_longer_tools_are_asked_for_where_less_is_measured():
         if s.startswith("EBZ")
     ]
     assert lengths[0] > 1.3 * lengths[1]  # length times uncertainty: √2 u of EXZ
+
+
+def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
+    table = RotaryAxis("C", 0.0, 360.0, (250.0, 200.0, 0.0), (0.0, 0.0, 1.0))
+    mill_with_table = replace(
+        mill((30.0, 20.0, -100.0)),
+        workpiece_side=("C",),
+        axes=(*mill((0.0, 0.0, 0.0)).axes, table),
+        tracker=TrackerNoise(stands_on="base"),
+    )
+    found = grade(mill_with_table, default_path(mill_with_table), stand_mm=STAND)
+    said = {s[:3]: s for s in found.unobservable}
+    for symbol in ("EXC", "EAC", "ECC", "XOC", "AOC"):
+        assert "targets on the workpiece, three off one line" in said[symbol]
+    assert "a second tool at least" in said["EBZ"]
