@@ -32,10 +32,9 @@ from app.numerics.adaptive_trials import (
     propagate,
 )
 from app.reporting.error_tables import MICRO, MILLI, table_positions_mm
-from app.reporting.volumetric_error import grid_mm
 
 MAP = "volumetric error"
-_GRID = 3  # points an axis, ends included
+_GRID, _TURNED = 3, 2  # points of a linear and of a rotary axis, ends included
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +170,13 @@ def _asked(model: MachineModel) -> list[_Asked]:
 
 
 def _map(model: MachineModel) -> _Asked:
-    at = grid_mm(model, _GRID)
+    travel = [
+        np.linspace(
+            axis.low, axis.high, _TURNED if isinstance(axis, RotaryAxis) else _GRID
+        )
+        for axis in model.machine.axes
+    ]
+    at = np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
     J = volumetric_map(model).jacobian(standstill(model.machine, at))
     return _Asked(MAP, "um", at, "", MILLI * J.reshape(-1, model.size))
 
