@@ -309,7 +309,9 @@ def test_trials_are_asked_for_on_the_result_and_told_with_it(panel, service):
     expect(card).to_contain_text("470,000 trials validate")
     expect(card).to_contain_text("323 of 334")
     report = card.get_by_role("link", name="Report")
-    expect(report).to_have_attribute("href", f"/api/v1/jobs/{trying}/result/report.html")
+    expect(report).to_have_attribute(
+        "href", f"/api/v1/jobs/{trying}/result/report.html"
+    )
 
 
 def test_an_error_table_opens_large_with_its_numbers(panel, service):
