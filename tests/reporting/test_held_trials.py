@@ -11,6 +11,7 @@ import pytest
 from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.jobs.analysis import analyse
+from app.measurement.bundle import read_bundle
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.error_tables import error_tables
 from app.reporting.held_trials import MAP, held_against_trials
@@ -21,8 +22,13 @@ PLAN = TrialPlan(seed=5, most_blocks=2)
 
 
 @pytest.fixture(scope="module")
-def estimated(record):
-    return estimate(align(record(33, rows=16)[0]), keep_fit=True)
+def run(small_run):
+    return read_bundle(small_run)
+
+
+@pytest.fixture(scope="module")
+def estimated(run):
+    return estimate(align(run), keep_fit=True)
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +94,8 @@ def test_the_file_states_trials_beside_the_linear_law(held):
     assert len(stated["volumetric_error"]["uncertainty_um"]) == 81
 
 
-def test_an_analysis_carries_the_trials_into_file_and_report(record):
+def test_an_analysis_carries_the_trials_into_file_and_report(run):
     stages: list[tuple[float, str]] = []
-    run = record(33, rows=16)[0]
     asked = {"monte_carlo": PLAN, "progress": lambda *told: stages.append(told)}
     analysis = analyse(run, **asked)
     assert analysis.result["monte_carlo"]["trials"] == 20_000
@@ -101,8 +106,8 @@ def test_an_analysis_carries_the_trials_into_file_and_report(record):
     assert order == ["aligning", "estimating", "validating", "reporting"]
 
 
-def test_an_analysis_without_trials_says_nothing_of_them(record):
-    analysis = analyse(record(33, rows=16)[0])
+def test_an_analysis_without_trials_says_nothing_of_them(run):
+    analysis = analyse(run)
     assert analysis.result["monte_carlo"] is None
     assert "held against trials" not in analysis.report_html
 
