@@ -15,6 +15,7 @@ from app.planning.paths import ACCELERATION_MM_S2, travel_time_s
 from drivers.interfaces.records import Path
 
 COLUMNS = 60
+LARGEST_FEED = 99_999.0  # mm/min, that controls of all kinds read
 _NAME_LENGTH = 16
 # What comments of all controls may hold; a bracket or a quote would end them.
 _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
@@ -57,25 +58,25 @@ class Order:
     steps: tuple[Step, ...]
 
 
-def as_printed(path: Path, decimals: int, least_dwell_s: float) -> Path:
-    """Return a path with positions and dwells as a program states them."""
+def as_printed(
+    path: Path, decimals: int, least_dwell_s: float, *, counts_degrees: bool
+) -> Path:
+    """Return a path with positions, feeds and dwells as a program states them."""
+    position = np.round(path.position, decimals) + 0.0  # no minus zero
     dwell_s: Float64[np.ndarray, " n"] = np.maximum(path.dwell_s, least_dwell_s)
-    return replace(
-        path,
-        position=np.round(path.position, decimals) + 0.0,  # no minus zero
-        dwell_s=np.round(dwell_s, 3),
-    )
+    printed = replace(path, position=position, dwell_s=np.round(dwell_s, 3))
+    if not counts_degrees:
+        return printed
+    # Much turning on a short line: F would be a number that no control reads.
+    most = LARGEST_FEED / _whole_for_straight(printed)
+    return replace(printed, feed_mm_min=np.minimum(path.feed_mm_min, most))
 
 
 def steps_of(path: Path) -> tuple[Step, ...]:
     """Return the rows of a printed path."""
-    linear = np.array([name in "XYZ" for name in path.axes])
-    move = np.diff(path.position, axis=0)
-    straight = np.linalg.norm(move[:, linear], axis=1)
-    whole = np.linalg.norm(move, axis=1)
-    # The way to the first row is not known: its feed stands for itself.
+    straight, whole = _lengths(path)
     turns_only = [False, *((straight == 0) & (whole > 0)).tolist()]
-    share = [1.0, *np.where(straight > 0, whole / np.where(straight, straight, 1), 1.0)]
+    share = _whole_for_straight(path)
     return tuple(
         Step(
             row=index + 1,
@@ -128,6 +129,26 @@ def plain_name(text: str) -> str:
     # Two letters first: a Siemens control takes no other names.
     named = kept if re.match(r"[A-Z]{2}", kept) else f"TP_{kept}"
     return named[:_NAME_LENGTH].rstrip("_")
+
+
+def _lengths(
+    path: Path,
+) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Return the length of each line: of its linear part, and with degrees as mm."""
+    linear = np.array([name in "XYZ" for name in path.axes])
+    move = np.diff(path.position, axis=0)
+    straight = np.linalg.norm(move[:, linear], axis=1)
+    return straight, np.linalg.norm(move, axis=1)
+
+
+def _whole_for_straight(path: Path) -> Float64[np.ndarray, " n"]:
+    """Return the feed of all axes for a unit of that of the linear ones, each row.
+
+    The way to the first row is not known: its feed stands for itself.
+    """
+    straight, whole = _lengths(path)
+    share = np.where(straight > 0, whole / np.where(straight, straight, 1.0), 1.0)
+    return np.concatenate([[1.0], share])
 
 
 def _travel_used(path: Path, machine: Machine) -> list[str]:

@@ -11,6 +11,7 @@ from app.planning.configurations import Configurations
 from app.planning.nc_programs.dialect import Dialect
 from app.planning.nc_programs.motion import ProgrammedMotion, path_checksum
 from app.planning.nc_programs.order import (
+    LARGEST_FEED,
     Order,
     as_printed,
     header_of,
@@ -22,7 +23,7 @@ from app.plugins import installed, load
 from drivers.interfaces.records import Path
 
 GROUP = "truepath.nc_dialects"
-_LEAST_FEED, _LARGEST_FEED = 0.1, 99_999.0  # mm/min, of controls of all kinds
+_LEAST_FEED = 0.1  # mm/min
 
 
 def dialect_names() -> tuple[str, ...]:
@@ -59,7 +60,12 @@ def nc_program(
     check_travel(machine, path_or_points)
     planned = _as_path(path_or_points, feed_mm_min)
     _refuse_beyond(kind, planned)
-    path = as_printed(planned, kind.decimals, kind.least_dwell_s)
+    path = as_printed(
+        planned,
+        kind.decimals,
+        kind.least_dwell_s,
+        counts_degrees=kind.counts_degrees,
+    )
     text = kind.write(_order(kind, path, planned, machine, name))
     _check(kind.read(text), path, machine, kind)
     return text
@@ -117,8 +123,8 @@ def _refuse_beyond(kind: Dialect, path: Path) -> None:
         )
     feed, dwell_s = path.feed_mm_min, path.dwell_s
     _refuse_row(
-        feed, (feed >= _LEAST_FEED) & (feed <= _LARGEST_FEED), "feed_mm_min",
-        f"give a feed of {_LEAST_FEED:g} to {_LARGEST_FEED:g} mm/min",
+        feed, (feed >= _LEAST_FEED) & (feed <= LARGEST_FEED), "feed_mm_min",
+        f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED:g} mm/min",
     )  # fmt: skip
     _refuse_row(
         dwell_s, (dwell_s >= 0) & (dwell_s <= kind.longest_dwell_s), "dwell_s",
