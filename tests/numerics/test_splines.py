@@ -87,3 +87,16 @@ def test_cubic_spline_error_falls_with_fourth_power_of_spacing():
         return np.abs(natural_spline(knots).basis(t) @ np.sin(knots) - np.sin(t)).max()
 
     assert np.log2(error(16) / error(32)) == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_stiffness_by_interval_weighs_the_bending_of_each(rng):
+    spline = natural_spline(np.array([0.0, 10.0, 25.0, 30.0, 50.0]))
+    a, weight = rng.standard_normal(5), np.array([1.0, 0.2, 3.0, 0.0])
+    exact = 0.0
+    for left, right, w in zip(spline.knots[:-1], spline.knots[1:], weight, strict=True):
+        # S'' is straight in an interval: Simpson's rule is exact for its square.
+        ends = np.interp([left, right], spline.knots, spline.curvature_map @ a)
+        middle = ends.mean()
+        exact += w * (right - left) / 6 * (ends[0] ** 2 + 4 * middle**2 + ends[1] ** 2)
+    assert a @ spline.bending(weight) @ a == pytest.approx(exact)
+    assert spline.bending(np.ones(4)) == pytest.approx(spline.bending())
