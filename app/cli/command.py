@@ -147,8 +147,12 @@ def simulate(context: typer.Context) -> None:
 
 @app.command()
 def analyse(
-    bundle: Annotated[
-        Path, typer.Argument(metavar="BUNDLE", help="Measurement: a folder or a .zip.")
+    bundles: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BUNDLE...",
+            help="Measurements of one machine, each a folder or a .zip.",
+        ),
     ],
     output: OutputFolder,
     perpendicular_only: Annotated[
@@ -171,13 +175,13 @@ def analyse(
     ] = "symmetric",
     json: Json = False,
 ) -> None:
-    """A measurement to error tables with their uncertainty, and a report."""
+    """Measurements to error tables with their uncertainty, and a report."""
     _compute_on_one_thread()
-    from app.cli.science import analyse_bundle
+    from app.cli.science import analyse_bundles
     from app.numerics.adaptive_trials import TrialPlan
 
     plan = TrialPlan(seed=seed, interval=interval) if monte_carlo else None
-    analyse_bundle(bundle, output, perpendicular_only, monte_carlo=plan, as_json=json)
+    analyse_bundles(bundles, output, perpendicular_only, monte_carlo=plan, as_json=json)
 
 
 @app.command()

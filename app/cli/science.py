@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -10,21 +11,21 @@ import numpy as np
 from app.cli.summary import print_result, summarised
 from app.cli.terminal import print_json, progress, say
 from app.errors import BadInput
-from app.jobs.analysis import analyse, predict_points, write_analysis
+from app.jobs.analysis import analyse, predict_points, read_all, write_analysis
 from app.measurement.bundle import read_bundle
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.reporting.prediction import Prediction
 
 
-def analyse_bundle(
-    bundle: Path,
+def analyse_bundles(
+    bundles: Sequence[Path],
     output: Path,
     perpendicular_only: bool,
     *,
     monte_carlo: TrialPlan | None,
     as_json: bool,
 ) -> None:
-    """Analyse a measurement bundle and write the three files of a result.
+    """Analyse measurement bundles together and write the three files of a result.
 
     monte_carlo : trials to hold the uncertainty against; the settings say who computes
     """
@@ -33,9 +34,9 @@ def analyse_bundle(
     workers = nullcontext(map) if monte_carlo is None else _workers()
     with progress("analyse") as report, workers as mapper:
         report(0.0, "reading")
-        run = read_bundle(bundle)
+        runs = read_all(bundles, read_bundle)
         analysis = analyse(
-            run,
+            *runs,
             perpendicular_only=perpendicular_only,
             monte_carlo=monte_carlo,
             mapper=mapper,

@@ -18,6 +18,7 @@ def summarised(result: Result, folder: Path) -> dict[str, Any]:
         "schema": "summary/1",
         "machine": result["machine"]["name"],
         "mode": result["mode"],
+        "runs": [{"name": r["name"], "mode": r["mode"]} for r in result["runs"]],
         "error_tables": {
             symbol: {
                 f"{kind}_{unit}": value

@@ -33,7 +33,7 @@ from app.reporting.points_csv import predicted_csv, read_points
 from app.reporting.prediction import Prediction, predict
 from app.reporting.report_html import report_html
 from app.reporting.result_json import LoadedResult, read_result, result_json
-from app.reporting.run_account import account_of
+from app.reporting.run_account import RunAccount, account_of
 
 Progress = Callable[[float, str], None]
 
@@ -95,6 +95,11 @@ def analyse(
 
     told(0.0, "aligning")
     names = told_apart([run.name for run in runs])
+    accounts = tuple(
+        replace(account_of(run), name=name)
+        for run, name in zip(runs, names, strict=True)
+    )
+    _require_different(accounts)
     machine = one_machine([run.machine for run in runs], names)  # before the work
     observed = [
         _aligned(run, name, len(runs)) for run, name in zip(runs, names, strict=True)
@@ -112,10 +117,6 @@ def analyse(
         tried(0.0)
         trials = held_against_trials(estimated, monte_carlo, mapper, tried)
     told(shares.tried, "reporting")
-    accounts = tuple(
-        replace(account_of(run), name=name)
-        for run, name in zip(runs, names, strict=True)
-    )
     provenance = Provenance(accounts, version("truepath"), datetime.now(UTC))
     graded = _graded(machine, runs, estimated)
     found = find(replace(estimated, fit=None), provenance, trials, graded)
@@ -131,6 +132,41 @@ def told_apart(names: Sequence[str]) -> list[str]:
     if len(set(names)) == len(names):
         return list(names)
     return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+
+
+def read_all(
+    places: Sequence[str | Path], read: Callable[[Path], Run]
+) -> tuple[Run, ...]:
+    """Read Runs. Raises BundleError, of several with the place of the one meant."""
+    return tuple(_read(Path(place), read, len(places)) for place in places)
+
+
+def _read(place: Path, read: Callable[[Path], Run], count: int) -> Run:
+    try:
+        return read(place)
+    except BundleError as error:
+        if count == 1:
+            raise
+        raise BundleError(
+            error.problem,
+            file=f"{place.name}: {error.file}",
+            row=error.row,
+            column=error.column,
+            remedy=error.remedy,
+        ) from error
+
+
+def _require_different(accounts: Sequence[RunAccount]) -> None:
+    """Refuse a measurement given twice: its noise would count as that of two."""
+    seen: dict[str, str] = {}
+    for account in accounts:
+        if account.digest in seen:
+            raise BundleError(
+                f"is the same measurement as {seen[account.digest]}",
+                file=account.name,
+                remedy="give each measurement once",
+            )
+        seen[account.digest] = account.name
 
 
 def _aligned(run: Run, name: str, count: int) -> Observations:

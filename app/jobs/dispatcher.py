@@ -31,13 +31,14 @@ MAX_WAITING = 100
 class Wish:
     """What a user wants done.
 
-    run_id : the Run to analyse; rows : path or points in the columns of the bundle
+    run_ids : the Runs to analyse together
+    rows : path or points in the columns of the bundle
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
     monte_carlo : trials to hold the uncertainty of an analysis against
     """
 
     kind: Kind
-    run_id: str | None = None
+    run_ids: Sequence[str] = ()
     rows: Sequence[Row] | None = None
     feed_mm_min: float | None = None
     perpendicular_only: bool = False
@@ -141,9 +142,14 @@ class Dispatcher:
 
     def _checked(self, wish: Wish) -> NewJob:
         if not wish.kind.measures:
-            run = self._shop.runs.get(wish.run_id or "")
-            only, trials = wish.perpendicular_only, wish.monte_carlo
-            return NewJob(wish.kind, run.id, only, monte_carlo=trials)
+            first, *further = [self._shop.runs.get(i).id for i in wish.run_ids]
+            return NewJob(
+                wish.kind,
+                first,
+                wish.perpendicular_only,
+                monte_carlo=wish.monte_carlo,
+                further_run_ids=tuple(further),
+            )
         machine = self._shop.machine
         if machine is None or self._shop.cell is None:
             raise NoMachine("no machine is set up; give the service a machine_file")

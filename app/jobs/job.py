@@ -94,6 +94,8 @@ class Failure:
 class Job:
     """One job. `seq` orders jobs; wall-clock times are for people.
 
+    run_id : the Run that it made, or the first that it analyses
+    further_run_ids : those that are analysed together with it
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
     monte_carlo : the trials that an analysis holds its uncertainty against
     """
@@ -109,6 +111,7 @@ class Job:
     started: str | None = None
     ended: str | None = None
     run_id: str | None = None
+    further_run_ids: tuple[str, ...] = ()
     perpendicular_only: bool = False
     monte_carlo: TrialPlan | None = None
     target_um: float | None = None
@@ -116,6 +119,11 @@ class Job:
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None
+
+    @property
+    def run_ids(self) -> tuple[str, ...]:
+        """All its Runs."""
+        return (self.run_id, *self.further_run_ids) if self.run_id else ()
 
     @property
     def is_final(self) -> bool:
@@ -138,12 +146,14 @@ class NewJob:
     target_um: float | None = None
     plan: Json | None = None
     monte_carlo: TrialPlan | None = None
+    further_run_ids: tuple[str, ...] = ()
 
 
 def job_json(job: Job) -> dict[str, Any]:
     """Return the record as events keep it."""
     content = asdict(job)
     content["progress"] = progress_json(job.progress)
+    content["further_run_ids"] = list(job.further_run_ids)
     return content
 
 
@@ -159,6 +169,7 @@ def job_from_json(content: Json) -> Job:
             "stage": Stage(content["stage"]),
             "progress": progress_from_json(content["progress"]),
             "health": Health(**content["health"]),
+            "further_run_ids": tuple(content.get("further_run_ids") or ()),
             "failure": Failure(**failure) if failure else None,
             "early_end": EarlyEnd(**early_end) if early_end else None,
             "monte_carlo": TrialPlan(**monte_carlo) if monte_carlo else None,

@@ -52,6 +52,7 @@ jobs = Table(
     Column("version", Integer, nullable=False),
     Column("stage", String(16), nullable=False),
     Column("run_id", String(36), ForeignKey("runs.id"), nullable=True),
+    Column("further_run_ids", JSON, nullable=True),
     Column("perpendicular_only", Boolean, nullable=False),
     Column("monte_carlo", JSON, nullable=True),
     Column("target_um", Float, nullable=True),

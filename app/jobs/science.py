@@ -1,10 +1,10 @@
-"""The task of a science job: the file of a Run in, the files of its result out."""
+"""The task of a science job: files of Runs in, the files of their result out."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from app.numerics.adaptive_trials import TrialPlan
 
 
 def analyse_recorded(
-    run_file: str,
+    run_files: Sequence[str],
     folder: str,
     perpendicular_only: bool,
     monte_carlo: TrialPlan | None,
@@ -22,18 +22,18 @@ def analyse_recorded(
     *,
     progress: Callable[[float, str], None],
 ) -> None:
-    """Analyse a Run and write its result into `folder`: whole, or not at all.
+    """Analyse Runs together and write the result into `folder`, whole or not at all.
 
     monte_carlo : trials to hold the uncertainty against, cut into blocks for `workers`
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.jobs.analysis import analyse, write_analysis
+    from app.jobs.analysis import analyse, read_all, write_analysis
 
-    run = open_recorded(Path(run_file))
+    runs = read_all(run_files, open_recorded)
     shared = nullcontext(map) if monte_carlo is None else opened(workers)
     with shared as mapper:
         analysis = analyse(
-            run,
+            *runs,
             perpendicular_only=perpendicular_only,
             monte_carlo=monte_carlo,
             mapper=mapper,

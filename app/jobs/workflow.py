@@ -7,7 +7,7 @@ its `Control` it ends early.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -50,7 +50,7 @@ class Workshop:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
-    science : task `(run_file, folder, perpendicular_only, monte_carlo, workers, *,
+    science : task `(run_files, folder, perpendicular_only, monte_carlo, workers, *,
         progress)`
     workers : who computes what science can cut into blocks
     results : folder of results, one folder a job
@@ -74,8 +74,10 @@ def carry_out(job: Job, control: Control, shop: Workshop) -> None:
     with structlog.contextvars.bound_contextvars(job_id=job.id):
         log.info("job begins", kind=str(job.kind))
         try:
-            run_id = measure(job, control, shop) if job.kind.measures else job.run_id
-            analyse(job, run_id or "", control, shop)
+            run_ids = job.run_ids
+            if job.kind.measures:
+                run_ids = (measure(job, control, shop),)
+            analyse(job, run_ids, control, shop)
         except Exception as error:
             _end(control, *_outcome(error))
         else:
@@ -137,9 +139,9 @@ def _live_estimation(
     return live
 
 
-def analyse(job: Job, run_id: str, control: Control, shop: Workshop) -> None:
-    """Turn a Run into error tables."""
-    file = shop.runs.file(run_id)
+def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) -> None:
+    """Turn Runs into error tables."""
+    files = [str(shop.runs.file(run_id)) for run_id in run_ids]
     total = 1.0
 
     def report(fraction: float, stage: str) -> None:
@@ -150,7 +152,7 @@ def analyse(job: Job, run_id: str, control: Control, shop: Workshop) -> None:
 
     computation = shop.executor.submit(
         shop.science,
-        str(file),
+        files,
         str(shop.results / job.id),
         job.perpendicular_only,
         job.monte_carlo,

@@ -259,6 +259,13 @@ def test_a_query_that_is_not_as_documented_is_named(client, is_problem, query):
         ({}, ["body", "kind"], "Field required"),
         ({"kind": "dance"}, ["body", "kind"], "Input should be"),
         ({"kind": "analyse"}, ["body"], "needs a run_id"),
+        (
+            {"kind": "analyse", "run_id": "a", "run_ids": ["b"]},
+            ["body"],
+            "stands beside run_ids",
+        ),
+        ({"kind": "analyse", "run_ids": ["a", "a"]}, ["body"], "names a Run twice"),
+        ({"kind": "analyse", "run_ids": []}, ["body", "run_ids"], "at least 1"),
         ({"kind": "analyse", "run_id": "../etc"}, ["body", "run_id"], "match pattern"),
         ({"kind": "measure-otf", "points": [{}]}, ["body"], "points is not for"),
         ({"kind": "measure-otf", "hurry": 1}, ["body", "hurry"], "Extra inputs"),

@@ -180,14 +180,19 @@ def test_a_measurement_ends_at_its_target(curl, follow, make_cell, estimates):
 
 def test_a_measurement_from_elsewhere_is_analysed(curl, follow, bundle, tmp_path):
     (tmp_path / "run.zip").write_bytes(bundle())
-    upload, analyse = section("Analyse a measurement from elsewhere")
-    answer = curl(upload)
-    assert answer.status_code == 201
-    curl.names["RUN"] = answer.json()["id"]
-    answer = curl(analyse)
-    assert answer.status_code == 202
-    curl.take(answer.json())
-    follow("succeeded")
+    upload, *analyses = section("Analyse a measurement from elsewhere")
+    for name in ("OTHER", "RUN"):
+        answer = curl(upload)
+        assert answer.status_code == 201
+        curl.names[name] = answer.json()["id"]
+    assert len(analyses) == 2
+    for analyse in analyses:
+        answer = curl(analyse)
+        assert answer.status_code == 202
+        curl.take(answer.json())
+        follow("succeeded")
+    job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()
+    assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
 
 
 def test_every_code_of_the_document_exists_with_its_status():

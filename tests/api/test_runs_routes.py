@@ -29,6 +29,15 @@ def test_an_uploaded_bundle_is_catalogued_and_analysed(client, bundle, until):
     assert plan["position"] == [[10, 10, 10], [400, 300, 200]]
 
 
+def test_several_runs_are_analysed_together(client, bundle, until):
+    ids = [upload(client, bundle()).json()["id"] for _ in range(2)]
+    order = {"kind": "analyse", "run_ids": ids}
+    job = until(client.post("/api/v1/jobs", json=order).json(), "succeeded")
+    assert (job["run_id"], job["run_ids"]) == (ids[0], ids)
+    unknown = {"kind": "analyse", "run_ids": [ids[0], "nowhere"]}
+    assert client.post("/api/v1/jobs", json=unknown).status_code == 404
+
+
 def test_a_bundle_comes_back_as_it_was_sent(client, bundle):
     sent = bundle()
     run = upload(client, sent).json()

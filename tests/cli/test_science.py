@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.measurement.bundle import zip_bundle
+from app.measurement.bundle import write_bundle, zip_bundle
 from app.numerics.adaptive_trials import TrialPlan
 
 
@@ -38,6 +38,39 @@ def test_a_zip_says_the_same_as_its_folder_in_one_object(
     folder = json.loads((analysed / "result.json").read_text())
     highest = max(folder["error_tables"]["EXX"]["value_um"])
     assert said["error_tables"]["EXX"]["highest_um"] == pytest.approx(highest)
+
+
+def test_bundles_of_both_modes_are_analysed_together(record, tmp_path, summary):
+    for mode, rows in (("otf", 24), ("standstill", 30)):
+        write_bundle(record(1, mode, rows=rows)[0], tmp_path / mode)
+    bundles = [str(tmp_path / mode) for mode in ("otf", "standstill")]
+    assert run(["analyse", *bundles, "-o", str(tmp_path / "out"), "--json"]) == 0
+    said = summary()
+    assert said["runs"] == [
+        {"name": "otf", "mode": "otf"},
+        {"name": "standstill", "mode": "standstill"},
+    ]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Runs otf (on the fly), standstill (at standstill)" in page
+
+
+def test_of_several_bundles_the_bad_one_is_named(record, tmp_path, capsys):
+    for name in ("a", "b"):
+        write_bundle(record(1, rows=24)[0], tmp_path / name)
+    bundles = [str(tmp_path / name) for name in ("a", "b")]
+    asked = ["analyse", *bundles, "-o", str(tmp_path / "out")]
+    assert run(asked) == 2
+    assert "b: is the same measurement as a" in capsys.readouterr().err
+    machine = tmp_path / "b" / "machine.json"
+    content = json.loads(machine.read_text())
+    content["axes"]["X"]["max_mm"] += 1.0
+    machine.write_text(json.dumps(content))
+    assert run(asked) == 2
+    assert "b/machine.json: axes.X.max_mm is" in capsys.readouterr().err
+    (tmp_path / "b" / "path.csv").unlink()
+    assert run(asked) == 2
+    assert "b: path.csv: is missing from the bundle" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_perpendicular_only_knows_less_and_a_person_gets_tables(

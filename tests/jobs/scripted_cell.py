@@ -307,9 +307,9 @@ class Science:
         self.trials: list[tuple] = []
 
     def __call__(
-        self, run_file, folder, perpendicular_only, monte_carlo, workers, *, progress
+        self, run_files, folder, perpendicular_only, monte_carlo, workers, *, progress
     ):
-        self.calls.append((run_file, folder, perpendicular_only))
+        self.calls.append((run_files, folder, perpendicular_only))
         self.trials.append((monte_carlo, workers))
         progress(0.0, "aligning")
         while self.hold is not None and not self.hold.wait(0.01):

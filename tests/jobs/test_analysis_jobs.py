@@ -85,21 +85,37 @@ def test_a_run_whose_file_was_removed_is_not_found(shop, run):
 
 
 def test_an_uploaded_run_is_analysed(analysing, shop, run, science):
-    wish = Wish(Kind.ANALYSE, run_id=run.id, perpendicular_only=True)
+    wish = Wish(Kind.ANALYSE, run_ids=[run.id], perpendicular_only=True)
     job, _ = analysing.create(wish)
     wait_until(lambda: shop.store.get(job.id).is_final)
     ended = shop.store.get(job.id)
     assert (ended.state, ended.run_id) == ("succeeded", run.id)
     assert science.calls == [
-        (str(shop.runs.file(run.id)), str(shop.results / job.id), True)
+        ([str(shop.runs.file(run.id))], str(shop.results / job.id), True)
     ]
+
+
+def test_several_runs_are_analysed_together(analysing, shop, run, science, bundle):
+    bundle.write_bytes(shop.runs.file(run.id).read_bytes())
+    other = shop.runs.add_uploaded(bundle, "the other side")
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[other.id, run.id]))
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    ended = shop.store.get(job.id)
+    assert (ended.run_id, ended.run_ids) == (other.id, (other.id, run.id))
+    files = [str(shop.runs.file(i)) for i in (other.id, run.id)]
+    assert science.calls[0][0] == files
+
+
+def test_one_unknown_run_of_several_is_refused(analysing, run):
+    with pytest.raises(NotFound, match="no run nowhere"):
+        analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id, "nowhere"]))
 
 
 def test_trials_reach_the_science_with_who_computes_them(shop, run, science, feed):
     many = replace(shop, machine=None, cell=None, workers=Workers(count=3))
     dispatcher = Dispatcher(many, feed)
     plan = TrialPlan(seed=11, digits=2, interval="shortest")
-    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_id=run.id, monte_carlo=plan))
+    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_ids=[run.id], monte_carlo=plan))
     wait_until(lambda: shop.store.get(job.id).is_final)
     assert shop.store.get(job.id).monte_carlo == plan
     assert science.trials == [(plan, Workers(count=3))]
@@ -108,25 +124,25 @@ def test_trials_reach_the_science_with_who_computes_them(shop, run, science, fee
 
 def test_an_analysis_of_an_unknown_run_is_refused(analysing):
     with pytest.raises(NotFound, match="no run nowhere"):
-        analysing.create(Wish(Kind.ANALYSE, run_id="nowhere"))
+        analysing.create(Wish(Kind.ANALYSE, run_ids=["nowhere"]))
 
 
 def test_an_analysis_reports_its_stages(analysing, shop, run, feed):
     heard = []
     feed.listen(heard.append)
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: shop.store.get(job.id).is_final)
     stages = [n.body["stage"] for n in heard if n.type == "progress"]
     assert set(stages) == {"aligning", "estimating", "reporting"}
 
 
 def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(shop, run, feed):
-    def dreaming(run_file, folder, *_, progress):
+    def dreaming(run_files, folder, *_, progress):
         progress(0.5, "dreaming")
 
     alone = replace(shop, science=dreaming, machine=None, cell=None)
     dispatcher = Dispatcher(alone, feed)
-    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_id=run.id))
+    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: shop.store.get(job.id).is_final)
     assert shop.store.get(job.id).stage == "aligning"
     dispatcher.close()
@@ -134,7 +150,7 @@ def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(shop, run, feed):
 
 def test_a_bad_bundle_fails_the_analysis_with_its_place(analysing, shop, run, science):
     science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: shop.store.get(job.id).is_final)
     failure = shop.store.get(job.id).failure
     assert failure.family == "BundleError"
@@ -143,7 +159,7 @@ def test_a_bad_bundle_fails_the_analysis_with_its_place(analysing, shop, run, sc
 
 def test_closing_interrupts_an_analysis(analysing, shop, run, science):
     science.hold = threading.Event()
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: science.calls)
     analysing.close()
     assert shop.store.get(job.id).state == "interrupted"
@@ -151,7 +167,7 @@ def test_closing_interrupts_an_analysis(analysing, shop, run, science):
 
 def test_an_executor_that_ends_ends_the_job(analysing, shop, run, science):
     science.raises = Aborted("the service is ending")
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: shop.store.get(job.id).is_final)
     assert shop.store.get(job.id).state == "aborted"
 
@@ -161,9 +177,9 @@ def test_more_jobs_than_can_wait_are_refused(
 ):
     monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
     science.hold = threading.Event()
-    jobs = [analysing.create(Wish(Kind.ANALYSE, run_id=run.id))[0] for _ in range(2)]
+    jobs = [analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))[0] for _ in range(2)]
     with pytest.raises(QueueFull, match="2 jobs are under way"):
-        analysing.create(Wish(Kind.ANALYSE, run_id=run.id))
+        analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
     for job in jobs:
         analysing.abort(job.id)
     wait_until(lambda: all(shop.store.get(job.id).is_final for job in jobs))

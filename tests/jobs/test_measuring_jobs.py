@@ -355,7 +355,7 @@ def test_stop_ends_every_motion_and_leaves_computing_alone(
     make_cell.cell.end()
     first = until(running, "succeeded")
     science.hold = threading.Event()
-    computing, _ = dispatcher.create(Wish(Kind.ANALYSE, run_id=first.run_id))
+    computing, _ = dispatcher.create(Wish(Kind.ANALYSE, run_ids=[first.run_id]))
     wait_until(lambda: len(science.calls) == 2)
     moving, _ = dispatcher.create(OTF)
     ready = until(moving, "ready")

@@ -19,8 +19,8 @@ TWO_BLOCKS = TrialPlan(seed=5, most_blocks=2)
 
 
 @pytest.fixture
-def run_file(small_run):
-    return str(small_run)
+def run_files(small_run):
+    return [str(small_run)]
 
 
 @pytest.fixture
@@ -40,12 +40,12 @@ def trials_in(folder):
     return json.loads((folder / "result.json").read_text())["monte_carlo"]
 
 
-def test_a_job_brings_the_same_trials_from_any_workers(lane, run_file, tmp_path):
+def test_a_job_brings_the_same_trials_from_any_workers(lane, run_files, tmp_path):
     told: list[tuple[float, str]] = []
     for count in (1, 2):
         submit(
             lane,
-            run_file,
+            run_files,
             str(tmp_path / str(count)),
             False,
             TWO_BLOCKS,
@@ -61,17 +61,19 @@ def test_a_job_brings_the_same_trials_from_any_workers(lane, run_file, tmp_path)
 
 
 def test_a_job_brings_the_same_trials_from_a_cluster(
-    lane, run_file, tmp_path, scheduler
+    lane, run_files, tmp_path, scheduler
 ):
     places = (Workers(count=2), Workers("dask", scheduler=scheduler))
     for workers in places:
         folder = str(tmp_path / workers.kind)
-        submit(lane, run_file, folder, False, TWO_BLOCKS, workers).result()
+        submit(lane, run_files, folder, False, TWO_BLOCKS, workers).result()
     here, there = (trials_in(tmp_path / workers.kind) for workers in places)
     assert here == there
 
 
-def test_an_aborted_job_ends_its_workers_and_leaves_no_result(lane, run_file, tmp_path):
+def test_an_aborted_job_ends_its_workers_and_leaves_no_result(
+    lane, run_files, tmp_path
+):
     trying = threading.Event()
 
     def report(_, stage):
@@ -82,7 +84,7 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(lane, run_file, tm
     endless = TrialPlan(digits=2, most_blocks=10_000)
     job = submit(
         lane,
-        run_file,
+        run_files,
         str(tmp_path / "result"),
         False,
         endless,
@@ -108,10 +110,10 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(lane, run_file, tm
 
 
 def test_a_cluster_that_is_away_fails_the_job_by_name(
-    lane, run_file, tmp_path, free_tcp_port
+    lane, run_files, tmp_path, free_tcp_port
 ):
     away = Workers("dask", scheduler=f"tcp://127.0.0.1:{free_tcp_port}", patience_s=0.5)
-    job = submit(lane, run_file, str(tmp_path / "result"), False, TWO_BLOCKS, away)
+    job = submit(lane, run_files, str(tmp_path / "result"), False, TWO_BLOCKS, away)
     with pytest.raises(TaskFailed, match="no Dask scheduler answers") as raised:
         job.result()
     assert raised.value.family == "WorkersAway"

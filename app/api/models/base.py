@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 PREFIX = "/api/v1"
 JOB_ID = "019a3f5e-7a11-7c3e-9d64-2b1f0c5e8a90"
+OTHER_ID = "019a3f6b-0c52-7e41-8a3d-5f7e9b1c2d34"
 """The job of all examples."""
 
 Mm = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]

@@ -86,6 +86,7 @@ class JobOut(BaseModel):
     started: str | None
     ended: str | None
     run_id: str | None
+    run_ids: list[str] = Field(description="All its Runs, `run_id` the first.")
     result: ResultLinks | None
     error: Problem | None = Field(
         description="Why it ended badly; in an unfinished job, why it stands."
@@ -126,6 +127,7 @@ def job_out(job: Job) -> JobOut:
         started=job.started,
         ended=job.ended,
         run_id=job.run_id,
+        run_ids=list(job.run_ids),
         result=_result_links(job.id) if job.has_result else None,
         error=Problem(**problem_of_failure(failure)) if failure else None,
         links=_job_links(job),

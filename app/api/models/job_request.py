@@ -6,17 +6,18 @@ from typing import Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from app.api.models.base import JOB_ID, Feed, Identifier, Taken, TargetUm
+from app.api.models.base import JOB_ID, OTHER_ID, Feed, Identifier, Taken, TargetUm
 from app.api.models.monte_carlo import MonteCarlo
 from app.api.models.plan import Point, Waypoint
 from app.jobs.dispatcher import Wish
 from app.jobs.job import Kind
 from app.jobs.plans import MAX_ROWS
 
+MAX_RUNS = 50
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", "target_um"},
     "measure-standstill": {"points", "target_um"},
-    "analyse": {"run_id", "monte_carlo"},
+    "analyse": {"run_id", "run_ids", "monte_carlo"},
 }
 
 
@@ -30,6 +31,7 @@ class JobRequest(Taken):
                 {"kind": "measure-otf"},
                 {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
                 {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
+                {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
                 {
                     "kind": "measure-otf",
                     "feed_mm_min": 2500,
@@ -44,6 +46,13 @@ class JobRequest(Taken):
 
     kind: Literal["measure-otf", "measure-standstill", "analyse"]
     run_id: Identifier | None = Field(None, description="The Run to analyse.")
+    run_ids: list[Identifier] | None = Field(
+        None,
+        min_length=1,
+        max_length=MAX_RUNS,
+        description="Runs of one machine, of either mode, to analyse together; in "
+        "place of run_id.",
+    )
     path: list[Waypoint] | None = Field(
         None,
         min_length=2,
@@ -78,8 +87,13 @@ class JobRequest(Taken):
         for name in sorted(set[str]().union(*_ALLOWED.values())):
             if getattr(self, name) is not None and name not in allowed:
                 raise ValueError(f"{name} is not for a job of kind {self.kind}")
-        if self.kind == "analyse" and self.run_id is None:
-            raise ValueError("a job of kind analyse needs a run_id")
+        runs = [self.run_id, *(self.run_ids or ())]
+        if self.kind == "analyse" and runs == [None]:
+            raise ValueError("a job of kind analyse needs a run_id, or run_ids")
+        if self.run_id is not None and self.run_ids is not None:
+            raise ValueError("run_id stands beside run_ids; give one of the two")
+        if len(set(runs)) < len(runs):
+            raise ValueError("run_ids names a Run twice; give each once")
         return self
 
     def wish(self) -> Wish:
@@ -87,7 +101,7 @@ class JobRequest(Taken):
         rows = self.path if self.path is not None else self.points
         return Wish(
             kind=Kind(self.kind),
-            run_id=self.run_id,
+            run_ids=self.run_ids or [i for i in (self.run_id,) if i],
             rows=None
             if rows is None
             else [r.model_dump(exclude_none=True) for r in rows],
