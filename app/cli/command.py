@@ -293,6 +293,71 @@ def export(
 
 
 @app.command()
+def plan(
+    machine: Annotated[
+        Path, typer.Argument(metavar="MACHINE.json", help="The machine to measure.")
+    ],
+    output: OutputFolder,
+    mode: Annotated[
+        str, typer.Option(metavar="otf|standstill", help="On the fly, or at points.")
+    ] = "otf",
+    minutes: Annotated[
+        float | None, typer.Option(min=0.1, help="At most, dwells included.")
+    ] = None,
+    target_um: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="Volumetric uncertainty (k = 2) to reach, µm."),
+    ] = None,
+    feed: Annotated[
+        list[float] | None,
+        typer.Option(min=1.0, help="mm/min; several tell dynamic effects apart."),
+    ] = None,
+    dwell: Annotated[
+        float | None, typer.Option(min=0.05, help="At each row, s.")
+    ] = None,
+    workspace: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keep-out boxes, tracker, what blocks it."),
+    ] = None,
+    control: Annotated[
+        list[str] | None, typer.Option(help="Whose NC program; else of all.")
+    ] = None,
+    perpendicular_only: Annotated[
+        bool,
+        typer.Option(
+            "--perpendicular-only", help="Count on deviations across lines only."
+        ),
+    ] = False,
+    corner_path: Annotated[
+        bool,
+        typer.Option("--corner-path", help="The 2023 paper's path, to compare with."),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    json: Json = False,
+) -> None:
+    """The measurement that tells most in its time, and what it will leave unknown."""
+    _compute_on_one_thread()
+    from app.cli.planning import plan_files
+    from app.jobs.planning import PlanRequest
+    from app.measurement.workspace_file import read_workspace
+    from app.planning.paths import DEFAULT_FEED_MM_MIN
+    from app.planning.workspace import Workspace
+
+    request = PlanRequest(
+        mode,
+        minutes,
+        target_um,
+        tuple(feed or (DEFAULT_FEED_MM_MIN,)),
+        dwell,
+        perpendicular_only,
+        corner_path,
+        read_workspace(workspace) if workspace else Workspace(),
+        seed,
+    )
+    plan_files(machine, output, request, control or (), as_json=json)
+
+
+@app.command()
 def record(
     commanded: Annotated[
         Path, typer.Argument(metavar="PATH.csv", help="What the CNC will drive.")

@@ -9,6 +9,7 @@ from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine
 from app.planning.configurations import Configurations
 from app.planning.line_information import Knowledge, nothing_known
+from app.planning.motion_times import moving_s
 from app.planning.travel import first_breach
 from app.planning.turning_lines import LINES_WITH_ROTARY_AXES, turning_lines
 from app.planning.turning_points import turning_points
@@ -116,13 +117,7 @@ def line_times_s(
     straight = np.asarray(np.linalg.norm(step[:, linear], axis=1), np.float64)
     turn = np.asarray(np.linalg.norm(step[:, ~linear], axis=1), np.float64)
     length = np.where(straight > 0, straight, turn)
-    speed = path.feed_mm_min[1:] / 60.0
-    ramp = speed / acceleration_mm_s2
-    moving = np.where(
-        length >= speed * ramp,
-        length / speed + ramp,
-        2 * np.sqrt(length / acceleration_mm_s2),
-    )
+    moving = moving_s(length, path.feed_mm_min[1:], acceleration_mm_s2)
     return np.concatenate([[0.0], moving]) + path.dwell_s
 
 

@@ -44,7 +44,7 @@ def moving_targets(machine: Machine) -> tuple[Target, ...]:
 
     Raises PlanningError if there is none.
     """
-    targets = tuple(t for t in machine.targets if _moves(machine, t))
+    targets = tuple(t for t in machine.targets if moves_where_seen(machine, t))
     if not targets:
         raise PlanningError(
             f"no target of {machine.name} moves where the tracker stands; "
@@ -58,7 +58,7 @@ def _least_turn_deg(machine: Machine) -> float:
     return min(_LEAST_TURN_DEG, 0.1 * travel)
 
 
-def _moves(machine: Machine, target: Target) -> bool:
+def moves_where_seen(machine: Machine, target: Target) -> bool:
     """Tell whether a target moves where the tracker stands."""
     from_base = machine.tracker.stands_on == "base"
     if target.on == "workpiece":

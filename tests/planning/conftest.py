@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
 import pytest
 
+from app.jobs.outlooks import line_outlook, linear_part, point_outlook
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -11,6 +16,12 @@ from app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
+from app.planning.motion_times import drive_of
+from app.planning.outlook import Outlook
+from app.planning.planner import Planner
+from app.planning.workspace import Workspace
+
+STAND_MM = np.array([250.0, -900.0, 100.0])
 
 
 @pytest.fixture(scope="session")
@@ -41,3 +52,36 @@ def trunnion(mill: Machine) -> Machine:
         (Target("T", "tool", (0, 0, -80)), Target("W", "workpiece", (90, 0, 0))),
         TrackerNoise(stands_on="base"),
     )
+
+
+@cache
+def outlook_of(machine: Machine, kind: str, perpendicular_only: bool) -> Outlook:
+    """What the estimator believes of a machine before the first line or point."""
+    if kind == "points":
+        return point_outlook(machine, STAND_MM)
+    return line_outlook(machine, STAND_MM, perpendicular_only=perpendicular_only)
+
+
+@pytest.fixture(scope="session")
+def planner() -> Callable[..., Planner]:
+    """Make a planner: planner(machine, kind, workspace=…, feeds=…)."""
+
+    def make(
+        machine: Machine,
+        kind: str = "lines",
+        *,
+        workspace: Workspace | None = None,
+        feeds: tuple[float, ...] = (6000.0,),
+        perpendicular_only: bool = False,
+    ) -> Planner:
+        part = linear_part(machine) if kind == "lines" else machine
+        dwell_s = 0.4 if kind == "lines" else 1.0
+        return Planner(
+            machine,
+            outlook_of(machine, kind, perpendicular_only),
+            workspace or Workspace(),
+            drive_of(part, acceleration_mm_s2=1000.0, dwell_s=dwell_s),
+            feeds,
+        )
+
+    return make

@@ -1,0 +1,139 @@
+"""The planner's outlook from the estimator: its model, prior, noise and criterion.
+
+Planning comes before estimation, so what is believed of a machine is handed to it from
+here: the motions that the targets can tell, with few knots, and how each depends on the
+direction of approach, so that backlash is planned for as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from app.estimation.direction import with_half_widths
+from app.estimation.forecast import usual_strength
+from app.estimation.identifiable import identifiable_model
+from app.estimation.noise import NoiseModel
+from app.estimation.rehearsal import EXPECTED_NOISE, usual_stands_mm
+from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.weak_shapes import usual_precision
+from app.kinematics.effects.base import standstill
+from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.machine import Machine, Target
+from app.kinematics.model import MachineModel
+from app.planning.line_outlook import LineOutlook
+from app.planning.outlook import ExpectedNoise
+from app.planning.point_outlook import PointOutlook
+from app.planning.workspace import Workspace
+
+INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
+_ANY_POSE = (1e2, 1e-1)  # mm and rad: nobody knows where the tracker stands
+_JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
+
+
+class _Believed(TypedDict):
+    model: MachineModel
+    target: Target
+    precision: NDArray[np.float64]
+    gram: NDArray[np.float64]
+    stand_mm: NDArray[np.float64]
+    noise: ExpectedNoise
+
+
+def stand_of(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
+    """Return where the tracker stands: as stated, or a usual place."""
+    if workspace.tracker_mm is not None:
+        return np.array(workspace.tracker_mm, np.float64)
+    return usual_stands_mm(machine)[2]
+
+
+def linear_part(machine: Machine) -> Machine:
+    """Return the machine without its rotary axes: they stand on the fly."""
+    names = {axis.name for axis in machine.linear_axes}
+    return replace(
+        machine,
+        axes=machine.linear_axes,
+        workpiece_side=tuple(n for n in machine.workpiece_side if n in names),
+        tool_side=tuple(n for n in machine.tool_side if n in names),
+    )
+
+
+def line_outlook(
+    machine: Machine,
+    stand_mm: NDArray[np.float64],
+    *,
+    perpendicular_only: bool = False,
+    noise: NoiseModel = EXPECTED_NOISE,
+    strength: Mapping[str, float] | None = None,
+) -> LineOutlook:
+    """Return what is believed before the first line of a machine's straight axes.
+
+    strength : of the prior, by the effect's name, where a live estimate has found it
+    """
+    part = linear_part(machine)
+    if perpendicular_only:
+        noise = replace(noise, along_sigma_mm=np.inf)
+    target = machine.target()
+    offset = np.array([target.offset_mm], np.float64)
+    return LineOutlook(**_believed(part, offset, target, stand_mm, noise, strength))
+
+
+def point_outlook(
+    machine: Machine,
+    stand_mm: NDArray[np.float64],
+    target: str = "",
+    *,
+    noise: NoiseModel = EXPECTED_NOISE,
+    strength: Mapping[str, float] | None = None,
+) -> PointOutlook:
+    """Return what is believed before the first standstill of a target."""
+    offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
+    one = machine.target(target)
+    return PointOutlook(**_believed(machine, offsets, one, stand_mm, noise, strength))
+
+
+def _believed(
+    machine: Machine,
+    offsets_mm: NDArray[np.float64],
+    target: Target,
+    stand_mm: NDArray[np.float64],
+    noise: NoiseModel,
+    strength: Mapping[str, float] | None,
+) -> _Believed:
+    motions, _ = identifiable_model(machine, offsets_mm, intervals=INTERVALS)
+    motions = with_half_widths(motions)
+    model = motions.with_effects(_pose_of(machine))
+    size = motions.size
+    pose = np.diag(np.repeat(np.array(_ANY_POSE) ** -2.0, 3))
+    prior = usual_precision(motions, strength or usual_strength(motions))
+    gram = np.zeros((model.size, model.size))
+    gram[:size, :size] = volumetric_gram(motions)
+    return _Believed(
+        model=model,
+        target=target,
+        precision=block_diag(prior, pose),
+        gram=gram,
+        stand_mm=stand_mm,
+        noise=_expected(noise, machine.tracker.rate_hz),
+    )
+
+
+def _pose_of(machine: Machine) -> TrackerPose:
+    """Return the pose, its turn about the middle of the volume."""
+    middle = np.array([[0.5 * (axis.low + axis.high) for axis in machine.axes]])
+    x, y, z = (float(v) for v in standstill(machine, middle).point_mm[0])
+    return TrackerPose((x, y, z))
+
+
+def _expected(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
+    """Return white and slow noise as white: over seconds the slow part averages too."""
+    beam, across = (
+        white**2 / rate_hz + 2.0 * noise.slow_time_s * slow**2
+        for white, slow in zip(noise.white, noise.slow, strict=True)
+    )
+    return ExpectedNoise((beam, across), noise.along_sigma_mm**2 * _JITTER_CELL_S)

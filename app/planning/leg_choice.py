@@ -1,0 +1,264 @@
+"""Stops whose legs tell most per second: greedy choice, then exchange.
+
+Each leg begins where the last one ended, so no time is lost on the way. The next stop
+is the one of many candidates whose leg lowers J most for the time it takes. A greedy
+choice is short-sighted; so then each stop is moved in turn, with both legs that meet in
+it, wherever that lowers J · T. That product stays the same when a measurement is
+repeated, and so compares measurements that take different times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.errors import PlanningError
+from app.planning.motion_times import Drive
+from app.planning.outlook import Outlook, inverse
+from app.planning.short_order import short_order
+
+Allowed = Callable[
+    [Float64[np.ndarray, "n a"], Float64[np.ndarray, "n a"]], Bool[np.ndarray, " n"]
+]
+"""Tells of legs, begin and end, whether the machine may drive them."""
+
+_CANDIDATES = 96  # ends that are judged for the next leg
+_MOVES = 24  # places that are judged for each stop, half of them near it
+_NEAR = 0.15  # of the travel
+_PINNED = 0.55  # share of coordinates at an end of their travel
+_WORTH = 2e-3  # of J · T that a round of moves must bring
+_DECIMALS = 4  # of a mm: rows survive a CSV file and a controller's counts unchanged
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Where stops may lie: a box in axis positions, and legs that are allowed."""
+
+    low: Float64[np.ndarray, " a"]
+    high: Float64[np.ndarray, " a"]
+    allowed: Allowed
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """Stops in their order.
+
+    position : (s, a); feed_mm_min : (s,) towards each, the first unused
+    """
+
+    position: Float64[np.ndarray, "s a"]
+    feed_mm_min: Float64[np.ndarray, " s"]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def part(self, of: slice) -> Stops:
+        """Return some of the stops."""
+        return Stops(self.position[of], self.feed_mm_min[of])
+
+
+@dataclass(frozen=True)
+class LegChoice:
+    """Chooses stops for an outlook; draws candidates from one seeded generator.
+
+    feeds_mm_min : driven in turn, so that each has its share of the legs
+    """
+
+    outlook: Outlook
+    drive: Drive
+    region: Region
+    feeds_mm_min: tuple[float, ...]
+    rng: np.random.Generator
+
+    def stops(
+        self, start: Float64[np.ndarray, " a"], budget_s: float, *, rounds: int = 2
+    ) -> Stops:
+        """Return stops whose legs take no longer than the budget.
+
+        rounds : of moving stops, at most
+
+        Raises PlanningError if not even one allowed leg fits in.
+        """
+        first = Stops(start[None], np.array([self.feeds_mm_min[0]]))
+        stops = self._filled(first, budget_s)
+        if len(stops) < 2:
+            raise PlanningError(
+                f"no allowed motion from the first position fits into {budget_s:g} s; "
+                "give more time or a higher feed, or free more of the volume"
+            )
+        for _ in range(rounds):
+            stops, gained = self._moved(stops)
+            if self.outlook.order_is_free:
+                stops = self._reordered(stops)
+            stops = self._filled(stops, budget_s)
+            if gained < _WORTH:
+                break
+        return stops
+
+    def _filled(self, stops: Stops, budget_s: float) -> Stops:
+        """Return the stops with more of them while time is left, or with fewer."""
+        times = self._times(stops)
+        fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
+        stops = stops.part(slice(fits + 1))
+        left_s = budget_s - float(times[:fits].sum())
+        precision = self.outlook.precision + self._information(stops)
+        while True:
+            feed = self.feeds_mm_min[len(stops) % len(self.feeds_mm_min)]
+            best = self._next(precision, stops.position[-1], feed, left_s)
+            if best is None:
+                return stops
+            end, rows, time_s = best
+            stops = Stops(
+                np.vstack([stops.position, end]), np.append(stops.feed_mm_min, feed)
+            )
+            precision = precision + rows.T @ rows
+            left_s -= time_s
+
+    def _next(
+        self,
+        precision: Float64[np.ndarray, "p p"],
+        here: Float64[np.ndarray, " a"],
+        feed_mm_min: float,
+        left_s: float,
+    ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, "r p"], float] | None:
+        """Return the end whose leg gains most a second, its rows and its time."""
+        ends = self._anywhere(_CANDIDATES)
+        begin = np.tile(here, (len(ends), 1))
+        feed = np.full(len(ends), feed_mm_min)
+        times = self.drive.times_s(begin, ends, feed)
+        ok = (times <= left_s) & self.region.allowed(begin, ends)
+        if not ok.any():
+            return None
+        begin, ends, feed, times = begin[ok], ends[ok], feed[ok], times[ok]
+        rows = self.outlook.rows(begin, ends, feed, self.drive)
+        gained = gains(inverse(precision), self.outlook.gram, rows)
+        best = int(np.argmax(gained / times))
+        return ends[best], rows[best], float(times[best])
+
+    def _moved(self, stops: Stops) -> tuple[Stops, float]:
+        """Move each stop but the first to where J · T is least; tell the gain."""
+        total = self.outlook.precision + self._information(stops)
+        before = cost = self._cost(stops)
+        for k in range(1, len(stops)):
+            stops, total, cost = self._with_stop_moved(stops, k, total, cost)
+        return stops, 1.0 - cost / before
+
+    def _with_stop_moved(
+        self, stops: Stops, k: int, total: Float64[np.ndarray, "p p"], cost: float
+    ) -> tuple[Stops, Float64[np.ndarray, "p p"], float]:
+        """Return the stops with one moved, their information, and J · T."""
+        old = stops.part(slice(k - 1, k + 2))
+        others = total - self._information(old)
+        rest_s = float(self._times(stops).sum() - self._times(old).sum())
+        C = inverse(others)
+        places = self._places_for(stops.position[k], C)
+        places = places[self._joins(stops, k, places)]
+        if not len(places):
+            return stops, total, cost
+        rows, times = self._legs_that_meet(stops, k, places)
+        gram = self.outlook.gram
+        left = float(np.sum(C * gram)) - gains(C, gram, rows)
+        costs = left * (rest_s + times)
+        best = int(np.argmin(costs))
+        if costs[best] >= cost * (1.0 - 1e-9):
+            return stops, total, cost
+        position = stops.position.copy()
+        position[k] = places[best]
+        total = others + rows[best].T @ rows[best]
+        return Stops(position, stops.feed_mm_min), total, float(costs[best])
+
+    def _reordered(self, stops: Stops) -> Stops:
+        """Return the stops in an order of short moves, unless they tell less so."""
+        n = len(stops)
+        begin, end = np.repeat(stops.position, n, 0), np.tile(stops.position, (n, 1))
+        feed = np.full(n * n, stops.feed_mm_min.mean())
+        times = self.drive.times_s(begin, end, feed)
+        times = np.where(self.region.allowed(begin, end), times, np.inf)
+        order = short_order(times.reshape(n, n))
+        found = Stops(stops.position[order], stops.feed_mm_min)
+        return min(stops, found, key=self._cost)
+
+    def _legs_that_meet(
+        self, stops: Stops, k: int, places: Float64[np.ndarray, "n a"]
+    ) -> tuple[Float64[np.ndarray, "n r p"], Float64[np.ndarray, " n"]]:
+        """Return rows and times of the legs that meet in a stop, for places of it."""
+        rows: list[Float64[np.ndarray, "n r p"]] = []
+        times = np.zeros(len(places))
+        for begin, end, feed in self._pairs(stops, k, places):
+            rows.append(self.outlook.rows(begin, end, feed, self.drive))
+            times += self.drive.times_s(begin, end, feed)
+        return np.concatenate(rows, axis=1), times
+
+    def _joins(
+        self, stops: Stops, k: int, places: Float64[np.ndarray, "n a"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell which places can take the part of a stop."""
+        ok = np.ones(len(places), bool)
+        for begin, end, _ in self._pairs(stops, k, places):
+            ok &= self.region.allowed(begin, end)
+        return ok
+
+    def _pairs(
+        self, stops: Stops, k: int, places: Float64[np.ndarray, "n a"]
+    ) -> list[tuple[Float64[np.ndarray, "n a"], ...]]:
+        """Return begins, ends and feeds of the legs before and after a stop."""
+        n, feed = len(places), stops.feed_mm_min
+        before = np.tile(stops.position[k - 1], (n, 1))
+        found = [(before, places, np.full(n, feed[k]))]
+        if k + 1 < len(stops):
+            after = np.tile(stops.position[k + 1], (n, 1))
+            found.append((places, after, np.full(n, feed[k + 1])))
+        return found
+
+    def _anywhere(self, count: int) -> Float64[np.ndarray, "n a"]:
+        """Draw places on faces, edges and corners of the region, and inside it."""
+        low, high = self.region.low, self.region.high
+        share = self.rng.random((count, len(low)))
+        pinned = self.rng.random(share.shape) < _PINNED
+        share[pinned] = np.rint(share[pinned])
+        return np.round(low + share * (high - low), _DECIMALS)
+
+    def _places_for(
+        self, here: Float64[np.ndarray, " a"], C: Float64[np.ndarray, "p p"]
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return places near a stop and anywhere, and better ones where known."""
+        low, high = self.region.low, self.region.high
+        step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
+        better = self.outlook.better_places(C, here, self.drive)
+        known = np.round(
+            np.clip(np.vstack([here + step, better]), low, high), _DECIMALS
+        )
+        return np.vstack([here[None], known, self._anywhere(_MOVES // 2)])
+
+    def _cost(self, stops: Stops) -> float:
+        """Return J · T."""
+        total = self.outlook.precision + self._information(stops)
+        J = float(np.sum(inverse(total) * self.outlook.gram))
+        return J * float(self._times(stops).sum())
+
+    def _information(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
+        return self.outlook.information(stops.position, stops.feed_mm_min, self.drive)
+
+    def _times(self, stops: Stops) -> Float64[np.ndarray, " l"]:
+        position = stops.position
+        return self.drive.times_s(position[:-1], position[1:], stops.feed_mm_min[1:])
+
+
+def gains(
+    C: Float64[np.ndarray, "p p"],
+    G: Float64[np.ndarray, "p p"],
+    rows: Float64[np.ndarray, "n r p"],
+) -> Float64[np.ndarray, " n"]:
+    """Return by how much J = tr(G C) falls for each block of rows, measured alone.
+
+    tr(S⁻¹ M) with S = I + H C Hᵀ, M = H C G C Hᵀ; rows are in units of their noise.
+    """
+    n, r, p = rows.shape
+    moved = rows.reshape(n * r, p) @ C
+    gained = (moved @ G).reshape(n, r, p)
+    moved = moved.reshape(n, r, p)
+    solved = np.linalg.solve(np.eye(r) + moved @ np.swapaxes(rows, 1, 2), moved)
+    return np.einsum("nrp,nrp->n", np.asarray(solved, np.float64), gained)

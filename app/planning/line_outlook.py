@@ -1,0 +1,102 @@
+"""What a line tells that is measured while the machine drives it.
+
+Places along its steady part count. Along the travel a phase and a speed of each line
+are unknown, as no clock is shared, and are projected out; where only deviations across
+the path are used, that direction tells nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.planning.motion_times import Drive
+from app.planning.outlook import Outlook
+from drivers.interfaces.records import Path
+
+_PLACES = 10  # along a line: error motions of few knots bend less often
+_MIDDLES = (np.arange(_PLACES) + 0.5) / _PLACES - 0.5  # of the steady part
+
+
+@dataclass(frozen=True)
+class LineOutlook(Outlook):
+    """What is known so far, and what lines would add."""
+
+    def rows(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: Float64[np.ndarray, " n"],
+        drive: Drive,
+    ) -> Float64[np.ndarray, "n r p"]:
+        """Return rows H of each line with HᵀH its information, timing left out."""
+        lost, seconds = drive.steady(begin, end, feed_mm_min)
+        share = 0.5 + _MIDDLES * (1.0 - 2.0 * lost)[:, None]
+        step = end - begin
+        places = (begin[:, None] + share[:, :, None] * step[:, None]).reshape(
+            -1, begin.shape[1]
+        )
+        at = self.conditions(places, np.repeat(np.sign(step), _PLACES, axis=0))
+        direction = np.repeat(self._directions(begin, end), _PLACES, axis=0)
+        weight = np.sqrt(np.repeat(seconds, _PLACES) / _PLACES)
+        root = weight[:, None, None] * self.roots(at, direction)
+        rows = (root @ self.model.jacobian(at)).reshape(
+            len(begin), 3 * _PLACES, self.model.size
+        )
+        if np.isinf(self.noise.jitter_mm2_s):
+            return rows
+        timing = self._timing(root, direction).reshape(len(begin), 3 * _PLACES, 2)
+        basis, _ = np.linalg.qr(timing)
+        return rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
+
+    @property
+    def order_is_free(self) -> bool:
+        """No: the order of the stops makes the lines."""
+        return False
+
+    def fits(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: float,
+        drive: Drive,
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell which lines are driven at a steady feed for most of their length."""
+        return drive.length(begin, end) >= drive.shortest_mm(feed_mm_min)
+
+    def commanded(
+        self,
+        axes: tuple[str, ...],
+        position: Float64[np.ndarray, "s a"],
+        feed_mm_min: Float64[np.ndarray, " s"],
+        dwell_s: float,
+    ) -> Path:
+        """Return the path through the stops."""
+        return Path(axes, position, feed_mm_min, np.full(len(position), dwell_s))
+
+    def better_places(
+        self,
+        covariance: Float64[np.ndarray, "p p"],
+        here: Float64[np.ndarray, " a"],
+        drive: Drive,
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return none: two lines meet in a stop, and no exact optimum is known."""
+        return np.empty((0, len(here)))
+
+    def _directions(
+        self, begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        still = np.zeros_like(begin)
+        first, last = (self.conditions(q, still).point_mm for q in (begin, end))
+        step = last - first
+        return step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+
+    def _timing(
+        self, root: Float64[np.ndarray, "m 3 3"], direction: Float64[np.ndarray, "m 3"]
+    ) -> Float64[np.ndarray, "m 3 2"]:
+        """Return the rows of phase and speed."""
+        pulled = np.einsum("nij,nj->ni", root, direction)
+        lag = np.tile(_MIDDLES, len(root) // _PLACES)
+        return np.stack([pulled, pulled * lag[:, None]], axis=2)

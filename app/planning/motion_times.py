@@ -1,0 +1,92 @@
+"""How long motions take, and which part of a line is driven at constant feed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.machine import LinearAxis, Machine
+
+# What alignment leaves out at either end beside ramp and settling.
+_SETTLE_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What the machine can: acceleration along a line, and the dwell at its end.
+
+    linear : (a,) which position columns are straight axes
+    """
+
+    linear: tuple[bool, ...]
+    acceleration_mm_s2: float
+    dwell_s: float
+
+    def length(
+        self, begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the length of lines, mm; deg where rotary axes turn alone."""
+        step = end - begin
+        straight = np.asarray(self.linear)
+        linear = np.asarray(np.linalg.norm(step[:, straight], axis=1), np.float64)
+        turn = np.asarray(np.linalg.norm(step[:, ~straight], axis=1), np.float64)
+        return np.where(linear > 0.0, linear, turn)
+
+    def times_s(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: Float64[np.ndarray, " n"],
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the time of each line, exact stops and the dwell included."""
+        length = self.length(begin, end)
+        return moving_s(length, feed_mm_min, self.acceleration_mm_s2) + self.dwell_s
+
+    def steady(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: Float64[np.ndarray, " n"],
+    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Return the share of each line lost at either end, and the time of the rest.
+
+        Lost is the ramp and what alignment leaves out beside it; all of a line that is
+        too short.
+        """
+        length = np.maximum(self.length(begin, end), 1e-9)
+        speed = feed_mm_min / 60.0
+        ramp_s = speed / self.acceleration_mm_s2
+        # The ramp takes half its time at full speed; half of it again settles.
+        lost = np.minimum(speed * (ramp_s + _SETTLE_S) / length, 0.5)
+        return lost, (1.0 - 2.0 * lost) * length / speed
+
+    def shortest_mm(self, feed_mm_min: float) -> float:
+        """Return the shortest line worth its stops: most of it is driven steadily."""
+        speed = feed_mm_min / 60.0
+        return 4.0 * speed * (speed / self.acceleration_mm_s2 + _SETTLE_S)
+
+
+def moving_s(
+    length: Float64[np.ndarray, " n"],
+    feed_mm_min: Float64[np.ndarray, " n"],
+    acceleration_mm_s2: float,
+) -> Float64[np.ndarray, " n"]:
+    """Return the time of moves from rest to rest; too short ones never reach the feed.
+
+    Lengths in mm, or in deg with the feed in deg/min.
+    """
+    speed = feed_mm_min / 60.0
+    ramp = speed / acceleration_mm_s2
+    return np.where(
+        length >= speed * ramp,
+        length / speed + ramp,
+        2.0 * np.sqrt(length / acceleration_mm_s2),
+    )
+
+
+def drive_of(machine: Machine, *, acceleration_mm_s2: float, dwell_s: float) -> Drive:
+    """Return the drive of a machine's axes."""
+    linear = tuple(isinstance(axis, LinearAxis) for axis in machine.axes)
+    return Drive(linear, acceleration_mm_s2, dwell_s)

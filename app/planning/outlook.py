@@ -1,0 +1,158 @@
+"""What is believed of a machine before the next leg, and what a leg would tell.
+
+A leg is a motion from one stop to the next: a line that is measured on the way, or a
+move to a point that is measured at rest. The criterion is the integrated variance
+J = tr(G C) of the volumetric error over the travel (brunn-hanebeck-2005, eq. 34–36), C
+the covariance of the error motions, G the Gram matrix. Model, prior and noise come from
+the estimator, so that a plan is judged as its measurement will be; fewer knots do for
+choosing.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.linalg import cho_factor, cho_solve
+
+from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.machine import Target
+from app.kinematics.model import MachineModel
+from app.planning.configurations import Configurations
+from app.planning.motion_times import Drive
+from drivers.interfaces.records import Path
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedNoise:
+    """Noise of the tracker, white and slow together, as if it were white.
+
+    density_s : (2,) along and across the beam: variance of the mean over a second, in
+        units of the stated variance of one sample
+    jitter_mm2_s : the same of the feed, along the travel of a line; infinite where only
+        deviations across the path are used
+    """
+
+    density_s: tuple[float, float]
+    jitter_mm2_s: float
+
+
+@dataclass(frozen=True)
+class Outlook(ABC):
+    """What is known so far, and how legs are measured.
+
+    model : effects of the machine, then the tracker's pose
+    precision : (p, p) information so far, prior included
+    gram : (p, p), θᵀ G θ is the mean square of the volumetric error, mm²
+    stand_mm : (3,) of the tracker, in the frame that it stands on
+    """
+
+    model: MachineModel
+    target: Target
+    precision: Float64[np.ndarray, "p p"]
+    gram: Float64[np.ndarray, "p p"]
+    stand_mm: Float64[np.ndarray, "3"]
+    noise: ExpectedNoise
+
+    @abstractmethod
+    def rows(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: Float64[np.ndarray, " n"],
+        drive: Drive,
+    ) -> Float64[np.ndarray, "n r p"]:
+        """Return rows H of each leg with HᵀH its information."""
+
+    @property
+    @abstractmethod
+    def order_is_free(self) -> bool:
+        """Whether stops may change places and still be told."""
+
+    @abstractmethod
+    def fits(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: float,
+        drive: Drive,
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell which legs are long enough to be recognised and measured."""
+
+    @abstractmethod
+    def commanded(
+        self,
+        axes: tuple[str, ...],
+        position: Float64[np.ndarray, "s a"],
+        feed_mm_min: Float64[np.ndarray, " s"],
+        dwell_s: float,
+    ) -> Path | Configurations:
+        """Return the stops as what the machine is told."""
+
+    @abstractmethod
+    def better_places(
+        self,
+        covariance: Float64[np.ndarray, "p p"],
+        here: Float64[np.ndarray, " a"],
+        drive: Drive,
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return places that may tell more than a stop that is already good.
+
+        covariance : of the parameters, the legs that meet in the stop left out
+        """
+
+    def information(
+        self,
+        position: Float64[np.ndarray, "s a"],
+        feed_mm_min: Float64[np.ndarray, " s"],
+        drive: Drive,
+    ) -> Float64[np.ndarray, "p p"]:
+        """Return the information of all legs between stops."""
+        if len(position) < 2:
+            return np.zeros_like(self.precision)
+        rows = self.rows(position[:-1], position[1:], feed_mm_min[1:], drive)
+        flat = rows.reshape(-1, rows.shape[2])
+        return flat.T @ flat
+
+    def conditions(
+        self, position: Float64[np.ndarray, "n a"], approach: Float64[np.ndarray, "n a"]
+    ) -> Conditions:
+        """Return the conditions at positions, approached by motions of given signs."""
+        machine, n = self.model.machine, len(position)
+        offset = np.tile(np.array(self.target.offset_mm, np.float64), (n, 1))
+        at = standstill(machine, position, offset)
+        aside = np.full(n, self.target.on == "workpiece")
+        at = at.seen_by(machine.tracker.stands_on, aside)
+        return replace(at, approach=approach)
+
+    def roots(
+        self, at: Conditions, direction: Float64[np.ndarray, "n 3"] | None = None
+    ) -> Float64[np.ndarray, "n 3 3"]:
+        """Return W with WᵀW the information that a second at each place gives, 1/mm².
+
+        direction : of travel, in which the jitter of the feed counts
+        """
+        beam = at.point_mm - self.stand_mm
+        distance = np.linalg.norm(beam, axis=1)
+        beam = beam / distance[:, None]
+        stated = at.machine.tracker.sigma_mm(distance) ** 2 * self.noise.density_s
+        along = beam[:, :, None] * beam[:, None, :]
+        precision = along / stated[:, 0, None, None]
+        precision += (np.eye(3) - along) / stated[:, 1, None, None]
+        if direction is not None:
+            pulled = np.einsum("nij,nj->ni", precision, direction)
+            total = np.einsum("ni,ni->n", pulled, direction)
+            weight = 1.0 / (1.0 / self.noise.jitter_mm2_s + total)
+            precision -= weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
+        value, vector = np.linalg.eigh(precision)
+        return np.sqrt(np.maximum(value, 0.0))[:, :, None] * np.swapaxes(vector, 1, 2)
+
+
+def inverse(matrix: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p p"]:
+    """Return the inverse of a positive definite matrix of unlike units."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    factor = cho_factor(matrix * scale[:, None] * scale, lower=True)
+    found = np.asarray(cho_solve(factor, np.eye(len(matrix))), np.float64)
+    return found * scale[:, None] * scale

@@ -1,0 +1,139 @@
+"""Plans measurements: within a time, in what is allowed, from where the machine is.
+
+A planner is a value. After some of its legs are measured, `measured` returns one that
+knows them; after the noise, the prior or the model turned out otherwise, `replace` its
+outlook; then plan again from the present position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.errors import PlanningError
+from app.kinematics.machine import Machine
+from app.planning.configurations import Configurations
+from app.planning.leg_choice import LegChoice, Region
+from app.planning.motion_times import Drive
+from app.planning.outlook import Outlook
+from app.planning.paths import check_travel
+from app.planning.workspace import Workspace, inner_travel
+from drivers.interfaces.records import Path
+
+MARGIN_MM, MARGIN_SHARE = 10.0, 0.02
+_STARTS = 400  # places that are tried where no corner is allowed
+_DECIMALS = 4
+
+
+@dataclass(frozen=True)
+class Planner:
+    """What a plan rests on.
+
+    outlook : of lines or of standstills; its machine may lack the rotary axes of
+        `machine`, which then stand at 0, or at the near end of their travel
+    feeds_mm_min : several where dynamic effects are to be told from static ones, driven
+        in turn
+    """
+
+    machine: Machine
+    outlook: Outlook
+    workspace: Workspace
+    drive: Drive
+    feeds_mm_min: tuple[float, ...]
+
+    def plan(
+        self,
+        budget_s: float,
+        *,
+        start: Float64[np.ndarray, " a"] | None = None,
+        seed: int = 0,
+    ) -> Path | Configurations:
+        """Return what tells most of all that takes no longer than the budget.
+
+        A path for an outlook of lines, points for one of standstills. It starts and
+        ends at different places. The same seed gives the same plan.
+
+        start : positions of the outlook's axes; a corner where it is left out
+
+        Raises PlanningError if no motion fits in, or none is allowed.
+        """
+        rng = np.random.default_rng(seed)
+        region = self._region()
+        begin = self._first_stop(region, rng) if start is None else start
+        choice = LegChoice(self.outlook, self.drive, region, self.feeds_mm_min, rng)
+        stops = choice.stops(begin, budget_s - self.drive.dwell_s)
+        while len(stops) > 2 and not self._apart(stops.position[[0, -1]]):
+            stops = stops.part(slice(len(stops) - 1))  # it came back to its beginning
+        plan = self.outlook.commanded(
+            self.machine.axis_names,
+            with_resting_axes(self.machine, stops.position),
+            stops.feed_mm_min,
+            self.drive.dwell_s,
+        )
+        self.check(plan)
+        return plan
+
+    def measured(self, done: Path | Configurations) -> Planner:
+        """Return the planner that knows these legs to be measured.
+
+        done : rows of a plan that follow each other, from where the first leg began
+        """
+        position = done.position[:, : len(self.outlook.model.machine.axes)]
+        feed = np.full(len(done), self.feeds_mm_min[0])
+        if isinstance(done, Path):
+            feed = done.feed_mm_min
+        told = self.outlook.information(position, feed, self.drive)
+        known = replace(self.outlook, precision=self.outlook.precision + told)
+        return replace(self, outlook=known)
+
+    def check(self, plan: Path | Configurations) -> None:
+        """Raise PlanningError if a plan leaves the travel or breaks the workspace."""
+        check_travel(self.machine, plan)
+        self.workspace.refuse(self.machine, plan)
+
+    def _apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
+        feed = max(self.feeds_mm_min)
+        return bool(self.outlook.fits(ends[:1], ends[1:], feed, self.drive)[0])
+
+    def _region(self) -> Region:
+        machine, feed = self.outlook.model.machine, max(self.feeds_mm_min)
+        low, high = inner_travel(machine, MARGIN_MM, MARGIN_SHARE)
+
+        def allowed(
+            begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
+        ) -> Bool[np.ndarray, " n"]:
+            fits = self.outlook.fits(begin, end, feed, self.drive)
+            return fits & self.workspace.allowed(machine, begin, end)
+
+        return Region(np.round(low, _DECIMALS), np.round(high, _DECIMALS), allowed)
+
+    def _first_stop(
+        self, region: Region, rng: np.random.Generator
+    ) -> Float64[np.ndarray, " a"]:
+        """Return the first corner that may be stood at, or else any place."""
+        low, high = region.low, region.high
+        corners = np.array(list(product(*zip(low, high, strict=True))))
+        anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), _DECIMALS)
+        places = np.vstack([corners, anywhere])
+        free = self.workspace.allowed(self.outlook.model.machine, places, places)
+        if not free.any():
+            raise PlanningError(
+                "no place in the travel is free of keep-out boxes and in range and in "
+                "sight of the tracker; correct the workspace"
+            )
+        return places[int(np.argmax(free))]
+
+
+def with_resting_axes(
+    machine: Machine, linear: Float64[np.ndarray, "n a"]
+) -> Float64[np.ndarray, "n b"]:
+    """Return positions with columns for the axes that are not moved.
+
+    They stand at 0, or at the near end of their travel.
+    """
+    resting = machine.axes[linear.shape[1] :]
+    stand = [min(max(0.0, axis.low), axis.high) for axis in resting]
+    return np.hstack([linear, np.tile(stand, (len(linear), 1))])

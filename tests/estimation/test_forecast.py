@@ -1,0 +1,59 @@
+"""What a plan is said to leave unknown, against what the estimate then states."""
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.estimation.batch import estimate
+from app.estimation.forecast import forecast
+from app.estimation.volumetric_map import volumetric_gram
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["all", "perpendicular"])
+def outcomes(record, request):
+    """Forecasts and statements for some machines, in µm."""
+    found = []
+    for seed in (1, 2, 3):
+        run, truth = record(seed, rows=24)
+        made = estimate(align(run), perpendicular_only=request.param)
+        variance = np.sum(volumetric_gram(made.model) * made.covariance)
+        stand = truth.recording.pose.position_mm
+
+        def foretold(run=run, stand=stand, **known):
+            return forecast(
+                run.machine,
+                run.commanded,
+                stand,
+                perpendicular_only=request.param,
+                **known,
+            )
+
+        known = {"strength": made.strength, "noise": made.runs[0].noise}
+        found.append((np.sqrt(variance), foretold(), foretold(**known)))
+    return found
+
+
+def test_the_forecast_agrees_with_what_estimates_state_within_15_percent(outcomes):
+    ratios = [before.volumetric_sigma_mm / stated for stated, before, _ in outcomes]
+    assert 0.85 < np.median(ratios) < 1.15
+
+
+def test_with_prior_and_noise_known_it_agrees_on_every_machine(outcomes):
+    for stated, _, known in outcomes:
+        assert known.volumetric_sigma_mm == pytest.approx(stated, rel=0.15)
+
+
+def test_uncertainty_shrinks_from_row_to_row(outcomes):
+    _, foretold, _ = outcomes[0]
+    assert (np.diff(foretold.sigma_mm) <= 0.0).all()
+    assert list(foretold.row) == sorted(set(foretold.row))
+    assert foretold.sigma_mm[-1] == foretold.volumetric_sigma_mm
+
+
+def test_what_one_target_cannot_tell_is_named_before_any_motion(outcomes):
+    _, foretold, _ = outcomes[0]
+    assert {text[:3] for text in foretold.unobservable} == {"EAZ", "EBZ", "ECZ", "ECY"}
+    motions = foretold.motion_sigmas()
+    assert len([symbol for symbol in motions if symbol.startswith("E")]) == 14
+    assert {"C0Y", "B0Z", "A0Z"} < set(motions)
+    assert all(sigma > 0.0 for sigma in motions.values())

@@ -1,0 +1,166 @@
+"""Plans: what they tell, how long they take, and planning anew on the way."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from app.numerics.design_criteria import Belief
+from app.planning.corner_path import corner_path
+from app.planning.leg_choice import gains
+from app.planning.outlook import inverse
+from app.planning.paths import line_times_s
+from app.planning.short_order import short_order
+from drivers.interfaces.records import Path
+
+
+def left_mm(planner, plan):
+    """Volumetric uncertainty that a plan leaves, by the planner's own criterion."""
+    outlook = planner.measured(plan).outlook
+    return float(np.sum(inverse(outlook.precision) * outlook.gram)) ** 0.5
+
+
+@pytest.fixture(scope="module")
+def lines(planner, mill):
+    return planner(mill).plan(90.0)
+
+
+@pytest.fixture(scope="module")
+def points(planner, mill):
+    return planner(mill, "points").plan(60.0)
+
+
+def test_a_path_takes_no_longer_than_its_budget_and_nearly_all_of_it(lines):
+    assert 75.0 < line_times_s(lines).sum() <= 90.0
+
+
+def test_a_path_starts_and_ends_at_different_places(lines, planner, mill):
+    away = np.linalg.norm(lines.position[-1] - lines.position[0])
+    assert away >= planner(mill).drive.shortest_mm(6000.0)
+
+
+def test_every_line_is_long_enough_for_a_steady_feed(lines, planner, mill):
+    made = planner(mill)
+    lost, seconds = made.drive.steady(
+        lines.position[:-1], lines.position[1:], lines.feed_mm_min[1:]
+    )
+    assert lost.max() <= 0.25
+    assert seconds.min() > 0.2
+
+
+def test_lines_end_anywhere_not_only_in_corners(lines):
+    low, high = lines.position.min(axis=0), lines.position.max(axis=0)
+    corner = ((lines.position == low) | (lines.position == high)).all(axis=1)
+    assert corner.mean() < 0.5
+
+
+def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mill):
+    made = planner(mill, perpendicular_only=True)
+    corners = corner_path(mill, 6000.0, 0.4)
+    planned = made.plan(float(line_times_s(corners).sum()))
+    assert left_mm(made, planned) <= 0.55 * left_mm(made, corners)
+
+
+def test_corner_lines_join_corners_or_run_along_one_axis(mill):
+    position = corner_path(mill, 6000.0, 0.4).position
+    low, high = position.min(axis=0), position.max(axis=0)
+    corner = ((position == low) | (position == high)).all(axis=1)
+    between = corner[:-1] & corner[1:]
+    one_axis = (np.diff(position, axis=0) != 0.0).sum(axis=1) == 1
+    assert (between | one_axis).all()
+    ends = {frozenset((a.tobytes(), b.tobytes())) for a, b in pairwise(position)}
+    assert sum(between) >= 28
+    assert len(ends) >= 28
+
+
+def test_the_same_seed_gives_the_same_plan(planner, mill):
+    plans = [planner(mill).plan(30.0, seed=s).position.tolist() for s in (3, 3, 4)]
+    assert plans[0] == plans[1] != plans[2]
+
+
+def test_several_feeds_have_their_share_of_the_lines(planner, mill):
+    path = planner(mill, feeds=(3000.0, 6000.0, 12_000.0)).plan(120.0)
+    counts = [(path.feed_mm_min[1:] == feed).sum() for feed in (3000, 6000, 12_000)]
+    assert max(counts) - min(counts) <= 1
+
+
+def test_after_some_lines_the_rest_is_planned_from_where_the_machine_is(planner, mill):
+    made = planner(mill)
+    first = made.plan(45.0)
+    known = made.measured(first)
+    rest = known.plan(45.0, start=first.position[-1], seed=1)
+    assert rest.position[0].tolist() == first.position[-1].tolist()
+    again = Path(rest.axes, first.position, first.feed_mm_min, first.dwell_s)
+    assert left_mm(known, rest) < 1.02 * left_mm(known, again)
+
+
+def test_a_louder_tracker_is_planned_for_with_a_new_outlook(planner, mill):
+    made = planner(mill)
+    noise = made.outlook.noise
+    louder = replace(noise, density_s=tuple(9.0 * d for d in noise.density_s))
+    loud = replace(made, outlook=replace(made.outlook, noise=louder))
+    plan = loud.plan(45.0)
+    assert left_mm(loud, plan) > 1.5 * left_mm(made, plan)
+
+
+def test_points_take_no_longer_than_their_budget_moves_included(points, planner, mill):
+    drive = planner(mill, "points").drive
+    feed = np.full(len(points) - 1, 6000.0)
+    moves = drive.times_s(points.position[:-1], points.position[1:], feed)
+    assert 50.0 < moves.sum() + drive.dwell_s <= 60.0
+
+
+def test_planned_points_leave_less_than_random_ones_of_the_same_number(
+    points, planner, mill, rng
+):
+    made = planner(mill, "points")
+    low, high = points.position.min(axis=0), points.position.max(axis=0)
+    anywhere = replace(points, position=rng.uniform(low, high, points.position.shape))
+    assert left_mm(made, points) < 0.8 * left_mm(made, anywhere)
+
+
+def test_points_are_approached_from_both_sides(planner, mill):
+    made = planner(mill, "points")
+    step = np.sign(np.diff(made.plan(90.0).position, axis=0))
+    forward, backward = (step > 0).mean(axis=0), (step < 0).mean(axis=0)
+    assert min(forward.min(), backward.min()) > 0.2
+
+
+def test_an_approach_from_one_side_tells_less(points, planner, mill, rng):
+    made = planner(mill, "points")
+    outlook, at = made.outlook, points.position
+    motions = [e.name for e in outlook.model.effects if e.name.startswith("backlash-")]
+    part = np.r_[tuple(outlook.model.slices[name] for name in motions)]
+
+    def variances(begin):
+        rows = outlook.rows(begin, at, np.full(len(at), 6000.0), made.drive)
+        flat = rows.reshape(-1, rows.shape[2])
+        C = inverse(outlook.precision + flat.T @ flat)
+        return np.diag(C)[part]
+
+    from_both = variances(at - 10.0 * rng.choice([-1.0, 1.0], at.shape))
+    from_one = variances(at - 10.0)
+    assert np.median(from_both / from_one) < 0.6
+
+
+def test_the_gain_of_a_block_is_what_the_criterion_says(rng):
+    root = rng.normal(size=(9, 9))
+    C, G = root @ root.T, np.diag(rng.uniform(0.5, 2.0, 9))
+    rows = rng.normal(size=(4, 3, 9))
+    expected = Belief(C, G).drops(rows, 1.0)
+    assert gains(C, G, rows) == pytest.approx(expected)
+
+
+def test_a_short_order_has_no_stretch_that_is_better_turned_round(rng):
+    at = rng.uniform(size=(40, 2))
+    time_s = np.linalg.norm(at[:, None] - at, axis=2)
+    order = short_order(time_s)
+    assert order[0] == 0
+    assert sorted(order) == list(range(40))
+    length = time_s[order[:-1], order[1:]].sum()
+    assert length < 0.45 * time_s[np.arange(39), np.arange(1, 40)].sum()
+    for i in range(1, 40):
+        for j in range(i + 1, 41):
+            turned = np.r_[order[:i], order[i:j][::-1], order[j:]]
+            assert time_s[turned[:-1], turned[1:]].sum() > length - 1e-9
