@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import cho_factor, cho_solve
 
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
@@ -26,7 +25,7 @@ from app.kinematics.effects.base import Effect
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
-from app.numerics.correlated_noise import Tail, extended
+from app.numerics.correlated_noise import Tail, extended, without_columns
 from app.numerics.rigid import RigidTransform
 
 _TIMING = 2  # phase and speed of the line under way
@@ -123,34 +122,19 @@ class Recursive:
         )
 
     def _line_finished(self) -> Recursive:
-        """Integrate phase and speed of the line under way out, exactly.
-
-        With the slow part c of the last cell, the sums are the quadratic form
-        wᵀ total w − 2 cᵀ pulled w + cᵀ precision c; timing is part of w.
-        """
+        """Integrate phase and speed of the line under way out."""
         p = self.about.size
-        keep = np.r_[:p, p + _TIMING]
         told = [k for k in (p, p + 1) if self._is_told(k)]
+        kept = np.r_[:p, p + _TIMING]
+        square, turned, tail = without_columns(
+            self.total, self.tail, kept, np.array(told, np.int64)
+        )
         total = np.zeros_like(self.total)
-        total[np.ix_(keep, keep)] = self.total[np.ix_(keep, keep)]
-        if not told:
-            return replace(self, total=total, line=_STANDING)
-        H = self.total[np.ix_(told, told)]
-        scale = 1.0 / np.sqrt(np.diag(H))
-        factor = cho_factor(H * scale[:, None] * scale, lower=True)
-        half = self.total[np.ix_(told, keep)] * scale[:, None]
-        total[np.ix_(keep, keep)] -= half.T @ cho_solve(factor, half)
-        turned = 2.0 * float(np.log(np.diag(factor[0])).sum() - np.log(scale).sum())
-        tail = self.tail
+        total[np.ix_(kept, kept)] = square
         if tail is not None:
-            pulled = np.zeros_like(tail.pulled)
-            r = tail.pulled[:, told] * scale
-            pulled[:, keep] = tail.pulled[:, keep] - r @ cho_solve(factor, half)
-            tail = replace(
-                tail,
-                pulled=pulled,
-                precision=tail.precision - r @ cho_solve(factor, r.T),
-            )
+            pulled = np.zeros((3, len(total)))
+            pulled[:, kept] = tail.pulled
+            tail = replace(tail, pulled=pulled)
         return replace(
             self,
             total=total,

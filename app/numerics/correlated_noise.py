@@ -15,14 +15,15 @@ slow part of the last point, so that one waits; all before it are accounted for.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 from scipy.linalg import cho_solve_banded, cholesky_banded, solve_triangular
 from scipy.linalg.lapack import dtbtrs
 
 _BAND = 3
+_ROUNDING = 1e-12  # of the largest precision: no information
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +107,37 @@ class Tail:
         return solved.T @ solved, 2.0 * float(np.log(np.diag(factor)).sum())
 
 
+def without_columns(
+    total: Float64[np.ndarray, "q q"],
+    tail: Tail | None,
+    kept: Int64[np.ndarray, " k"],
+    rest: Int64[np.ndarray, " r"],
+) -> tuple[Float64[np.ndarray, "k k"], float, Tail | None]:
+    """Integrate columns out that no later point has; exact, whatever follows.
+
+    With the slow part c of the last point, sums so far are the quadratic form
+    wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and tail over the columns
+    kept, and what is added to the log determinant.
+    Raises LinAlgError if the points do not determine the rest.
+    """
+    square = total[np.ix_(kept, kept)]
+    if not len(rest):
+        pulled = None if tail is None else replace(tail, pulled=tail.pulled[:, kept])
+        return square, 0.0, pulled
+    H = total[np.ix_(rest, rest)]
+    scale = 1.0 / np.sqrt(np.diag(H))
+    factor = np.linalg.cholesky(H * scale[:, None] * scale)
+    half = _lower(factor, total[np.ix_(rest, kept)] * scale[:, None])
+    square -= half.T @ half
+    turned = 2.0 * float(np.log(np.diag(factor)).sum() - np.log(scale).sum())
+    if tail is None:
+        return square, turned, None
+    r = _lower(factor, (tail.pulled[:, rest] * scale).T)
+    pulled = tail.pulled[:, kept] - r.T @ half
+    left = replace(tail, pulled=pulled, precision=tail.precision - r.T @ r)
+    return square, turned, left
+
+
 def extended(
     tail: Tail | None,
     time_s: Float64[np.ndarray, " n"],
@@ -148,12 +180,25 @@ def extended(
 def _white_root(
     white_precision: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], float]:
-    """Return W with WᵀW = D⁻¹, and log det D over the directions with information."""
-    eigenvalue, vector = np.linalg.eigh(white_precision)
-    eigenvalue = np.maximum(eigenvalue, 0.0)
-    root = np.sqrt(eigenvalue)[:, :, None] * np.swapaxes(vector, 1, 2)
-    known = eigenvalue > 1e-12 * eigenvalue.max(axis=1, keepdims=True)
-    return root, -float(np.log(eigenvalue[known]).sum())
+    """Return an upper W with WᵀW = D⁻¹, and log det D over what has information.
+
+    Cholesky's factor for all points at once; a pivot of rounding counts as none.
+    """
+    root = np.zeros_like(white_precision)
+    least = _ROUNDING * np.trace(white_precision, axis1=1, axis2=2)
+    log_determinant = 0.0
+    for i in range(3):
+        above = root[:, :i, i]
+        pivot = white_precision[:, i, i] - np.einsum("nk,nk->n", above, above)
+        known = pivot > least
+        root[:, i, i] = np.sqrt(np.where(known, pivot, 0.0))
+        log_determinant -= float(np.log(pivot[known]).sum())
+        for j in range(i + 1, 3):
+            rest = white_precision[:, i, j] - np.einsum(
+                "nk,nk->n", above, root[:, :i, j]
+            )
+            root[known, i, j] = rest[known] / root[known, i, i]
+    return root, log_determinant
 
 
 def _solved(
@@ -163,6 +208,12 @@ def _solved(
     if info:
         raise np.linalg.LinAlgError(f"banded solve failed ({info})")
     return solved
+
+
+def _lower(
+    factor: Float64[np.ndarray, "r r"], right: Float64[np.ndarray, "r p"]
+) -> Float64[np.ndarray, "r p"]:
+    return solve_triangular(factor, right, lower=True, check_finite=False)
 
 
 def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:
