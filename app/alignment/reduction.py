@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.machine import TrackerNoise
 
@@ -22,6 +22,7 @@ CELL_S = 0.25
 CELL_DEG = 3.0
 Way = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n 3"]]
 
+_ROUNDS = 2  # an outlier may hide another
 _OUTLIER = 6.0  # of the samples' own standard deviation
 
 
@@ -63,13 +64,15 @@ def reduce_to_cells(
     cell = ((time_s - time_s[0]) / span * cells).astype(np.int64)
     rest_mm = tracker_mm - way(time_s)
     good = np.ones(len(time_s), bool)
-    for _ in range(2):
-        means = _means(time_s[good], rest_mm[good], cell[good], way)
-        scatter = _scatter(time_s, rest_mm, cell, means, noise)
+    means, scatter = _reduced(time_s, rest_mm, cell, good, way, noise)
+    for _ in range(_ROUNDS):
         limit = _OUTLIER * np.maximum(1.0, 1.4826 * np.median(np.abs(scatter), axis=0))
-        good = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
-    means = _means(time_s[good], rest_mm[good], cell[good], way)
-    scatter = _scatter(time_s, rest_mm, cell, means, noise)[good]
+        inside = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
+        if (inside == good).all():
+            break
+        good = inside
+        means, scatter = _reduced(time_s, rest_mm, cell, good, way, noise)
+    scatter = scatter[good]
     filled = means.count > 0
     free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
     square = (scatter**2).sum(axis=0)
@@ -92,20 +95,34 @@ class _Means:
     count: Float64[np.ndarray, " c"]
 
 
+def _reduced(
+    time_s: Float64[np.ndarray, " n"],
+    rest_mm: Float64[np.ndarray, "n 3"],
+    cell: Int64[np.ndarray, " n"],
+    good: Bool[np.ndarray, " n"],
+    way: Way,
+    noise: TrackerNoise,
+) -> tuple[_Means, Float64[np.ndarray, "n 3"]]:
+    """Return the means of good samples, and how far all are off, in sigmas."""
+    means = _means(time_s, rest_mm, cell, good, way)
+    return means, _scatter(time_s, rest_mm, cell, means, noise)
+
+
 def _means(
     time_s: Float64[np.ndarray, " n"],
     rest_mm: Float64[np.ndarray, "n 3"],
     cell: Int64[np.ndarray, " n"],
+    good: Bool[np.ndarray, " n"],
     way: Way,
 ) -> _Means:
-    size = int(cell[-1]) + 1 if len(cell) else 0
-    count = np.bincount(cell, minlength=size).astype(float)
+    size, weight = int(cell[-1]) + 1, good.astype(np.float64)
+    count = np.bincount(cell, weight, size)
     safe = np.maximum(count, 1.0)
     # About the first sample, so that sums keep their digits.
     origin_s, origin_mm = time_s[0], rest_mm[0]
-    time = np.bincount(cell, time_s - origin_s, size) / safe + origin_s
+    time = np.bincount(cell, weight * (time_s - origin_s), size) / safe + origin_s
     total = np.column_stack(
-        [np.bincount(cell, column, size) for column in (rest_mm - origin_mm).T]
+        [np.bincount(cell, weight * column, size) for column in (rest_mm - origin_mm).T]
     )
     rest = total / safe[:, None] + origin_mm
     return _Means(time, rest, rest + way(time), count)
@@ -119,13 +136,12 @@ def _scatter(
     noise: TrackerNoise,
 ) -> Float64[np.ndarray, "n 3"]:
     """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
-    known = np.minimum(cell, len(means.count) - 1)
-    lag = time_s - means.time_s[known]
-    off = rest_mm - means.rest_mm[known]
-    off -= lag[:, None] * _slope(lag, off, known)[known]
-    frame = beam_frame(means.tracker_mm)[known]
-    sigma = noise.sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[known]
-    return np.einsum("nij,nj->ni", frame, off) / sigma[:, [0, 1, 1]]
+    lag = time_s - means.time_s[cell]
+    off = rest_mm - means.rest_mm[cell]
+    off -= lag[:, None] * _slope(lag, off, cell)[cell]
+    sigma = noise.sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[:, [0, 1, 1]]
+    frame = beam_frame(means.tracker_mm) / sigma[:, :, None]
+    return np.einsum("nij,nj->ni", frame[cell], off)
 
 
 def _slope(
