@@ -38,8 +38,8 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _compute_on_one_thread() -> None:
-    # Before NumPy is imported. Measured on 2 busy cores: 7 s of processor time for an
-    # analysis, 31 s with a BLAS of two threads that wait for each other.
+    # Before NumPy is imported: on busy cores the threads of a BLAS wait for each other
+    # and take several times the processor time of one.
     from app.jobs.executor import limit_threads
 
     limit_threads()

@@ -14,12 +14,12 @@ from app.estimation.estimate import Estimate, Residuals, RunEstimate
 from app.estimation.extrapolation import measured_ranges, with_ends_free
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Posterior
-from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import first_noise, fit_noise
+from app.estimation.noise import NoiseModel, whiten
+from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.observability import observability
-from app.estimation.prior import first_guess, fitted, with_unknown_strengths
-from app.estimation.problem import Problem, refined_pose
-from app.estimation.runs import Measured, Share, shares_of, together
+from app.estimation.prior import with_unknown_strengths
+from app.estimation.problem import Part, Problem, refined_pose
+from app.estimation.runs import Measured, Share
 from app.measurement.one_machine import one_machine
 
 
@@ -54,12 +54,8 @@ def estimate(
         )
         for k, seen in enumerate(observed)
     )
-    shares = shares_of(runs, model)
-    _, result = fitted(together(shares), first_guess(model))
-    told(0.2)
-    # The rough pose is off by the machine's errors: linearise about the better one.
-    runs = fit_noise(machine, [_better(s, result) for s in shares])
-    told(0.7)
+    runs = looked_at(machine, runs)
+    told(0.5)
     fit = with_ends_free(best_fit(runs, model))
     observable = observability(machine, runs)
     told(0.9)
@@ -91,12 +87,6 @@ def _of_run(seen: Observations, run: int) -> Observations:
     return replace(seen, at=replace(seen.at, run=run))
 
 
-def _better(share: Share, machine: Posterior) -> Measured:
-    theta, _ = share.completed(machine)
-    problem = share.problem
-    return Measured(problem.seen, refined_pose(problem, theta), share.noise)
-
-
 def _of_one(share: Share, machine: Posterior) -> RunEstimate:
     theta, covariance = share.completed(machine)
     problem, seen = share.problem, share.problem.seen
@@ -119,8 +109,8 @@ def _residuals(
     problem: Problem, theta: Float64[np.ndarray, " p"], noise: NoiseModel
 ) -> Residuals:
     seen = problem.seen
-    left = problem.rows[:, :, -1] - problem.rows[:, :, :-1] @ theta
-    along = np.einsum("nij,nj->ni", problem.frame, seen.direction)
+    parts = [(_left(part, theta, noise), _along(part)) for part in problem.parts()]
+    left, along = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     across = left - np.einsum("ni,ni->n", left, along)[:, None] * along
     counted = across if noise.along_sigma_mm == np.inf else left
     return Residuals(
@@ -131,6 +121,24 @@ def _residuals(
         float(np.sqrt(np.mean(counted**2))),
         _floor_mm(problem, noise, along),
     )
+
+
+def _left(
+    part: Part, theta: Float64[np.ndarray, " p"], noise: NoiseModel
+) -> Float64[np.ndarray, "n 3"]:
+    """Return what is left of the data, the timing of each line at its best."""
+    left = part.off - part.rows[:, :, : part.data] @ theta
+    timing = part.timing
+    if not timing.size:
+        return left
+    told = whiten(part.seen, noise, part.frame).applied(timing)
+    H = np.tensordot(told, timing, axes=((0, 1), (0, 1)))
+    pull = np.tensordot(told, left, axes=((0, 1), (0, 1)))
+    return left - timing @ np.linalg.lstsq(H, pull, rcond=None)[0]
+
+
+def _along(part: Part) -> Float64[np.ndarray, "n 3"]:
+    return np.einsum("nij,nj->ni", part.frame, part.seen.direction)
 
 
 def _floor_mm(

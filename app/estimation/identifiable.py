@@ -16,17 +16,19 @@ from jaxtyping import Float64
 
 from app.estimation.identifiable_chain import told_by
 from app.kinematics.effects.base import Conditions, standstill
-from app.kinematics.effects.error_motion import ErrorMotion, error_motion
+from app.kinematics.effects.error_motion import arm_of, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tool_orientation import tool_orientation
 from app.kinematics.machine import Axis, Machine, RotaryAxis
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, meaning
+from app.numerics.splines import natural_spline
 
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
 _SAME_TARGET_MM = 1e-6
 _PROBE = 400  # configurations that stand for the whole volume
+_SHAPES = 5
 _NEW_SHAPE = 1e-6  # relative size of a new singular value
 
 
@@ -67,10 +69,11 @@ def identifiable_model(
     symbols.sort(key=is_turn)
     travels = {axis.name: axis for axis in machine.linear_axes}
     probe = _probe(machine, np.unique(np.concatenate(each_run), axis=0))
+    columns = {s: _columns(s, travels[s[2]], probe) for s in symbols}
     kept: list[str] = []
     merged: list[Merged] = []
     for symbol in symbols:
-        partners = _absorbed_by(symbol, kept, machine, probe)
+        partners = _absorbed_by(symbol, kept, columns)
         if partners is None:
             kept.append(symbol)
         else:
@@ -147,27 +150,26 @@ def _probe(machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]) -> Conditio
     return standstill(machine, position, offset)
 
 
+def _columns(symbol: str, axis: Axis, probe: Conditions) -> Float64[np.ndarray, "m p"]:
+    """Return what a motion does to the target; a few smooth shapes stand for all."""
+    spline = natural_spline(np.linspace(axis.low, axis.high, _SHAPES))
+    rows = spline.basis(probe.axis_mm(axis.name))
+    arm = arm_of(symbol, probe)[:, :, None] * rows[:, None, :]
+    columns = arm.reshape(-1, spline.size)
+    return columns / 100.0 if is_turn(symbol) else columns
+
+
 def _absorbed_by(
-    symbol: str, kept: list[str], machine: Machine, probe: Conditions
+    symbol: str, kept: list[str], columns: dict[str, Float64[np.ndarray, "m p"]]
 ) -> tuple[str, ...] | None:
     """Return the kept motions that make all of this one's shapes already, or None."""
-    axis = next(a for a in machine.linear_axes if a.name == symbol[2])
     mates = [k for k in kept if k[2] == symbol[2]]
-
-    # A few smooth shapes stand for all.
-    def columns(name: str) -> Float64[np.ndarray, "m p"]:
-        motion = error_motion(name, axis, 4)
-        rows = motion.spline.basis(probe.axis_mm(axis.name))
-        free = ErrorMotion(name, axis, motion.spline, np.eye(motion.spline.size))
-        arm = free.jacobian(probe).reshape(-1, rows.shape[1])
-        return arm / 100.0 if is_turn(name) else arm
-
-    own = columns(symbol)
+    own = columns[symbol]
     if np.abs(own).max() < _NEW_SHAPE:
         return ()
     if not mates:
         return None
-    others = np.hstack([columns(m) for m in mates])
+    others = np.hstack([columns[m] for m in mates])
     solution, *_ = np.linalg.lstsq(others, own, rcond=1e-10)
     left = np.linalg.norm(own - others @ solution) / np.linalg.norm(own)
     if left > _NEW_SHAPE:

@@ -7,7 +7,7 @@ term.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -15,8 +15,9 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import dpotri
 
 from app.errors import Unidentifiable
-from app.estimation.noise import NoiseModel, whiten
-from app.estimation.problem import Problem
+from app.estimation.noise import NoiseModel, cell_noise
+from app.estimation.problem import Part, Problem
+from app.numerics.correlated_noise import Tail, extended, without_columns
 
 _SILENT = 1e-20  # of the largest information on a parameter: none but rounding
 
@@ -45,19 +46,50 @@ class Posterior:
 
 
 def information(problem: Problem, noise: NoiseModel) -> Information:
-    """Return the information of all cells under a noise model."""
-    white, slow = (whitener := whiten(problem.seen, noise, problem.frame)).halves(
-        problem.rows
-    )
-    total = white.T @ white
-    if len(slow):
-        total -= slow.T @ slow
+    """Return the information on machine and pose under a noise model.
+
+    Timing of the lines is integrated out. Parts follow one another in time; the slow
+    part of the noise goes on from one to the next.
+    Raises Unidentifiable if the timing of a line is not determined.
+    """
+    p = problem.model.size
+    total, log_determinant = np.zeros((p + 1, p + 1)), 0.0
+    tail: Tail | None = None
+    for part in problem.parts():
+        gain, log_gain, tail = _with_part(part, noise, tail)
+        total += gain
+        log_determinant += log_gain
+    if tail is not None:
+        taken, log_taken = tail.taken()
+        total -= taken
+        log_determinant += log_taken
     return Information(
-        total[:-1, :-1],
-        total[:-1, -1],
-        float(total[-1, -1]),
-        whitener.log_determinant,
+        total[:-1, :-1], total[:-1, -1], float(total[-1, -1]), log_determinant
     )
+
+
+def _with_part(
+    part: Part, noise: NoiseModel, tail: Tail | None
+) -> tuple[Float64[np.ndarray, "q q"], float, Tail | None]:
+    """Return what a part adds to the sums, and what its last cell's slow part takes."""
+    q, width = part.data + 1, part.rows.shape[2]
+    if tail is not None:
+        more = np.zeros((3, width - q))
+        tail = replace(tail, pulled=np.hstack([tail.pulled, more]))
+    precision, slow = cell_noise(part.seen, noise, part.frame)
+    gain, log_gain, tail = extended(
+        tail, part.seen.at.time_s, precision, slow, noise.slow_time_s, part.rows
+    )
+    # A line of one cell says nothing of its speed, which then stays as commanded.
+    own = np.diag(gain)[q:]
+    told = q + np.flatnonzero(own > _SILENT * own.max(initial=0.0))
+    try:
+        square, turned, tail = without_columns(gain, tail, np.arange(q), told)
+    except np.linalg.LinAlgError as error:
+        raise Unidentifiable(
+            "the timing of a line is not determined; use longer lines"
+        ) from error
+    return square, log_gain + turned, tail
 
 
 def added(parts: Sequence[Information]) -> Information:
@@ -165,7 +197,6 @@ class _Rest:
 def _rest(data: Information, kept: int) -> _Rest:
     matrix, vector = data.matrix[kept:].copy(), data.vector[kept:].copy()
     diagonal = np.diag(matrix[:, kept:])
-    # A line of one cell says nothing of its speed, which then stays as commanded.
     silent = diagonal <= _SILENT * diagonal.max()
     matrix[silent], vector[silent] = 0.0, 0.0
     matrix[:, kept:][:, silent] = 0.0

@@ -24,7 +24,7 @@ from app.estimation.direction import with_half_widths
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, information, posterior
 from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import first_noise, fit_noise, residual_noise
+from app.estimation.noise_fit import first_noise, looked_at, residual_noise
 from app.estimation.prior import (
     BendingPrior,
     first_guess,
@@ -161,7 +161,7 @@ def _fitted_noise(
     seen: Observations, pose: RigidTransform, noise: NoiseModel
 ) -> NoiseModel:
     try:
-        return fit_noise(seen.at.machine, (Measured(seen, pose, noise),))[0].noise
+        return looked_at(seen.at.machine, (Measured(seen, pose, noise),))[0].noise
     except Unidentifiable:
         return noise  # too few lines to judge it better
 

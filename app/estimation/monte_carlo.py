@@ -29,6 +29,7 @@ from app.alignment.observations import Observations
 from app.estimation.direction import Fit
 from app.estimation.noise import NoiseModel, whiten
 from app.estimation.prior import strength_variance
+from app.estimation.problem import Part
 from app.estimation.runs import Share, together
 from app.numerics.adaptive_trials import BLOCK, Interval, TrialBlock, TrialPlan, kept
 
@@ -102,13 +103,24 @@ def prepared(fit: Fit, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan) -> 
 
 def _trial_run(share: Share) -> TrialRun:
     problem, size = share.problem, share.problem.machine_model.size
-    A = problem.rows[:, :, :-1]
-    weighted = whiten(problem.seen, share.noise, problem.frame).applied(A)
-    # Pose and timing are solved along: their share of the data is passed on.
+    part = problem.part(problem.seen)
+    weighted = _weighted(part, share.noise)
+    # The pose is solved along: its share of the data is passed on.
     machine = weighted[:, :, :size] - weighted[:, :, size:] @ share.own_per_machine
-    return TrialRun(
-        problem.seen, share.noise, problem.frame, machine.astype(np.float32)
-    )
+    return TrialRun(problem.seen, share.noise, part.frame, machine.astype(np.float32))
+
+
+def _weighted(part: Part, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
+    """Return V⁻¹A of machine and pose, less what the timing of the lines takes up."""
+    known, timing = part.rows[:, :, : part.data], part.timing
+    V = whiten(part.seen, noise, part.frame)
+    weighted = V.applied(known)
+    if not timing.size:
+        return weighted
+    told = V.applied(timing)
+    H = np.tensordot(told, timing, axes=((0, 1), (0, 1)))
+    taken = np.tensordot(told, known, axes=((0, 1), (0, 1)))
+    return weighted - told @ np.linalg.lstsq(H, taken, rcond=None)[0]
 
 
 def block(trials: Trials, number: int) -> TrialBlock:

@@ -8,21 +8,20 @@ evidence of the whole problem, so that what the error motions take up is account
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.optimize import minimize
 
 from app.alignment.observations import Observations
-from app.errors import Unidentifiable
 from app.estimation.direction import with_half_widths
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import added, information, posterior, without_rest
+from app.estimation.information import Information, added
 from app.estimation.noise import NoiseModel
-from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
-from app.estimation.problem import Problem, coarser
+from app.estimation.noise_evidence import NoiseEvidence, Slope
+from app.estimation.prior import BendingPrior, first_guess, fitted
+from app.estimation.problem import Part, Problem, refined_pose
 from app.estimation.runs import Measured, Share, shares_of, together, with_noise
 from app.kinematics.machine import Machine
 
@@ -31,11 +30,17 @@ _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
 _COARSE_MM = 35.0
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
+_SAME = 1e-6  # phase and speed of a line of one cell are the same
+_SWEEPS = 2  # over several Runs
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data say little of the slow part; most trackers in most halls are like this.
 _USUAL = np.log([0.15, 0.15, 1.0])  # beam, across (of the stated noise), time in s
 _USUAL_SPREAD = 1.2
-_BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [1e-6, 0.1]])
+_STEPS = 12
+_SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
+_LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
+_LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
+_BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
@@ -45,32 +50,52 @@ def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
     return NoiseModel(white, (0.1, 0.1), 1.0, along)
 
 
-def fit_noise(machine: Machine, runs: Sequence[Measured]) -> tuple[Measured, ...]:
-    """Return the Runs with the noise of greatest evidence, starting from theirs.
+def looked_at(machine: Machine, runs: Sequence[Measured]) -> tuple[Measured, ...]:
+    """Return the Runs with a better pose and the noise of greatest evidence.
 
-    Every Run has a noise of its own; what the error motions are, all Runs tell.
+    The rough pose is off by the machine's errors. Every Run has a noise of its own;
+    what the error motions are, all Runs tell. Some lines and coarse splines tell both
+    well, at a fraction of the cost.
+    Raises Unidentifiable if the lines do not determine the parameters.
     """
     offsets_mm = [run.seen.at.offset_mm for run in runs]
     model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
     model = with_half_widths(model)  # lost motion must not pass for slow noise
     few = [replace(run, seen=_some_lines(run.seen)) for run in runs]
-    shares = shares_of(few, model)
+    shares = list(shares_of(few, model))
     prior, result = fitted(together(shares), first_guess(model))
-    small: list[Share] = []
-    for run, share in zip(runs, shares, strict=True):
-        problem = coarser(share.problem, _merge(run.seen))
-        theta, _ = share.completed(result)
-        cost = _residual_cost(problem, theta)
-        small.append(
-            with_noise(problem, _minimised(cost, run.noise, step=0.7, calls=80))
-        )
-    for k, share in enumerate(small):
-        cost = _evidence_cost(share.problem, prior, small[:k] + small[k + 1 :])
-        noise = _minimised(cost, share.noise, step=0.3, calls=30)
-        small[k] = with_noise(share.problem, noise)
+    # The noise of one Run shifts what the others hold for the error motions.
+    for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
+        noise = _fitted_noise(shares[k], prior, shares[:k] + shares[k + 1 :])
+        if len(runs) > 1:
+            shares[k] = with_noise(shares[k].problem, noise)
+        else:
+            shares[k] = replace(shares[k], noise=noise)
     return tuple(
-        replace(run, noise=share.noise) for run, share in zip(runs, small, strict=True)
+        Measured(
+            run.seen,
+            refined_pose(share.problem, share.completed(result)[0]),
+            share.noise,
+        )
+        for run, share in zip(runs, shares, strict=True)
     )
+
+
+def _fitted_noise(
+    share: Share, prior: BendingPrior, others: Sequence[Share]
+) -> NoiseModel:
+    """Return the likeliest noise of a Run, strengths and the others' noise held."""
+    seen = share.problem.seen
+    part = share.problem.part(seen, merge=_merge(seen))
+    columns = _columns(part)
+    precision = prior.precision(prior.model.size)
+    known = added(
+        [
+            Information(precision, np.zeros(len(precision)), 0.0, 0.0),
+            *(other.about_machine for other in others),
+        ]
+    )
+    return _likeliest(NoiseEvidence(part, columns, part.off, known), share.noise)
 
 
 def residual_noise(
@@ -80,8 +105,23 @@ def residual_noise(
 
     Quick, for the live estimate: what the estimate has taken up of it is not counted.
     """
-    small = coarser(problem, _merge(problem.seen))
-    return _minimised(_residual_cost(small, theta), noise, step=0.7, calls=60)
+    part = problem.part(problem.seen, merge=_merge(problem.seen))
+    left = part.off - part.rows[:, :, : part.data] @ theta
+    timing = _columns(part)[:, :, part.data :]
+    nothing = Information(np.zeros((0, 0)), np.zeros(0), 0.0, 0.0)
+    return _likeliest(NoiseEvidence(part, timing, left, nothing), noise)
+
+
+def _columns(part: Part) -> Float64[np.ndarray, "n 3 p"]:
+    """Return the columns of all parameters; of a line's speed where it shows."""
+    phase, speed = part.timing[:, :, ::2], part.timing[:, :, 1::2]
+    alone = np.einsum("nil,nil->l", phase, phase), np.einsum("nil,nil->l", speed, speed)
+    both = np.einsum("nil,nil->l", phase, speed)
+    shows = alone[0] * alone[1] - both**2 > _SAME * alone[0] * alone[1]
+    told = np.ones(part.rows.shape[2], bool)
+    told[part.data] = False
+    told[part.data + 2 :: 2] = shows
+    return part.rows[:, :, told]
 
 
 def _some_lines(seen: Observations) -> Observations:
@@ -101,69 +141,37 @@ def _merge(seen: Observations) -> int:
     return max(1, round(_MERGED_S / length))
 
 
-def _residual_cost(
-    problem: Problem, theta: Float64[np.ndarray, " p"]
-) -> Callable[[NoiseModel], float]:
-    """Return −2 log p(residuals): quick, but blind to what the model has taken up."""
-    left = problem.rows[:, :, -1:] - problem.rows[:, :, :-1] @ theta[:, None]
-    bare = replace(problem, rows=left)
-
-    def cost(noise: NoiseModel) -> float:
-        data = information(bare, noise)
-        return data.log_determinant + data.square
-
-    return cost
-
-
-def _evidence_cost(
-    problem: Problem, prior: BendingPrior, others: Sequence[Share]
-) -> Callable[[NoiseModel], float]:
-    """Return −2 log p(data), the prior's strengths and the other Runs' noise held."""
-    size = prior.model.size
-    precision = prior.precision(size)
-    known = [share.about_machine for share in others]
-
-    def cost(noise: NoiseModel) -> float:
-        data = without_rest(information(problem, noise), size)
-        data = added([data, *known])
-        return evidence_cost(data, prior, posterior(data, precision))
-
-    return cost
+def _likeliest(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
+    """Return the noise model of least cost: Newton's steps, halved where too long."""
+    x = _packed(noise)
+    low, high = _BOUNDS[: len(x)].T
+    here, step = _slope(evidence, x, noise), np.zeros(len(x))
+    for _ in range(_STEPS):
+        damped = here.curvature + np.diag(1e-3 * np.diag(here.curvature) + _LEAST)
+        step = np.clip(-np.linalg.solve(damped, here.gradient), -_LONGEST, _LONGEST)
+        step = np.clip(x + step, low, high) - x
+        if abs(float(here.gradient @ step)) < _SETTLED:
+            break
+        there = _slope(evidence, x + step, noise)
+        while there.cost > here.cost and np.abs(step).max() > _SHORTEST:
+            step *= 0.3
+            there = _slope(evidence, x + step, noise)
+        if there.cost > here.cost:
+            break
+        x, here = x + step, there
+    return _unpacked(x, noise)
 
 
-def _minimised(
-    cost: Callable[[NoiseModel], float], noise: NoiseModel, *, step: float, calls: int
-) -> NoiseModel:
-    start = _packed(noise)
-    bounds = _BOUNDS[: len(start)]
-
-    def bounded(x: Float64[np.ndarray, " k"]) -> float:
-        inside = np.clip(x, bounds[:, 0], bounds[:, 1])
-        penalty = 1e3 * float(np.sum((x - inside) ** 2))
-        try:
-            return cost(_unpacked(inside, noise)) + penalty + _surprise(inside)
-        except (Unidentifiable, np.linalg.LinAlgError):
-            return np.inf
-
-    simplex = np.vstack([start, start + step * np.eye(len(start))])
-    found = minimize(
-        bounded,
-        start,
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": simplex,
-            "maxfev": calls,
-            "xatol": 0.05,
-            "fatol": 0.5,
-        },
-    )
-    best = np.asarray(found.x, np.float64)
-    return _unpacked(np.clip(best, bounds[:, 0], bounds[:, 1]), noise)
-
-
-def _surprise(x: Float64[np.ndarray, " k"]) -> float:
-    """Return −2 log of how usual the slow part is."""
-    return float(np.sum((x[:3] - _USUAL) ** 2)) / _USUAL_SPREAD**2
+def _slope(
+    evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
+) -> Slope:
+    """Return the slope of the evidence, with how usual the slow part is."""
+    found = evidence.at(_unpacked(x, noise))
+    off = (x[:3] - _USUAL) / _USUAL_SPREAD**2
+    gradient, curvature = found.gradient.copy(), found.curvature.copy()
+    gradient[:3] += 2.0 * off
+    curvature[range(3), range(3)] += 2.0 / _USUAL_SPREAD**2
+    return Slope(found.cost + float(off @ (x[:3] - _USUAL)), gradient, curvature)
 
 
 def _packed(noise: NoiseModel) -> Float64[np.ndarray, " k"]:

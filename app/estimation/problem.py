@@ -6,7 +6,7 @@ by fitting points to the closest point of the path, which drags errors into the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,23 +21,84 @@ from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 
+_CELLS = 500  # of a part: few enough for the processor's cache, enough for its BLAS
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Cells of whole lines or standstills.
+
+    frame : (n, 3, 3) workpiece to beam frame
+    rows : (n, 3, p + 1 + 2 l) over machine and pose, then the data, then phase and
+        speed of the l lines in it; in the beam frame
+    data : p, the column of the data
+    """
+
+    seen: Observations
+    frame: Float64[np.ndarray, "n 3 3"]
+    rows: Float64[np.ndarray, "n 3 q"]
+    data: int
+
+    @property
+    def off(self) -> Float64[np.ndarray, "n 3"]:
+        """Measured less nominal."""
+        return self.rows[:, :, self.data]
+
+    @property
+    def timing(self) -> Float64[np.ndarray, "n 3 t"]:
+        """Rows over phase and speed of the lines."""
+        return self.rows[:, :, self.data + 1 :]
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Rows of all cells, data in the last column.
+    """A linear problem in machine and pose; its rows are made part by part.
 
-    model : machine effects, then pose, then timing laws
+    Phase and speed of a line are parameters too, but of the cells of that line alone:
+    they are integrated out with their part, so that the problem's size does not grow
+    with the number of lines.
+
+    model : machine effects, then pose
     machine_model : the machine effects alone, whose parameters come first
-    frame : (n, 3, 3) workpiece to beam frame
-    rows : (n, 3, p + 1)
+    timing : whether timing is told: not where nothing along the travel is used
     """
 
     seen: Observations
     model: MachineModel
     machine_model: MachineModel
     pose: RigidTransform
-    frame: Float64[np.ndarray, "n 3 3"]
-    rows: Float64[np.ndarray, "n 3 q"]
+    timing: bool
+
+    def parts(self) -> Iterator[Part]:
+        """Yield the cells in their order, some whole lines at a time."""
+        seen = self.seen
+        new = (np.diff(seen.at.line) != 0) | (np.diff(seen.row) != 0)
+        begins = np.flatnonzero(np.concatenate([[True], new]))
+        first = 0
+        for last in [*begins[1:].tolist(), len(seen)]:
+            if last - first >= _CELLS or last == len(seen):
+                yield self.part(seen.taken(np.arange(first, last)))
+                first = last
+
+    def part(self, seen: Observations, *, merge: int = 1) -> Part:
+        """Return the rows of cells, which hold whole lines or standstills.
+
+        merge : so many neighbouring cells of a line are made one
+        """
+        p = self.model.size
+        lines = np.unique(seen.at.line[seen.at.line >= 0]).tolist()
+        timing = TimingLaw(tuple(lines if self.timing else ()))
+        local = np.empty((len(seen), 3, p + 1 + len(timing.parameters)))
+        for effect in self.model.effects:
+            local[:, :, self.model.slices[effect.name]] = effect.jacobian(seen.at)
+        off = self.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+        local[:, :, p] = off
+        if timing.lines:
+            local[:, :, p + 1 :] = timing.jacobian(seen.at)
+        if merge > 1:
+            seen, local = _coarser(seen, local, merge)
+        frame = beam_frame(seen.tracker_mm) @ self.pose.rotation
+        return Part(seen, frame, frame @ local, p)
 
 
 def pose_problem(
@@ -47,33 +108,19 @@ def pose_problem(
     *,
     timing: bool = True,
 ) -> Problem:
-    """Return the problem of all effects, pose and timing laws about the given pose.
+    """Return the problem of machine effects and pose about the given pose.
 
     timing : False where nothing along the travel is used, so that no timing is told
     """
-    nuisances: list[TrackerPose | TimingLaw] = [TrackerPose(_centre(seen))]
-    lines = np.unique(seen.at.line[seen.at.line >= 0])
-    if len(lines) and timing:
-        nuisances.append(TimingLaw(tuple(int(line) for line in lines)))
-    model = machine_model.with_effects(*nuisances)
-    frame = beam_frame(seen.tracker_mm) @ pose.rotation
-    off = pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
-    local = np.concatenate([model.jacobian(seen.at), off[:, :, None]], axis=2)
-    rows = np.matmul(frame, local)
-    return Problem(seen, model, machine_model, pose, frame, rows)
+    model = machine_model.with_effects(TrackerPose(_centre(seen)))
+    return Problem(seen, model, machine_model, pose, timing)
 
 
 def with_machine_effects(problem: Problem, effects: Sequence[Effect]) -> Problem:
     """Return the problem with some of its machine effects only."""
-    keep = np.append(columns_with(problem, effects), True)
     machine = MachineModel(problem.model.machine, tuple(effects))
-    nuisances = problem.model.effects[len(problem.machine_model.effects) :]
-    return replace(
-        problem,
-        model=machine.with_effects(*nuisances),
-        machine_model=machine,
-        rows=problem.rows[:, :, keep],
-    )
+    pose = problem.model.effects[len(problem.machine_model.effects) :]
+    return replace(problem, model=machine.with_effects(*pose), machine_model=machine)
 
 
 def columns_with(problem: Problem, effects: Sequence[Effect]) -> Bool[np.ndarray, " p"]:
@@ -93,12 +140,13 @@ def refined_pose(problem: Problem, theta: Float64[np.ndarray, " p"]) -> RigidTra
     return problem.pose.after_small(turn, shift - np.cross(turn, centre))
 
 
-def coarser(problem: Problem, merge: int) -> Problem:
-    """Return the problem with up to `merge` neighbouring cells of a line made one.
+def _coarser(
+    seen: Observations, local: Float64[np.ndarray, "n 3 q"], merge: int
+) -> tuple[Observations, Float64[np.ndarray, "m 3 q"]]:
+    """Return up to `merge` neighbouring cells of a line made one, and their rows.
 
-    The noise's slow part shows as well in the coarser cells, at a fraction of the cost.
+    Averaged in the workpiece frame, where a line keeps its direction.
     """
-    seen = problem.seen
     breaks = (np.diff(seen.at.line) != 0) | (np.diff(seen.row) != 0)
     begin = np.flatnonzero(np.concatenate([[True], breaks]))
     size = np.diff(np.append(begin, len(seen)))
@@ -124,10 +172,7 @@ def coarser(problem: Problem, merge: int) -> Problem:
         count=count,
         direction=travel / np.maximum(speed, 1e-12),
     )
-    # Averaged in the workpiece frame, where a line keeps its direction.
-    local = mean(np.matmul(np.swapaxes(problem.frame, 1, 2), problem.rows))
-    frame = beam_frame(merged.tracker_mm) @ problem.pose.rotation
-    return replace(problem, seen=merged, frame=frame, rows=np.matmul(frame, local))
+    return merged, mean(local)
 
 
 def _centre(seen: Observations) -> tuple[float, float, float]:

@@ -16,9 +16,9 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.alignment.stretches import offsets_mm, on_workpiece
 from app.errors import PlanningError
-from app.estimation.information import Information
+from app.estimation.information import Information, information
 from app.estimation.noise import NoiseModel
-from app.estimation.recursive import Linearisation, begun
+from app.estimation.problem import pose_problem
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
@@ -92,9 +92,8 @@ def expected_information(
     noise = NoiseModel(
         EXPECTED_NOISE.white, EXPECTED_NOISE.slow, EXPECTED_NOISE.slow_time_s, along
     )
-    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
-    about = Linearisation(model, seen.pose, (x, y, z), noise)
-    return begun(about).added(seen).information()
+    problem = pose_problem(seen, model, seen.pose, timing=bool(np.isfinite(along)))
+    return information(problem, noise)
 
 
 def _stretches(commanded: Path | Configurations) -> Iterator[_Stretch]:

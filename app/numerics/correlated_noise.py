@@ -19,7 +19,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.linalg import cho_solve_banded, cholesky_banded, solve_triangular
+from scipy.linalg import (
+    cho_solve_banded,
+    cholesky_banded,
+    solve_triangular,
+    solveh_banded,
+)
 from scipy.linalg.lapack import dtbtrs
 
 _BAND = 3
@@ -38,17 +43,6 @@ class Whitener:
     root: Float64[np.ndarray, "n 3 3"]
     factor: Float64[np.ndarray, "b m"]
     log_determinant: float
-
-    def halves(
-        self, rows: Float64[np.ndarray, "n 3 p"]
-    ) -> tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "m p"]]:
-        """Return (A, Z) with rowsᵀ V⁻¹ rows = AᵀA − ZᵀZ."""
-        white = self.root @ rows
-        flat = white.reshape(-1, rows.shape[2])
-        if not self.factor.size:
-            return flat, np.zeros((0, rows.shape[2]))
-        pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
-        return flat, _solved(self.factor, pulled)
 
     def applied(
         self, rows: Float64[np.ndarray, "n 3 p"]
@@ -76,11 +70,58 @@ def whitener(
     root, log_white = _white_root(white_precision)
     if not slow_sigma.any():
         return Whitener(root, np.empty((0, 0)), log_white)
-    diagonal, below, log_slow = _slow_precision(time_s, slow_sigma, slow_time_s)
-    band = _interleaved(white_precision, diagonal, below)
+    slow = slow_precision(time_s, slow_sigma, slow_time_s)
+    band = _interleaved(white_precision, slow.diagonal, slow.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     log_sum = 2.0 * float(np.log(factor[0]).sum())
-    return Whitener(root, factor, log_white + log_slow + log_sum)
+    return Whitener(root, factor, log_white + slow.log_determinant + log_sum)
+
+
+@dataclass(frozen=True, slots=True)
+class SlowPrecision:
+    """C⁻¹, tridiagonal in time for each coordinate.
+
+    diagonal : (n, 3); below : (n, 3), from each point to the next, the last one 0
+    log_determinant : of C
+    """
+
+    diagonal: Float64[np.ndarray, "n 3"]
+    below: Float64[np.ndarray, "n 3"]
+    log_determinant: float
+
+    def times(self, slow: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Return C⁻¹ times a vector."""
+        product = self.diagonal * slow
+        product[:-1] += self.below[:-1] * slow[1:]
+        product[1:] += self.below[:-1] * slow[:-1]
+        return product
+
+    def solved(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Return C times a vector."""
+        none = np.zeros((len(right), 3, 3))
+        band = _interleaved(none, self.diagonal, self.below)
+        solved = solveh_banded(band, right.ravel(), lower=True, check_finite=False)
+        return solved.reshape(right.shape)
+
+
+def slow_precision(
+    time_s: Float64[np.ndarray, " n"],
+    sigma: Float64[np.ndarray, "n 3"],
+    slow_time_s: float,
+) -> SlowPrecision:
+    """Return C⁻¹ of a slow part of given standard deviation and correlation time."""
+    step = np.diff(time_s)
+    keep = np.exp(-step / slow_time_s)
+    # −expm1 keeps its digits where steps are far shorter than the correlation time.
+    fresh = np.maximum(-np.expm1(-2.0 * step / slow_time_s), 1e-12)
+    unit = np.ones(len(time_s))
+    unit[:-1] += keep**2 / fresh
+    unit[1:] += 1.0 / fresh - 1.0
+    below = np.zeros(len(time_s))
+    below[:-1] = -keep / fresh
+    scaled_below = below[:, None] / (sigma * np.roll(sigma, -1, axis=0))
+    log_c = 2.0 * float(np.log(sigma).sum()) + 3.0 * float(np.log(fresh).sum())
+    return SlowPrecision(unit[:, None] / sigma**2, scaled_below, log_c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,11 +203,12 @@ def extended(
         slow_sigma = np.concatenate([tail.sigma[None], slow_sigma])
         white_precision = np.concatenate([tail.precision[None], white_precision])
         pulled = np.concatenate([tail.pulled, pulled])
-    diagonal, below, log_slow = _slow_precision(time_s, slow_sigma, slow_time_s)
+    slow = slow_precision(time_s, slow_sigma, slow_time_s)
+    log_slow = slow.log_determinant
     if tail is not None:  # counted when the tail was the newest point
-        diagonal[0] -= 1.0 / tail.sigma**2
+        slow.diagonal[0] -= 1.0 / tail.sigma**2
         log_slow -= 2.0 * float(np.log(tail.sigma).sum())
-    band = _interleaved(white_precision, diagonal, below)
+    band = _interleaved(white_precision, slow.diagonal, slow.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     solved = _solved(factor, pulled)
     settled = solved[:-3]
@@ -221,24 +263,6 @@ def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"
     block = np.diag(factor[0, -3:])
     block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
     return block
-
-
-def _slow_precision(
-    time_s: Float64[np.ndarray, " n"], sigma: Float64[np.ndarray, "n 3"], tau_s: float
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], float]:
-    """Return diagonal and sub-diagonal of C⁻¹, and log det C."""
-    step = np.diff(time_s)
-    keep = np.exp(-step / tau_s)
-    # −expm1 keeps its digits where steps are far shorter than the correlation time.
-    fresh = np.maximum(-np.expm1(-2.0 * step / tau_s), 1e-12)
-    unit = np.ones(len(time_s))
-    unit[:-1] += keep**2 / fresh
-    unit[1:] += 1.0 / fresh - 1.0
-    below = np.zeros(len(time_s))
-    below[:-1] = -keep / fresh
-    scaled_below = below[:, None] / (sigma * np.roll(sigma, -1, axis=0))
-    log_c = 2.0 * float(np.log(sigma).sum()) + 3.0 * float(np.log(fresh).sum())
-    return unit[:, None] / sigma**2, scaled_below, log_c
 
 
 def _interleaved(

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from app.alignment.align import align
 from app.errors import EstimationError
 from app.estimation.identifiable import identifiable_model
-from app.estimation.information import information, without_rest
-from app.estimation.noise import NoiseModel
+from app.estimation.information import Information, information, without_rest
+from app.estimation.noise import NoiseModel, whiten
 from app.estimation.problem import pose_problem
 from app.estimation.recursive import Linearisation, begun
 
@@ -26,8 +26,23 @@ def about_of(seen, noise=NOISE):
 
 
 def all_at_once(about, seen):
+    """Take all cells and the timing of all lines into one dense problem."""
     problem = pose_problem(seen, about.machine_model, about.pose)
-    return without_rest(information(problem, about.noise), about.size)
+    part, noise = problem.part(seen), about.noise
+    known = part.rows
+    if np.isinf(noise.along_sigma_mm):
+        known = known[:, :, : part.data + 1]
+    order = np.r_[: part.data, part.data + 1 : known.shape[2], part.data]
+    rows = known[:, :, order]
+    whitened = whiten(seen, noise, part.frame)
+    total = np.tensordot(rows, whitened.applied(rows), axes=((0, 1), (0, 1)))
+    data = Information(
+        total[:-1, :-1],
+        total[:-1, -1],
+        float(total[-1, -1]),
+        whitened.log_determinant,
+    )
+    return without_rest(data, about.size) if len(order) > about.size + 1 else data
 
 
 def added_in_parts(about, seen, cuts):
@@ -58,7 +73,7 @@ def expected(moving):
 
 
 @given(share=st.sets(st.floats(0.001, 0.999), max_size=12))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=15)
 def test_any_split_into_additions_gives_the_batch(moving, expected, share):
     cuts = {1 + int(s * (len(moving) - 1)) for s in share}
     sums = added_in_parts(about_of(moving), moving, cuts)
@@ -85,6 +100,19 @@ def test_asking_on_the_way_changes_nothing(moving, expected):
         sums = sums.added(moving.taken(part))
         sums.information()
     assert_same(sums.information(), expected)
+
+
+@pytest.mark.parametrize("cells", [1, 60, 10_000])
+def test_the_batch_made_part_by_part_is_one_dense_problem(
+    moving, expected, cells, monkeypatch
+):
+    monkeypatch.setattr("app.estimation.problem._CELLS", cells)
+    about = about_of(moving)
+    problem = pose_problem(moving, about.machine_model, about.pose)
+    parts = list(problem.parts())
+    assert sum(len(part.seen) for part in parts) == len(moving)
+    assert (len(parts) > 1) == (cells < len(moving))
+    assert_same(information(problem, about.noise), expected)
 
 
 def test_standstills_add_up_to_the_batch(record):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.numerics.correlated_noise import extended, whitener
+from app.numerics.correlated_noise import extended, slow_precision, whitener
 
 TAU_S = 0.8
 
@@ -33,21 +33,27 @@ def dense(time_s, white, sigma):
     return V
 
 
+def summed(built, rows):
+    """Return rowsᵀ V⁻¹ rows."""
+    return np.tensordot(rows, built.applied(rows), axes=((0, 1), (0, 1)))
+
+
 def test_slow_and_white_noise_are_whitened_exactly(case):
     time_s, white, sigma, rows = case
     V, flat = dense(time_s, white, sigma), rows.reshape(-1, 4)
     built = whitener(time_s, white, sigma, TAU_S)
-    a, z = built.halves(rows)
-    assert np.allclose(a.T @ a - z.T @ z, flat.T @ np.linalg.solve(V, flat), rtol=1e-9)
+    assert np.allclose(
+        summed(built, rows), flat.T @ np.linalg.solve(V, flat), rtol=1e-9
+    )
     assert built.log_determinant == pytest.approx(np.linalg.slogdet(V)[1])
 
 
 def test_without_slow_noise_only_white_weights_remain(case):
     time_s, white, sigma, rows = case
-    a, z = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
+    built = whitener(time_s, white, 0.0 * sigma, TAU_S)
     expected = np.einsum("kip,kij,kjq->pq", rows, white, rows)
-    assert len(z) == 0
-    assert np.allclose(a.T @ a, expected)
+    assert not built.factor.size
+    assert np.allclose(summed(built, rows), expected)
 
 
 def test_a_direction_without_precision_carries_nothing(case, rng):
@@ -58,16 +64,15 @@ def test_a_direction_without_precision_carries_nothing(case, rng):
     precision = seen @ white @ seen
     along = blind[:, :, None] * rng.normal(size=(len(time_s), 1, 4))
     built = whitener(time_s, precision, sigma, TAU_S)
-    a, z = built.halves(rows)
-    b, y = built.halves(rows + along)
-    assert np.allclose(a.T @ a - z.T @ z, b.T @ b - y.T @ y, rtol=1e-9)
+    shifted = summed(built, rows + along)
+    assert np.allclose(summed(built, rows), shifted, rtol=1e-9)
 
 
 def test_one_point_in_correlated_noise_tells_less_than_many_white_ones(case):
     time_s, white, sigma, rows = case
-    slow_a, slow_z = whitener(time_s, white, sigma, TAU_S).halves(rows)
-    free_a, _ = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
-    gained = free_a.T @ free_a - (slow_a.T @ slow_a - slow_z.T @ slow_z)
+    slow = summed(whitener(time_s, white, sigma, TAU_S), rows)
+    free = summed(whitener(time_s, white, 0.0 * sigma, TAU_S), rows)
+    gained = free - slow
     assert np.linalg.eigvalsh(gained).min() > 0.0
 
 
@@ -77,7 +82,6 @@ def test_points_a_few_at_a_time_add_up_to_all_at_once(cuts):
     rng = np.random.default_rng(5)
     time_s, white, sigma, rows = make_case(rng)
     built = whitener(time_s, white, sigma, TAU_S)
-    a, z = built.halves(rows)
     total, log_determinant, tail = np.zeros((4, 4)), 0.0, None
     for k in np.split(np.arange(30), sorted(cuts)):
         gain, log_gain, tail = extended(
@@ -85,22 +89,23 @@ def test_points_a_few_at_a_time_add_up_to_all_at_once(cuts):
         )
         total, log_determinant = total + gain, log_determinant + log_gain
     taken, log_taken = tail.taken()
-    assert np.allclose(total - taken, a.T @ a - z.T @ z, rtol=1e-10, atol=1e-10)
+    assert np.allclose(total - taken, summed(built, rows), rtol=1e-10, atol=1e-10)
     assert log_determinant + log_taken == pytest.approx(built.log_determinant)
 
 
 def test_points_of_white_noise_leave_no_tail(case):
     time_s, white, sigma, rows = case
     total, _, tail = extended(None, time_s, white, 0.0 * sigma, TAU_S, rows)
-    a, _ = whitener(time_s, white, 0.0 * sigma, TAU_S).halves(rows)
+    built = whitener(time_s, white, 0.0 * sigma, TAU_S)
     assert tail is None
-    assert np.allclose(total, a.T @ a)
+    assert np.allclose(total, summed(built, rows))
 
 
-def test_the_inverse_covariance_can_be_applied(case):
-    time_s, white, sigma, rows = case
-    for slow in (sigma, 0.0 * sigma):
-        built = whitener(time_s, white, slow, TAU_S)
-        a, z = built.halves(rows)
-        weighted = np.einsum("kip,kiq->pq", rows, built.applied(rows))
-        assert np.allclose(weighted, a.T @ a - z.T @ z, rtol=1e-9)
+def test_the_slow_covariance_and_its_inverse_undo_each_other(case, rng):
+    time_s, _, sigma, _ = case
+    slow = slow_precision(time_s, sigma, TAU_S)
+    moved = rng.normal(size=sigma.shape)
+    fade = np.exp(-np.abs(time_s[:, None] - time_s) / TAU_S)
+    expected = np.einsum("kl,kj,lj,lj->kj", fade, sigma, sigma, moved)
+    assert slow.solved(moved) == pytest.approx(expected)
+    assert slow.times(expected) == pytest.approx(moved)

@@ -1,0 +1,217 @@
+"""How well a noise model explains data, and which way to change it.
+
+The evidence is that of restricted maximum likelihood: what the parameters of the
+problem take up of the data is not mistaken for little noise. With V the covariance of
+the data, H = AᵀV⁻¹A + prior and P = V⁻¹ − V⁻¹A H⁻¹AᵀV⁻¹,
+
+    cost = log|V| + log|H| + yᵀPy,    ∂cost/∂x = tr(P ∂V) − yᵀP ∂V Py,
+
+and its curvature is that of the average information, yᵀP ∂V P ∂V Py, which needs no
+trace (Gilmour, Thompson & Cullis 1995). The traces that the slope needs are second
+moments of the slow part given the data, from neighbour to neighbour in time only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import cho_solve_banded, solve_triangular
+
+from app.errors import Unidentifiable
+from app.estimation.information import Information
+from app.estimation.noise import NoiseModel, cell_noise
+from app.estimation.problem import Part
+from app.numerics.correlated_noise import SlowPrecision, Whitener, slow_precision
+from app.numerics.correlated_noise import whitener as whitener_of
+
+_STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """Cost (−2 log evidence) with gradient and curvature.
+
+    By the logarithms of the slow part's size along and across the beam, its time and,
+    where it counts, the jitter along the travel.
+    """
+
+    cost: float
+    gradient: Float64[np.ndarray, " k"]
+    curvature: Float64[np.ndarray, "k k"]
+
+
+@dataclass(frozen=True)
+class NoiseEvidence:
+    """Cells whose noise is to be judged.
+
+    columns : (n, 3, p) of the parameters, which may be none; off : (n, 3) the data
+    known : of the first parameters, by the prior and by other data
+    """
+
+    part: Part
+    columns: Float64[np.ndarray, "n 3 p"]
+    off: Float64[np.ndarray, "n 3"]
+    known: Information
+
+    def at(self, noise: NoiseModel) -> Slope:
+        """Return cost, gradient and curvature.
+
+        Raises Unidentifiable if data and prior do not determine the parameters.
+        """
+        return _Solved(self, noise).slope()
+
+    def covariance(self, noise: NoiseModel) -> Whitener:
+        """Return V⁻¹."""
+        seen = self.part.seen
+        white, slow = cell_noise(seen, noise, self.part.frame)
+        return whitener_of(seen.at.time_s, white, slow, noise.slow_time_s)
+
+    def slow(self, noise: NoiseModel) -> SlowPrecision:
+        """Return C⁻¹."""
+        seen = self.part.seen
+        _, sigma = cell_noise(seen, noise, self.part.frame)
+        return slow_precision(seen.at.time_s, sigma, noise.slow_time_s)
+
+    @cached_property
+    def along(self) -> Float64[np.ndarray, "n 3"]:
+        """Direction of travel in the beam frame."""
+        return np.einsum("nij,nj->ni", self.part.frame, self.part.seen.direction)
+
+
+class _Solved:
+    """The problem solved under one noise model; A and y side by side."""
+
+    def __init__(self, of: NoiseEvidence, noise: NoiseModel) -> None:
+        self.of, self.noise = of, noise
+        self.inverse = of.covariance(noise)
+        n, p = len(of.off), of.columns.shape[2]
+        rows = np.concatenate([of.columns, of.off[:, :, None]], axis=2)
+        precision = np.swapaxes(self.inverse.root, 1, 2) @ self.inverse.root
+        weighted = precision @ rows
+        slow = cho_solve_banded(
+            (self.inverse.factor, True),
+            weighted.reshape(3 * n, p + 1),
+            check_finite=False,
+        )
+        applied = weighted - precision @ slow.reshape(n, 3, p + 1)
+        flat = applied.reshape(3 * n, p + 1)
+        total = rows.reshape(3 * n, p + 1).T @ flat
+        k = len(of.known.vector)
+        total[:k, :k] += of.known.matrix
+        total[:k, p] += of.known.vector
+        self.factor, self.scale = _factored(total[:p, :p])
+        half = self._halved(total[:p, p:])
+        self.square = float(total[p, p] + of.known.square - (half.T @ half)[0, 0])
+        theta = solve_triangular(self.factor, half, lower=True, trans="T")
+        theta *= self.scale[:, None]
+        # V⁻¹A; what it leaves of the data, and the slow part of that.
+        self.told = flat[:, :p]
+        self.left = (flat[:, p:] - flat[:, :p] @ theta).reshape(n, 3)
+        self.slow = slow[:, :p]
+        self.slow_left = slow[:, p] - slow[:, :p] @ theta[:, 0]
+
+    def slope(self) -> Slope:
+        """Return cost, gradient and curvature."""
+        turned = np.log(np.diag(self.factor)).sum() - np.log(self.scale).sum()
+        cost = self.inverse.log_determinant + 2.0 * float(turned) + self.square
+        gradient = self._volume_slope() - self._moments()
+        return Slope(cost, gradient, self._curvature())
+
+    def _halved(self, right: Float64[np.ndarray, "p r"]) -> Float64[np.ndarray, "p r"]:
+        """Return what has the square rightᵀ H⁻¹ right."""
+        scaled = self.scale[:, None] * right
+        return solve_triangular(self.factor, scaled, lower=True, check_finite=False)
+
+    def _volume_slope(self) -> Float64[np.ndarray, " k"]:
+        """Return the slope of log|V|."""
+        here = self.inverse.log_determinant
+        return np.array(
+            [
+                (self.of.covariance(moved).log_determinant - here) / _STEP
+                for moved in _moved(self.noise)
+            ]
+        )
+
+    def _moments(self) -> Float64[np.ndarray, " k"]:
+        """Return tr(∂V V⁻¹A H⁻¹AᵀV⁻¹) + yᵀP ∂V Py."""
+        spread = self._halved(self.slow.T)
+        now = (spread**2).sum(axis=0) + self.slow_left**2
+        next_ = (spread[:, 3:] * spread[:, :-3]).sum(axis=0)
+        next_ += self.slow_left[3:] * self.slow_left[:-3]
+        here, longer = self.of.slow(self.noise), self.of.slow(_longer(self.noise))
+        size = 2.0 * _by_coordinate(here, now, next_)
+        time = (_by_coordinate(longer, now, next_).sum() - 0.5 * size.sum()) / _STEP
+        found = [size[0], size[1] + size[2], -time]
+        if np.isfinite(self.noise.along_sigma_mm):
+            n, along = len(self.of.off), self.of.along
+            pulled = np.einsum("ni,nip->pn", along, self.told.reshape(n, 3, -1))
+            left = np.einsum("ni,ni->n", along, self.left)
+            square = float((self._halved(pulled) ** 2).sum() + (left**2).sum())
+            found.append(2.0 * self.noise.along_sigma_mm**2 * square)
+        return np.array(found)
+
+    def _curvature(self) -> Float64[np.ndarray, "k k"]:
+        moved = self._moved_data()
+        told = self.inverse.applied(moved).reshape(-1, moved.shape[2])
+        half = self._halved(self.told.T @ moved.reshape(told.shape))
+        return moved.reshape(told.shape).T @ told - half.T @ half
+
+    def _moved_data(self) -> Float64[np.ndarray, "n 3 k"]:
+        """Return ∂V P y for each parameter."""
+        n = len(self.of.off)
+        slow = self.slow_left.reshape(n, 3)
+        here, longer = self.of.slow(self.noise), self.of.slow(_longer(self.noise))
+        change = (longer.times(slow) - here.times(slow)) / _STEP
+        beam = 2.0 * slow * np.array([1.0, 0.0, 0.0])
+        columns = [beam, 2.0 * slow - beam, -here.solved(change)]
+        if np.isfinite(self.noise.along_sigma_mm):
+            along = self.of.along
+            left = np.einsum("ni,ni->n", along, self.left)[:, None]
+            columns.append(2.0 * self.noise.along_sigma_mm**2 * along * left)
+        return np.stack(columns, axis=2)
+
+
+def _factored(
+    H: Float64[np.ndarray, "p p"],
+) -> tuple[Float64[np.ndarray, "p p"], Float64[np.ndarray, " p"]]:
+    """Return the Cholesky factor of H with a unit diagonal, and the scale of that."""
+    diagonal = np.diag(H)
+    try:
+        if not (diagonal > 0.0).all():
+            raise np.linalg.LinAlgError
+        scale = 1.0 / np.sqrt(diagonal)
+        return np.linalg.cholesky(H * scale[:, None] * scale), scale
+    except np.linalg.LinAlgError as error:
+        raise Unidentifiable(
+            "the lines do not determine the noise beside the errors; add lines"
+        ) from error
+
+
+def _by_coordinate(
+    slow: SlowPrecision,
+    now: Float64[np.ndarray, " m"],
+    next_: Float64[np.ndarray, " l"],
+) -> Float64[np.ndarray, "3"]:
+    """Return tr(C⁻¹M) for each coordinate from M's entries beside the diagonal."""
+    square = (slow.diagonal * now.reshape(-1, 3)).sum(axis=0)
+    return square + 2.0 * (slow.below[:-1] * next_.reshape(-1, 3)).sum(axis=0)
+
+
+def _longer(noise: NoiseModel) -> NoiseModel:
+    return replace(noise, slow_time_s=noise.slow_time_s * float(np.exp(_STEP)))
+
+
+def _moved(noise: NoiseModel) -> list[NoiseModel]:
+    """Return the noise with one parameter a little larger each."""
+    (beam, across), factor = noise.slow, float(np.exp(_STEP))
+    moved = [
+        replace(noise, slow=(beam * factor, across)),
+        replace(noise, slow=(beam, across * factor)),
+        _longer(noise),
+    ]
+    if np.isfinite(noise.along_sigma_mm):
+        moved.append(replace(noise, along_sigma_mm=noise.along_sigma_mm * factor))
+    return moved
