@@ -164,7 +164,7 @@ def test_uncertainty_of_the_instrument_widens_what_agrees(
 
 
 def test_squareness_is_compared_where_the_reference_has_it(
-    analysed, record, tmp_path, summary
+    analysed, tmp_path, summary, capsys
 ):
     result = json.loads((analysed / "result.json").read_text())
     ours = result["squareness_urad"]["C0Y"]["value"]
@@ -177,6 +177,8 @@ def test_squareness_is_compared_where_the_reference_has_it(
     said = summary()
     assert said["numbers"]["C0Y"]["difference_urad"] == pytest.approx(-10.0)
     assert "fewer than two positions" in said["not_compared"]["EXX"]
+    assert run(["compare", *arguments]) == 0
+    assert "C0Y" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

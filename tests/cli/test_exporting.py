@@ -98,3 +98,18 @@ def test_a_file_that_is_no_result_is_refused(tmp_path, capsys):
     (tmp_path / "result.json").write_text("{}")
     assert exported(tmp_path, "linuxcnc", tmp_path / "comp") == 2
     assert "schema" in capsys.readouterr().err
+
+
+def test_lost_motion_that_the_result_states_is_in_both_directions(analysed, tmp_path):
+    content = json.loads((analysed / "result.json").read_text())
+    table = {"position_mm": [0.0, 500.0], "value_um": [3.0, 5.0]}
+    content["direction"] = {"half_difference": {"EXX": table}}
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    assert exported(tmp_path, "linuxcnc", tmp_path / "comp.tbl") == 0
+    lost = {}
+    for axis in "XY":
+        text = (tmp_path / f"comp-{axis}.tbl").read_text()
+        rows = np.array([line.split() for line in text.splitlines()], float)
+        lost[axis] = rows[:, 1] - rows[:, 2]
+    np.testing.assert_allclose(lost["X"][[0, -1]], [0.006, 0.010], atol=2e-6)
+    np.testing.assert_allclose(lost["Y"], 0.0, atol=1e-9)
