@@ -24,7 +24,7 @@ from app.numerics.design_criteria import Belief, best_place
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
 
-_DRAWS = 50  # places judged for each that climbs
+_DRAWS = 80  # places judged for each that climbs
 _CLIMB_ON = 0.4  # of those that have climbed each axis once
 _ROUNDS = 30
 _RISEN = 1e-4  # relative rise of a round that is worth another
@@ -69,7 +69,7 @@ def next_configuration(
     axes: SearchSpace,
     noise_variance: float,
     *,
-    starts: int = 8,
+    starts: int = 5,
     seed: int = 0,
 ) -> NextConfiguration:
     """Return the best configuration found; the same seed gives the same.
