@@ -10,6 +10,7 @@ from app.alignment.cleaning import valid_samples
 from app.alignment.course import Course, course_of
 from app.alignment.observations import Observations
 from app.alignment.plausibility import require_units
+from app.alignment.reduction import CELL_MM
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
 from app.alignment.stops import find_stops
@@ -26,9 +27,10 @@ from app.measurement.run import Run
 _FEWEST_SAMPLES = 100
 
 
-def align(run: Run) -> Observations:
+def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     """Recognise what the machine did in the stream and reduce it to observations.
 
+    cell_mm : longest cell on a line; shorter ones show shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
     valid = np.flatnonzero(valid_samples(run.tracker))
@@ -57,7 +59,7 @@ def align(run: Run) -> Observations:
             "lines or a lower feed"
         )
     parts += [
-        moving_stretch(run, line, each, stream, course.curve(each.row))
+        moving_stretch(run, line, each, stream, course.curve(each.row), cell_mm)
         for line, each in enumerate(passes)
     ]
     parts.sort(key=lambda part: float(part.cells.time_s[0]))

@@ -42,9 +42,14 @@ class Cells:
     freedom: Float64[np.ndarray, "2"]
 
 
-def cell_count(span_s: float, speed_mm_s: float = 0.0, turn_deg_s: float = 0.0) -> int:
+def cell_count(
+    span_s: float,
+    speed_mm_s: float = 0.0,
+    turn_deg_s: float = 0.0,
+    cell_mm: float = CELL_MM,
+) -> int:
     """Return into how many cells of equal time a stretch of the stream is cut."""
-    most = max(1.0 / CELL_S, speed_mm_s / CELL_MM, turn_deg_s / CELL_DEG)
+    most = max(1.0 / CELL_S, speed_mm_s / cell_mm, turn_deg_s / CELL_DEG)
     return max(1, int(np.ceil(span_s * most)))
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64
 
 from app.alignment.course import Course, Curve
 from app.alignment.observations import Observations, Pass
-from app.alignment.reduction import Cells, cell_count, reduce_to_cells
+from app.alignment.reduction import CELL_MM, Cells, cell_count, reduce_to_cells
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops
@@ -59,7 +59,12 @@ def on_workpiece(
 
 
 def moving_stretch(
-    run: Run, line: int, each: Pass, stream: Stream, curve: Curve
+    run: Run,
+    line: int,
+    each: Pass,
+    stream: Stream,
+    curve: Curve,
+    cell_mm: float = CELL_MM,
 ) -> Stretch:
     """Return the cells of one pass; their places follow from a constant feed."""
     part = slice(each.first, each.last)
@@ -74,6 +79,7 @@ def moving_stretch(
         float(time[-1] - time[0]),
         each.speed_mm_s * curve.fastest(),
         rate * curve.turn_deg,
+        cell_mm,
     )
     cells = reduce_to_cells(
         time, stream.tracker_mm[part], way, run.machine.tracker, count

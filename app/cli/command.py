@@ -185,6 +185,21 @@ def analyse(
 
 
 @app.command()
+def discover(
+    bundle: Annotated[
+        Path, typer.Argument(metavar="BUNDLE", help="A folder or a .zip.")
+    ],
+    output: OutputFolder,
+    json: Json = False,
+) -> None:
+    """Find what the model of a measurement lacks, and how much of the gap it closes."""
+    _compute_on_one_thread()
+    from app.cli.discovering import discover_bundle
+
+    discover_bundle(bundle, output, as_json=json)
+
+
+@app.command()
 def grade(
     machine: Annotated[Path, typer.Argument(metavar="MACHINE.json")],
     commanded: Annotated[

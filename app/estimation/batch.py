@@ -14,7 +14,7 @@ from app.estimation.estimate import Estimate, Residuals, RunEstimate
 from app.estimation.extrapolation import measured_ranges, with_ends_free
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Posterior
-from app.estimation.noise import NoiseModel, whiten
+from app.estimation.noise import NoiseModel, floor_mm, whiten
 from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.observability import observability
 from app.estimation.prior import with_unknown_strengths
@@ -119,7 +119,7 @@ def _residuals(
         seen.row,
         seen.at.position_mm,
         float(np.sqrt(np.mean(counted**2))),
-        _floor_mm(problem, noise, along),
+        floor_mm(seen, noise, along),
     )
 
 
@@ -139,20 +139,3 @@ def _left(
 
 def _along(part: Part) -> Float64[np.ndarray, "n 3"]:
     return np.einsum("nij,nj->ni", part.frame, part.seen.direction)
-
-
-def _floor_mm(
-    problem: Problem, noise: NoiseModel, along: Float64[np.ndarray, "n 3"]
-) -> float:
-    """Return the root mean square of one residual component that noise alone makes."""
-    seen = problem.seen
-    distance = np.linalg.norm(seen.tracker_mm, axis=1)
-    stated = seen.at.machine.tracker.sigma_mm(distance)[:, [0, 1, 1]]
-    white = stated * np.array([noise.white[0], noise.white[1], noise.white[1]])
-    slow = stated * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
-    variance = white**2 / seen.count[:, None] + slow**2
-    if noise.along_sigma_mm == np.inf:
-        variance = variance * (1.0 - along**2)
-    else:
-        variance = variance + noise.along_sigma_mm**2 * along**2
-    return float(np.sqrt(np.mean(variance)))

@@ -74,3 +74,22 @@ def _with_jitter(
     inverse = 0.0 if np.isinf(sigma_mm) else sigma_mm**-2
     weight = np.where(total > 0.0, 1.0 / np.maximum(inverse + total, 1e-300), 0.0)
     return matrices - weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
+
+
+def floor_mm(
+    seen: Observations, noise: NoiseModel, along: Float64[np.ndarray, "n 3"]
+) -> float:
+    """Return the root mean square of one residual component that noise alone makes.
+
+    along : (n, 3) direction of travel in the beam frame, 0 at a standstill
+    """
+    distance = np.linalg.norm(seen.tracker_mm, axis=1)
+    stated = seen.at.machine.tracker.sigma_mm(distance)[:, [0, 1, 1]]
+    white = stated * np.array([noise.white[0], noise.white[1], noise.white[1]])
+    slow = stated * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
+    variance = white**2 / seen.count[:, None] + slow**2
+    if noise.along_sigma_mm == np.inf:
+        variance = variance * (1.0 - along**2)
+    else:
+        variance = variance + noise.along_sigma_mm**2 * along**2
+    return float(np.sqrt(np.mean(variance)))

@@ -23,6 +23,7 @@ from app.estimation.noise_evidence import NoiseEvidence, Slope
 from app.estimation.prior import BendingPrior, first_guess, fitted
 from app.estimation.problem import Part, Problem, refined_pose
 from app.estimation.runs import Measured, Share, shares_of, together, with_noise
+from app.kinematics.effects.base import Effect
 from app.kinematics.machine import Machine
 
 _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
@@ -50,8 +51,12 @@ def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
     return NoiseModel(white, (0.1, 0.1), 1.0, along)
 
 
-def looked_at(machine: Machine, runs: Sequence[Measured]) -> tuple[Measured, ...]:
+def looked_at(
+    machine: Machine, runs: Sequence[Measured], beside: Sequence[Effect] = ()
+) -> tuple[Measured, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
+
+    beside : further effects that must not pass for slow noise
 
     The rough pose is off by the machine's errors. Every Run has a noise of its own;
     what the error motions are, all Runs tell. Some lines and coarse splines tell both
@@ -60,7 +65,9 @@ def looked_at(machine: Machine, runs: Sequence[Measured]) -> tuple[Measured, ...
     """
     offsets_mm = [run.seen.at.offset_mm for run in runs]
     model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
-    model = with_half_widths(model)  # lost motion must not pass for slow noise
+    # Lost motion must not pass for slow noise.
+    model = with_half_widths(model)
+    model = model.with_effects(*(e for e in beside if e.name not in model.slices))
     few = [replace(run, seen=_some_lines(run.seen)) for run in runs]
     shares = list(shares_of(few, model))
     prior, result = fitted(together(shares), first_guess(model))

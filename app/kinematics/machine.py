@@ -132,6 +132,13 @@ class Machine:
         """The rotary axes, in column order."""
         return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
 
+    def linear(self, name: str) -> LinearAxis:
+        """Return the straight axis called `name`."""
+        for axis in self.linear_axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
     def target(self, name: str = "") -> Target:
         """Return the target called `name`; the first where no name is given."""
         for target in self.targets:

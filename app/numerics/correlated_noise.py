@@ -44,6 +44,17 @@ class Whitener:
     factor: Float64[np.ndarray, "b m"]
     log_determinant: float
 
+    def halves(
+        self, rows: Float64[np.ndarray, "n 3 p"]
+    ) -> tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "s p"]]:
+        """Return (A, Z) with rowsᵀ V⁻¹ rows = AᵀA − ZᵀZ."""
+        white = self.root @ rows
+        flat = white.reshape(-1, rows.shape[2])
+        if not self.factor.size:
+            return flat, np.zeros((0, rows.shape[2]))
+        pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
+        return flat, _solved(self.factor, pulled)
+
     def applied(
         self, rows: Float64[np.ndarray, "n 3 p"]
     ) -> Float64[np.ndarray, "n 3 p"]:

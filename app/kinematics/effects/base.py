@@ -14,6 +14,40 @@ from app.kinematics.machine import Machine
 from app.kinematics.reach import NominalChain
 
 
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a recording tells of n moments beside the state of the machine.
+
+    rate : (n, axes) mm/s or deg/s of each axis, 0 at a standstill
+    span_s : (n,) how long the moment lasts: the time over which samples were averaged
+    since_reversal : (n, axes) mm or deg since the axis last changed its direction, inf
+        where it has not
+    tracker_mm : (n, 3) point in the tracker's frame
+    rotation : (3, 3) frame of the workpiece, or base, to that of the tracker
+    temperature_degc : (n, sensors) of the named sensors
+    """
+
+    rate: Float64[np.ndarray, "n a"]
+    span_s: Float64[np.ndarray, " n"]
+    since_reversal: Float64[np.ndarray, "n a"]
+    tracker_mm: Float64[np.ndarray, "n 3"]
+    rotation: Float64[np.ndarray, "3 3"]
+    sensors: tuple[str, ...] = ()
+    temperature_degc: Float64[np.ndarray, "n s"] | None = None
+
+    def taken(self, rows: Int64[np.ndarray, " m"]) -> Surroundings:
+        """Return those of some of the moments."""
+        celsius = self.temperature_degc
+        return replace(
+            self,
+            rate=self.rate[rows],
+            span_s=self.span_s[rows],
+            since_reversal=self.since_reversal[rows],
+            tracker_mm=self.tracker_mm[rows],
+            temperature_degc=None if celsius is None else celsius[rows],
+        )
+
+
 @dataclass(frozen=True)
 class Conditions:
     """The state of the machine at n moments.
@@ -31,6 +65,7 @@ class Conditions:
     line_speed_mm_s : (n,) mean speed along that line where it differs from the velocity
         because the line is an arc
     run : which of the Runs of an estimate, for effects that belong to one of them
+    around : what the recording tells beside; effects that need it are nothing without
     """
 
     machine: Machine
@@ -45,6 +80,7 @@ class Conditions:
     on_workpiece: Bool[np.ndarray, " n"] | None = None
     line_speed_mm_s: Float64[np.ndarray, " n"] | None = None
     run: int = 0
+    around: Surroundings | None = None
 
     def __len__(self) -> int:
         return len(self.position_mm)
@@ -89,6 +125,7 @@ class Conditions:
             None if self.on_workpiece is None else self.on_workpiece[rows],
             None if self.line_speed_mm_s is None else self.line_speed_mm_s[rows],
             self.run,
+            None if self.around is None else self.around.taken(rows),
         )
 
     def seen_by(

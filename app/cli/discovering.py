@@ -1,0 +1,52 @@
+"""From a measurement to what its model lacks, on files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from app.cli.terminal import print_json, progress
+from app.errors import BadInput
+from app.jobs.discovery import DISCOVERY, discover_run, write_discovery
+from app.measurement.bundle import read_bundle
+
+
+def discover_bundle(bundle: Path, output: Path, *, as_json: bool) -> None:
+    """Find what a measurement's model lacks and write the files of the answer."""
+    if output.exists() and not output.is_dir():
+        raise BadInput(f"{output}: is a file; name a folder for the results")
+    with progress("discover") as report:
+        report(0.0, "reading")
+        discovered = discover_run(read_bundle(bundle), progress=report)
+        report(1.0, "writing")
+        write_discovery(discovered, output)
+    if as_json:
+        print_json(discovered.content)
+    else:
+        print(worded(discovered.content))
+        print(f"written: {output / DISCOVERY}")
+
+
+def worded(content: dict[str, Any]) -> str:
+    """Return what was found in a few lines."""
+    lines = [_effect(e) for e in content["effects"]]
+    lines += [f"without a name: {u['description']}" for u in content["unnamed"]]
+    gap = content["gap"]
+    return "\n".join(
+        [
+            *(lines or ["nothing is missing"]),
+            f"gap on lines not seen: {gap['before']:.2f} to {gap['after']:.2f} µm, "
+            f"noise alone {gap['noise_floor']:.2f} µm",
+        ]
+    )
+
+
+def _effect(effect: dict[str, Any]) -> str:
+    keys = [
+        effect[k] for k in ("name", "axis", "motion", "by", "circle") if k in effect
+    ]
+    numbers = ", ".join(
+        f"{name} {m['value']:.3g} ± {2.0 * m['uncertainty']:.2g}"
+        for name, m in effect["parameters"].items()
+    )
+    return f"{' '.join(keys)}: {numbers} (k = 2)"

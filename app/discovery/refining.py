@@ -1,0 +1,186 @@
+"""Sharpen what is not linear by its own column: Gauss–Newton on lead, moment, decay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.discovery.evidence import Columns, prior_precision, rest
+from app.discovery.scan import Offer
+from app.discovery.sums import Lines
+from app.estimation.information import Posterior, posterior
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+
+_ROUNDS = 4
+_SETTLED = 0.05  # of the value's own uncertainty
+_GRID, _GRIDS = 25, 2  # values tried at once, and how often
+_STEP = 0.02  # of a scan's spacing, for the derivative
+
+
+@dataclass(frozen=True)
+class ByValue(Effect):
+    """How a scanned effect changes with its value, at its present size."""
+
+    before: Effect
+    after: Effect
+    step: float
+    theta: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"{self.before.name}-by-value"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The change of the value."""
+        return (Parameter(self.name, "1", nuisance=True),)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return the central difference of the displacement."""
+        theta = np.array(self.theta)
+        change = self.after.jacobian(at) - self.before.jacobian(at)
+        return (change @ theta)[:, :, None] / self.step
+
+
+def refined(
+    lines: Lines,
+    at: Conditions,
+    precision: Float64[np.ndarray, "b b"],
+    offers: Sequence[Offer],
+) -> tuple[Offer, ...]:
+    """Return the offers with their scanned values at the best, and how well known.
+
+    precision : prior of machine and pose
+    """
+    found = _tried(lines, at, precision, tuple(offers))
+    values = [k for k, o in enumerate(found) if _is_scanned(o) and o.family.is_smooth]
+    if not values:
+        return found
+    fit = _fit(lines, found, [], precision, np.empty(0))
+    for _ in range(_ROUNDS):
+        spacing = np.array([_spacing(found[k], at) for k in values])
+        theta = np.split(fit.theta[len(precision) :], _ends(found))
+        slopes = [
+            _by_value(found[k], at, theta[k], _STEP * h)
+            for k, h in zip(values, spacing, strict=True)
+        ]
+        fit = _fit(lines, found, slopes, precision, spacing)
+        first = len(fit.theta) - len(values)
+        sigma = np.sqrt(np.diag(fit.covariance)[first:])
+        step = np.clip(fit.theta[first:], -spacing, spacing)
+        changed, bounds = list(found), np.append(0, _ends(found))
+        for k, d, s in zip(values, step, sigma, strict=True):
+            part = slice(*(len(precision) + bounds[k : k + 2]))
+            moved = _at(found[k], at, float(d), float(s))
+            changed[k] = replace(moved, covariance=fit.covariance[part, part])
+        found = tuple(changed)
+        if float(np.max(np.abs(step) / sigma)) < _SETTLED:
+            break
+    return found
+
+
+def _is_scanned(offer: Offer) -> bool:
+    return offer.candidate.value is not None
+
+
+def _tried(
+    lines: Lines,
+    at: Conditions,
+    precision: Float64[np.ndarray, "b b"],
+    offers: tuple[Offer, ...],
+) -> tuple[Offer, ...]:
+    """Return the offers, those that no slope leads at the best of many values."""
+    found = list(offers)
+    for k, offer in enumerate(offers):
+        if not _is_scanned(offer) or offer.family.is_smooth:
+            continue
+        reach = 2.0 * _spacing(offer, at)
+        others = tuple(o for j, o in enumerate(found) if j != k)
+        for _ in range(_GRIDS):
+            offer = _best_of_grid(lines, at, precision, others, offer, reach)
+            reach *= 4.0 / _GRID
+        found[k] = offer
+    return tuple(found)
+
+
+def _best_of_grid(
+    lines: Lines,
+    at: Conditions,
+    precision: Float64[np.ndarray, "b b"],
+    others: tuple[Offer, ...],
+    offer: Offer,
+    reach: float,
+) -> Offer:
+    """Return the offer at the best of values about its own, and their spread."""
+    scan = offer.family.scan(offer.candidate, at)
+    middle = offer.candidate.value or 0.0
+    values = np.linspace(middle - reach, middle + reach, _GRID)
+    if scan is not None:
+        values = np.clip(values, scan.values[0], scan.values[-1])
+    tries = [offer.family.at_value(offer.candidate, at, float(v)) for v in values]
+    chosen = tuple(o.candidate for o in others)
+    sums = lines.sums([c.effect for c in (*chosen, *tries)])
+    columns = Columns(len(precision), chosen, tuple(tries))
+    left = rest(sums.total(), columns, prior_precision(precision, chosen))
+    gains = np.array([left.log_bayes(j, c.usual) for j, c in enumerate(tries)])
+    weight = np.exp(gains - gains.max())
+    weight /= weight.sum()
+    mean = float(weight @ values)
+    spread = float(np.sqrt(weight @ (values - mean) ** 2))
+    # Between neighbours of the grid nothing is known: that is the least spread.
+    least = float(values[1] - values[0]) / np.sqrt(12.0)
+    best = tries[int(np.argmax(gains))]
+    return replace(offer, candidate=best, value_sigma=max(spread, float(least)))
+
+
+def _ends(offers: Sequence[Offer]) -> Int64[np.ndarray, " o"]:
+    return np.cumsum([len(o.candidate.usual) for o in offers])
+
+
+def _fit(
+    lines: Lines,
+    offers: Sequence[Offer],
+    slopes: Sequence[Effect],
+    precision: Float64[np.ndarray, "b b"],
+    spacing: Float64[np.ndarray, " v"],
+) -> Posterior:
+    sums = lines.sums([*(o.candidate.effect for o in offers), *slopes])
+    known = prior_precision(precision, [o.candidate for o in offers])
+    size = len(known)
+    total = np.zeros((size + len(spacing), size + len(spacing)))
+    total[:size, :size] = known
+    total[range(size, len(total)), range(size, len(total))] = spacing**-2
+    return posterior(sums.information(np.arange(len(total))), total)
+
+
+def _at(offer: Offer, at: Conditions, change: float, sigma: float) -> Offer:
+    scan = offer.family.scan(offer.candidate, at)
+    value = (offer.candidate.value or 0.0) + change
+    if scan is not None:
+        value = float(np.clip(value, scan.values[0], scan.values[-1]))
+    candidate = offer.family.at_value(offer.candidate, at, value)
+    return replace(offer, candidate=candidate, value_sigma=sigma)
+
+
+def _spacing(offer: Offer, at: Conditions) -> float:
+    """Return the distance of neighbours of the scan at the present value."""
+    scan, value = offer.family.scan(offer.candidate, at), offer.candidate.value
+    if scan is None or value is None or len(scan.values) < 2:
+        return 1.0
+    place = int(np.clip(np.searchsorted(scan.values, value), 1, len(scan.values) - 1))
+    return float(scan.values[place] - scan.values[place - 1])
+
+
+def _by_value(
+    offer: Offer, at: Conditions, theta: Float64[np.ndarray, " p"], step: float
+) -> ByValue:
+    value = offer.candidate.value or 0.0
+    before, after = (
+        offer.family.at_value(offer.candidate, at, value + side * 0.5 * step).effect
+        for side in (-1.0, 1.0)
+    )
+    return ByValue(before, after, step, tuple(float(t) for t in theta))

@@ -1,0 +1,186 @@
+"""Look for what is not linear (leads, time constants, moments) in what is left.
+
+The quick gain takes the effect as orthogonal to the base and the slow noise as white:
+good enough to find where a scan peaks. What counts is then computed exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
+from scipy.optimize import minimize_scalar
+
+from app.alignment.observations import Observations
+from app.discovery.evidence import log_bayes
+from app.discovery.sums import TIMING, Base, line_rows, stretches
+from app.estimation.noise import whiten
+from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.effects.catalogue import Candidate, Family, Wave, averaged
+
+_RATES = 8  # groups of cells of like rate
+_FINE, _PADDED = 6, 4  # grid points to the shortest wave, and its length over the data
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A candidate with its family, and what looking for it costs.
+
+    price : log of how many values were looked at besides
+    value_sigma : standard uncertainty of the scanned value
+    covariance : of the effect's parameters where the scanned value is not known better
+        than that
+    """
+
+    family: Family
+    candidate: Candidate
+    price: float = 0.0
+    value_sigma: float = 0.0
+    covariance: Float64[np.ndarray, "p p"] | None = None
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What is left of the data where the tracker stands, and weighted: V⁻¹ r.
+
+    left_mm : (n, 3), phase and speed of each line taken out; weighted : (n, 3)
+    precision : (n, 3, 3) of the white noise, in the frame the tracker stands on
+    slow, slow_time_s : density of the slow noise over that of the white at frequency 0,
+        and its correlation time
+    """
+
+    left_mm: Float64[np.ndarray, "n 3"]
+    weighted: Float64[np.ndarray, "n 3"]
+    precision: Float64[np.ndarray, "n 3 3"]
+    slow: float
+    slow_time_s: float
+
+    def slow_power(
+        self, frequency_hz: Float64[np.ndarray, " f"]
+    ) -> Float64[np.ndarray, " f"]:
+        """Return the density of the slow noise in units of the white noise's."""
+        turn = 2.0 * np.pi * frequency_hz * self.slow_time_s
+        return self.slow / (1.0 + turn**2)
+
+
+def weighted_residual(
+    seen: Observations,
+    base: Base,
+    effects: Sequence[Effect],
+    theta: Float64[np.ndarray, " p"],
+) -> Residual:
+    """Return what base and effects leave, phase and speed of each line taken out."""
+    left_mm, weighted = np.zeros((2, len(seen), 3))
+    precision = np.zeros((len(seen), 3, 3))
+    for first, last in stretches(seen):
+        part = seen.taken(np.arange(first, last))
+        rows, frame = line_rows(part, base, effects)
+        left = rows[:, :, -1:] - rows[:, :, TIMING:-1] @ theta[:, None]
+        whitener = whiten(part, base.noise, frame)
+        timing = rows[:, :, :TIMING]
+        applied = whitener.applied(np.concatenate([timing, left], axis=2))
+        H = np.tensordot(timing, applied[:, :, :TIMING], axes=((0, 1), (0, 1)))
+        pull = np.tensordot(timing, applied[:, :, -1], axes=((0, 1), (0, 1)))
+        late = np.linalg.lstsq(H, pull, rcond=1e-10)[0]
+        out = applied[:, :, -1] - applied[:, :, :TIMING] @ late
+        weighted[first:last] = np.einsum("nij,ni->nj", frame, out)
+        on_line = left[:, :, 0] - timing @ late
+        left_mm[first:last] = np.einsum("nij,ni->nj", frame, on_line)
+        root = np.matmul(whitener.root, frame)
+        precision[first:last] = np.matmul(np.swapaxes(root, 1, 2), root)
+    noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
+    ratio = np.mean(np.square(noise.slow)) / np.mean(np.square(noise.white))
+    slow = float(ratio) * 2.0 * noise.slow_time_s * rate_hz
+    return Residual(left_mm, weighted, precision, slow, noise.slow_time_s)
+
+
+def scanned(offer: Offer, at: Conditions, left: Residual) -> Offer:
+    """Return the offer at the value of its scan that promises most."""
+    scan = offer.family.scan(offer.candidate, at)
+    if scan is None:
+        return offer
+    wave = offer.family.wave(offer.candidate, at)
+    if wave is not None:
+        gains = _wave_gains(wave, at, left, offer.candidate.usual)
+    else:
+        gains = np.array([_gain(offer, at, left, float(v)) for v in scan.values])
+    best = int(np.argmax(gains))
+    low, high = (
+        scan.values[max(best - 1, 0)],
+        scan.values[min(best + 1, len(gains) - 1)],
+    )
+    found = minimize_scalar(
+        lambda v: -_gain(offer, at, left, float(v)),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-4 * (high - low), "maxiter": 20},
+    )
+    value = float(found.x) if -found.fun >= gains[best] else float(scan.values[best])
+    candidate = offer.family.at_value(offer.candidate, at, value)
+    return Offer(offer.family, candidate, float(np.log(max(len(gains) / 4.0, 1.0))))
+
+
+def _gain(offer: Offer, at: Conditions, left: Residual, value: float) -> float:
+    candidate = offer.family.at_value(offer.candidate, at, value)
+    J = candidate.effect.jacobian(at)
+    r = np.einsum("nip,ni->p", J, left.weighted)
+    S = np.einsum("nip,niq->pq", J, left.precision @ J)
+    return log_bayes(S, r, candidate.usual)
+
+
+def _wave_gains(
+    wave: Wave, at: Conditions, left: Residual, usual: Float64[np.ndarray, " p"]
+) -> Float64[np.ndarray, " v"]:
+    """Return the quick gain of all values of a wave at once.
+
+    Cells of like rate average a wave alike, and see it at a like frequency in time,
+    where the slow noise has its share.
+    """
+    data = np.einsum("ni,ni->n", wave.arm, left.weighted)
+    weight = np.einsum("ni,nij,nj->n", wave.arm, left.precision, wave.arm)
+    span = np.zeros(len(data)) if at.around is None else at.around.span_s
+    total, told = np.zeros(len(wave.waves), complex), np.zeros(len(wave.waves))
+    for cells in _of_like_rate(wave.rate):
+        rate = float(np.mean(wave.rate[cells]))
+        turn = 2.0 * np.pi * wave.waves * rate
+        kept = averaged(turn, np.full(len(turn), float(np.mean(span[cells]))))
+        total += kept * _transform(wave.coordinate[cells], data[cells], wave.waves)
+        share = 1.0 / (1.0 + left.slow_power(wave.waves * rate))
+        told += 0.5 * kept**2 * share * float(weight[cells].sum())
+    told *= float(usual[0]) ** 2
+    power = 0.5 * np.abs(total) ** 2 * float(usual[0]) ** 2
+    return power / (1.0 + told) - np.log1p(told)
+
+
+def _of_like_rate(rate: Float64[np.ndarray, " n"]) -> list[Int64[np.ndarray, " m"]]:
+    """Return cells in groups of like rate."""
+    if np.ptp(rate) <= 1e-9 * max(float(rate.max()), 1e-12):
+        return [np.arange(len(rate))]
+    order = np.argsort(rate, kind="stable")
+    return [part for part in np.array_split(order, _RATES) if len(part)]
+
+
+def _transform(
+    coordinate: Float64[np.ndarray, " n"],
+    data: Float64[np.ndarray, " n"],
+    waves: Float64[np.ndarray, " v"],
+) -> NDArray[np.complex128]:
+    """Return Σ data exp(−2πi coordinate · wave), by linear weights on a fine grid."""
+    first, step = float(coordinate.min()), 1.0 / (_FINE * float(waves.max()))
+    place = (coordinate - first) / step
+    left = np.floor(place).astype(np.int64)
+    size = next_fast_len(_PADDED * (int(left.max()) + 2), real=True)
+    part = place - left
+    grid = np.bincount(left, data * (1.0 - part), size)
+    grid += np.bincount(left + 1, data * part, size)
+    found = rfft(grid)
+    at_wave = waves * size * step
+    index = np.minimum(at_wave.astype(np.int64), len(found) - 2)
+    share = at_wave - index
+    value = found[index] * (1.0 - share) + found[index + 1] * share
+    phase = np.exp(-2j * np.pi * first * waves)
+    return np.asarray(value * phase / np.sinc(waves * step) ** 2, np.complex128)

@@ -1,0 +1,193 @@
+"""Find the effects: one by one on evidence, tried again for exchange and removal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.discovery.base import BasePrior
+from app.discovery.evidence import (
+    Columns,
+    HeldOut,
+    Rest,
+    held_out,
+    prior_precision,
+    rest,
+)
+from app.discovery.refining import refined
+from app.discovery.scan import Offer, Residual, scanned, weighted_residual
+from app.discovery.sums import Base, Lines
+from app.estimation.information import Information, Posterior
+from app.kinematics.effects.base import Effect
+from app.kinematics.effects.catalogue import Candidate, Family
+
+FOLDS = 8
+LEAST_EVIDENCE = 4.0  # log Bayes factor beyond the price of the search
+_MOST_EFFECTS = 6
+_TRIED = 2  # offers that held-out lines may refuse before the search ends
+_EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The Run explained by base and chosen effects."""
+
+    chosen: tuple[Offer, ...]
+    base_size: int
+    prior: BasePrior
+    fit: Posterior
+    foretold: HeldOut
+
+    def effect(
+        self, number: int
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
+        """Return parameters and covariance of one chosen effect."""
+        sizes = [len(o.candidate.usual) for o in self.chosen]
+        begin = self.base_size + sum(sizes[:number])
+        part = slice(begin, begin + sizes[number])
+        return self.fit.theta[part], self.fit.covariance[part, part]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """What an offer would gain beyond the chosen ones.
+
+    evidence : log Bayes factor less the price of the search
+    """
+
+    offer: Offer
+    number: int
+    evidence: float
+
+
+class Search:
+    """One Run, one base, a catalogue."""
+
+    def __init__(
+        self,
+        seen: Observations,
+        base: Base,
+        prior: BasePrior,
+        families: Sequence[Family],
+    ) -> None:
+        self._seen = seen
+        self._base = base
+        self._prior = prior
+        self._lines = Lines(seen, base, FOLDS)
+        self._offers = tuple(
+            Offer(f, c) for f in families for c in f.candidates(seen.at)
+        )
+
+    @property
+    def compared(self) -> int:
+        """How many effects are looked for."""
+        return len(self._offers)
+
+    def found(self, chosen: Sequence[Offer] = ()) -> Explanation:
+        """Return the effects that the Run has evidence for, starting from some."""
+        best = self.explained(chosen)
+        while len(best.chosen) < _MOST_EFFECTS:
+            larger = self._larger(best)
+            if larger is None:
+                break
+            best = self._tried_again(larger)
+        return best
+
+    def explained(self, chosen: Sequence[Offer]) -> Explanation:
+        """Return the Run explained by base and given effects, their values refined."""
+        size = self._base.size
+        chosen = refined(
+            self._lines, self._seen.at, self._prior.precision(size), chosen
+        )
+        columns = np.arange(size + sum(len(o.candidate.usual) for o in chosen))
+        sums = self._lines.sums(_effects(chosen))
+        data = _with_prior(sums.information(columns), size, chosen)
+        prior, fit = self._prior.fitted(data)
+        self._prior = prior
+        precision = self._precision(prior, chosen)
+        return Explanation(chosen, size, prior, fit, held_out(sums, columns, precision))
+
+    def ranked(
+        self, explanation: Explanation, offers: Sequence[Offer] | None = None
+    ) -> tuple[list[Ranked], Rest]:
+        """Return what offers would gain beyond an explanation, best first.
+
+        offers : with their values, as they are; all of the catalogue, scanned anew, if
+            not given
+        """
+        chosen = explanation.chosen
+        if offers is None:
+            offers = self._scanned(explanation)
+        sums = self._lines.sums(_effects((*chosen, *offers)))
+        columns = Columns(self._base.size, _candidates(chosen), _candidates(offers))
+        precision = self._precision(explanation.prior, chosen)
+        left = rest(sums.total(), columns, precision)
+        listed = float(np.log(len(self._offers)))
+        found = [
+            Ranked(o, k, left.log_bayes(k, o.candidate.usual) - o.price - listed)
+            for k, o in enumerate(offers)
+        ]
+        return sorted(found, key=lambda r: -r.evidence), left
+
+    def _scanned(self, explanation: Explanation) -> list[Offer]:
+        """Return all offers but the chosen ones, at their best values."""
+        chosen = explanation.chosen
+        left = self.residual(explanation)
+        taken = {o.candidate.label for o in chosen}
+        return [
+            scanned(offer, self._seen.at, left)
+            for offer in self._offers
+            if offer.candidate.label not in taken
+        ]
+
+    def residual(self, explanation: Explanation) -> Residual:
+        """Return what an explanation leaves in every cell."""
+        effects = _effects(explanation.chosen)
+        return weighted_residual(self._seen, self._base, effects, explanation.fit.theta)
+
+    def _larger(self, best: Explanation) -> Explanation | None:
+        """Return the explanation with one effect more, if evidence asks for it."""
+        offers, _ = self.ranked(best)
+        for offer in offers[:_TRIED]:
+            if offer.evidence < LEAST_EVIDENCE:
+                return None
+            larger = self.explained((*best.chosen, offer.offer))
+            if larger.foretold.square.sum() < best.foretold.square.sum():
+                return larger
+        return None
+
+    def _tried_again(self, best: Explanation) -> Explanation:
+        """Exchange or remove what later effects have made worse or needless."""
+        for offer in best.chosen[:-1]:
+            others = [o for o in best.chosen if o is not offer]
+            without = self.explained(others)
+            ranked, _ = self.ranked(without)
+            own, _ = self.ranked(without, [offer])
+            if ranked[0].evidence > own[0].evidence + _EQUIVALENT:
+                return self.explained((*without.chosen, ranked[0].offer))
+            if own[0].evidence < LEAST_EVIDENCE:
+                return without
+        return best
+
+    def _precision(
+        self, prior: BasePrior, chosen: Sequence[Offer]
+    ) -> Float64[np.ndarray, "p p"]:
+        return prior_precision(prior.precision(self._base.size), _candidates(chosen))
+
+
+def _with_prior(data: Information, size: int, chosen: Sequence[Offer]) -> Information:
+    """Return the information with the prior of the chosen effects in it."""
+    matrix = data.matrix + prior_precision(np.zeros((size, size)), _candidates(chosen))
+    return replace(data, matrix=matrix)
+
+
+def _effects(offers: Sequence[Offer]) -> list[Effect]:
+    return [o.candidate.effect for o in offers]
+
+
+def _candidates(offers: Sequence[Offer]) -> tuple[Candidate, ...]:
+    return tuple(o.candidate for o in offers)

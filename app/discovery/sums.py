@@ -1,0 +1,204 @@
+"""Sums over lines of everything that may explain them, in folds of whole lines.
+
+Each line is whitened by itself, and its phase and speed are integrated out. So the sums
+of some lines tell what would be known without the others, and what is asked of the
+others, without touching a sample again: what is held out is always whole lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.alignment.observations import Observations
+from app.alignment.reduction import beam_frame
+from app.estimation.information import Information
+from app.estimation.noise import NoiseModel, whiten
+from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.effects.timing_law import TimingLaw
+from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.model import MachineModel
+from app.numerics.correlated_noise import Whitener
+from app.numerics.rigid import RigidTransform
+
+TIMING = 2
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True)
+class Base:
+    """What all explanations share: machine, pose, noise; linear about the pose.
+
+    theta : (p,) of the model, about which the machine is linear: 0 where it is fitted
+    """
+
+    model: MachineModel
+    pose: RigidTransform
+    centre_mm: tuple[float, float, float]
+    noise: NoiseModel
+    theta: Float64[np.ndarray, " p"]
+
+    @property
+    def size(self) -> int:
+        """Number of parameters of machine and pose."""
+        return self.model.size + 6
+
+
+@dataclass(frozen=True)
+class FoldedSums:
+    """Sums over each fold of lines; columns are machine, pose, effects, data.
+
+    fold : (k, q, q); freedom : (k,) observations less phases and speeds
+    log_determinant : (k,) of the noise
+    """
+
+    fold: Float64[np.ndarray, "k q q"]
+    freedom: Float64[np.ndarray, " k"]
+    log_determinant: Float64[np.ndarray, " k"]
+
+    def total(self) -> Float64[np.ndarray, "q q"]:
+        """Return the sums over all lines."""
+        return self.fold.sum(axis=0)
+
+    def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
+        """Return the information of all lines on some of the columns."""
+        return information_of(self.total(), columns, float(self.log_determinant.sum()))
+
+
+def information_of(
+    total: Float64[np.ndarray, "q q"],
+    columns: Int64[np.ndarray, " m"],
+    log_determinant: float = 0.0,
+) -> Information:
+    """Return the information in sums on some of the columns; data are the last."""
+    return Information(
+        total[np.ix_(columns, columns)],
+        total[columns, -1],
+        float(total[-1, -1]),
+        log_determinant,
+    )
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line or standstill: timing, base and data, whitened once for all effects.
+
+    white, slow : halves of the columns timing, machine, pose, data
+    """
+
+    at: Conditions
+    frame: Float64[np.ndarray, "n 3 3"]
+    whitener: Whitener
+    white: Float64[np.ndarray, "m q"]
+    slow: Float64[np.ndarray, "s q"]
+    freedom: float
+
+
+class Lines:
+    """All lines of a Run with their base; effects are added to them.
+
+    Line k belongs to fold k modulo the number of folds: neighbours in time, which the
+    same moment made alike, are held out by different folds.
+    """
+
+    def __init__(self, seen: Observations, base: Base, folds: int) -> None:
+        self._folds = folds
+        self._size = base.size
+        self._lines = [
+            _line(seen.taken(np.arange(first, last)), base)
+            for first, last in stretches(seen)
+        ]
+
+    def sums(self, effects: Sequence[Effect]) -> FoldedSums:
+        """Return the sums of all lines on machine, pose, effects and data."""
+        count = sum(len(e.parameters) for e in effects)
+        size = self._size + count + 1
+        total = np.zeros((self._folds, size, size))
+        freedom, log_determinant = np.zeros((2, self._folds))
+        for number, line in enumerate(self._lines):
+            fold = number % self._folds
+            one, told, log_timing = _timing_out(_with_effects(line, effects))
+            total[fold] += one
+            freedom[fold] += line.freedom - told
+            log_determinant[fold] += line.whitener.log_determinant + log_timing
+        return FoldedSums(total, freedom, log_determinant)
+
+
+def _line(seen: Observations, base: Base) -> Line:
+    rows, frame = line_rows(seen, base, ())
+    whitener = whiten(seen, base.noise, frame)
+    across = base.noise.along_sigma_mm == np.inf and seen.at.line[0] >= 0
+    return Line(
+        seen.at,
+        frame,
+        whitener,
+        *whitener.halves(rows),
+        (2.0 if across else 3.0) * len(seen),
+    )
+
+
+def _with_effects(line: Line, effects: Sequence[Effect]) -> Float64[np.ndarray, "q q"]:
+    """Return the sums of one line on timing, base, effects and data."""
+    base = line.white.T @ line.white
+    if len(line.slow):
+        base -= line.slow.T @ line.slow
+    if not effects:
+        return base
+    rows = np.concatenate([e.jacobian(line.at) for e in effects], axis=2)
+    white, slow = line.whitener.halves(np.matmul(line.frame, rows))
+    cross, own = line.white.T @ white, white.T @ white
+    if len(slow):
+        cross -= line.slow.T @ slow
+        own -= slow.T @ slow
+    return np.block(
+        [
+            [base[:-1, :-1], cross[:-1], base[:-1, -1:]],
+            [cross[:-1].T, own, cross[-1:].T],
+            [base[-1:, :-1], cross[-1:], base[-1:, -1:]],
+        ]
+    )
+
+
+def stretches(seen: Observations) -> list[tuple[int, int]]:
+    """Return first cell and one past the last of each line or standstill."""
+    breaks = (np.diff(seen.at.line) != 0) | (np.diff(seen.row) != 0)
+    begin = np.flatnonzero(np.concatenate([[True], breaks]))
+    return [
+        (int(a), int(b))
+        for a, b in zip(begin, np.append(begin[1:], len(seen)), strict=True)
+    ]
+
+
+def line_rows(
+    seen: Observations, base: Base, effects: Sequence[Effect]
+) -> tuple[Float64[np.ndarray, "n 3 q"], Float64[np.ndarray, "n 3 3"]]:
+    """Return rows over timing, machine, pose, effects and data; and the beam frame."""
+    model = base.model.with_effects(TrackerPose(base.centre_mm), *effects)
+    local = np.zeros((len(seen), 3, TIMING + model.size + 1))
+    line = int(seen.at.line[0])
+    if line >= 0:
+        local[:, :, :TIMING] = TimingLaw((line,)).jacobian(seen.at)
+    local[:, :, TIMING:-1] = model.jacobian(seen.at)
+    local[:, :, -1] = base.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    machine = slice(TIMING, TIMING + base.model.size)
+    local[:, :, -1] -= local[:, :, machine] @ base.theta
+    frame = beam_frame(seen.tracker_mm) @ base.pose.rotation
+    return np.matmul(frame, local), frame
+
+
+def _timing_out(
+    total: Float64[np.ndarray, "t t"],
+) -> tuple[Float64[np.ndarray, "q q"], int, float]:
+    """Integrate phase and speed out, where the line tells them at all."""
+    usual = float(np.max(np.diag(total)[:-1]))
+    told = [k for k in range(TIMING) if total[k, k] > _NOTHING * usual]
+    sums = total[TIMING:, TIMING:]
+    if not told:
+        return sums, 0, 0.0
+    H = total[np.ix_(told, told)]
+    half = total[np.ix_(told, range(TIMING, len(total)))]
+    _, log_determinant = np.linalg.slogdet(H)
+    return sums - half.T @ np.linalg.solve(H, half), len(told), float(log_determinant)

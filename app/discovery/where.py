@@ -1,0 +1,119 @@
+"""Where measured and simulated disagree: by line, axis, place, direction, time, feed.
+
+What a grouping explains is the share of the squared disagreement that the means of its
+groups hold: an effect that follows the line's number shows there and not elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.alignment.observations import Observations
+from app.discovery.sums import stretches
+
+_BINS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Disagreement on one line or standstill.
+
+    row : of the path; axis : that moves most, empty at a standstill; region : in words
+    """
+
+    row: int
+    axis: str
+    direction: str
+    region: str
+    time_s: float
+    feed_mm_min: float
+    rms_um: float
+
+
+@dataclass(frozen=True)
+class Where:
+    """Segments, the worst first, and the share that each grouping explains."""
+
+    segments: tuple[Segment, ...]
+    shares: dict[str, float]
+
+
+def where(seen: Observations, left_mm: Float64[np.ndarray, "n 3"]) -> Where:
+    """Return where what is left lies."""
+    segments = [_segment(seen, left_mm, first, last) for first, last in stretches(seen)]
+    segments.sort(key=lambda s: -s.rms_um)
+    groups = _groups(seen)
+    shares = {name: _explained(left_mm, seen.count, g) for name, g in groups.items()}
+    ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
+    return Where(tuple(segments), ordered)
+
+
+def _segment(
+    seen: Observations, left_mm: Float64[np.ndarray, "n 3"], first: int, last: int
+) -> Segment:
+    part = slice(first, last)
+    weight = seen.count[part] / seen.count[part].sum()
+    square = float(weight @ np.sum(left_mm[part] ** 2, axis=1))
+    rate = np.zeros(len(seen.at.machine.axes))
+    if seen.at.around is not None:
+        rate = seen.at.around.rate[first]
+    names, main = seen.at.machine.axis_names, int(np.argmax(np.abs(rate)))
+    moves = bool(rate.any())
+    return Segment(
+        int(seen.row[first]),
+        names[main] if moves else "",
+        ("+" if rate[main] > 0.0 else "-") if moves else "",
+        _region(seen, first, last),
+        float(seen.at.time_s[part].mean()),
+        float(np.linalg.norm(seen.at.velocity_mm_s[first])) * 60.0,
+        float(np.sqrt(square)) * 1e3,
+    )
+
+
+def _region(seen: Observations, first: int, last: int) -> str:
+    low = seen.at.position_mm[first:last].min(axis=0)
+    high = seen.at.position_mm[first:last].max(axis=0)
+    return ", ".join(
+        f"{name} {a:.0f}" if b - a < 0.5 else f"{name} {a:.0f} to {b:.0f}"
+        for name, a, b in zip(seen.at.machine.axis_names, low, high, strict=True)
+    )
+
+
+def _groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
+    at = seen.at
+    distance = np.linalg.norm(seen.tracker_mm, axis=1)
+    groups = {"line": seen.row, "time": _binned(at.time_s)}
+    groups["beam"] = _binned(distance)
+    speed = np.linalg.norm(at.velocity_mm_s, axis=1)
+    if np.ptp(speed) > 0.01 * max(float(speed.max()), 1e-9):
+        groups["feed"] = _binned(speed)
+    for column, name in enumerate(at.machine.axis_names):
+        groups[f"position of {name}"] = _binned(at.position_mm[:, column])
+        sign = np.sign(at.approach[:, column]).astype(np.int64)
+        groups[f"direction of {name}"] = sign
+    if at.around is not None and at.around.temperature_degc is not None:
+        celsius = at.around.temperature_degc.T
+        for name, column in zip(at.around.sensors, celsius, strict=True):
+            groups[f"temperature of {name}"] = _binned(column)
+    return groups
+
+
+def _binned(values: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    edges = np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])
+    return np.asarray(np.searchsorted(edges, values, side="right"), np.int64)
+
+
+def _explained(
+    left_mm: Float64[np.ndarray, "n 3"],
+    weight: Float64[np.ndarray, " n"],
+    group: Int64[np.ndarray, " n"],
+) -> float:
+    """Return the share of the weighted squares that the groups' means hold."""
+    _, index = np.unique(group, return_inverse=True)
+    total = np.bincount(index, weight)
+    means = np.stack([np.bincount(index, weight * c) / total for c in left_mm.T])
+    held = float(np.sum(total * np.sum(means**2, axis=0)))
+    return held / max(float(np.sum(weight * np.sum(left_mm**2, axis=1))), 1e-300)

@@ -1,0 +1,167 @@
+"""What a catalogued effect tells of itself, so that discovery can look for it.
+
+A family is one physical cause. For a machine and what was recorded it proposes
+candidates: effects that are linear in their parameters, with all else (which axis,
+which lead, which time constant) fixed. What is scanned has a range and a step.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect
+
+USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """An effect in a metrologist's words."""
+
+    cause: str
+    looks_like: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One number and its standard uncertainty."""
+
+    value: float
+    uncertainty: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A parameter that is not linear: where it is looked for, and how finely.
+
+    values : increasing; between neighbours the columns hardly change
+    """
+
+    name: str
+    values: Float64[np.ndarray, " v"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wave:
+    """Columns arm · sin and arm · cos of 2π coordinate · waves, averaged over cells.
+
+    arm : (n, 3); coordinate, rate : (n,) with its change in a second
+    waves : (v,) per unit of the coordinate, one for each scanned value
+    """
+
+    arm: Float64[np.ndarray, "n 3"]
+    coordinate: Float64[np.ndarray, " n"]
+    rate: Float64[np.ndarray, " n"]
+    waves: Float64[np.ndarray, " v"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect that may be missing.
+
+    keys : what tells it from others of its family, as files name it: axis, motion, …
+    usual : (p,) prior standard deviation of the effect's parameters
+    value : of what is scanned, at which the effect is taken
+    """
+
+    family: str
+    keys: dict[str, str]
+    effect: Effect
+    usual: Float64[np.ndarray, " p"]
+    value: float | None = None
+    found: dict[str, Measured] = field(default_factory=dict[str, Measured])
+
+    @property
+    def label(self) -> str:
+        """Return name and keys in one line."""
+        return " ".join([self.family, *self.keys.values()])
+
+    def same_as(self, other: Candidate) -> bool:
+        """Tell whether it is the same effect, whatever was scanned."""
+        return self.label == other.label
+
+    def with_found(self, found: dict[str, Measured]) -> Candidate:
+        """Return it with its parameters as files state them."""
+        return replace(self, found=found)
+
+
+class Family(ABC):
+    """One physical cause and its candidates.
+
+    in_machine : part of the machine, and so of its volumetric error; else of the
+        measurement
+    is_smooth : in what is scanned; else every value is tried, for want of a slope
+    """
+
+    name: str
+    signature: Signature
+    in_machine: bool = True
+    is_smooth: bool = True
+
+    @abstractmethod
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return what may be looked for in these conditions, scans at their middle."""
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
+        """Return what is to be scanned, or None."""
+        del candidate, at
+        return None
+
+    def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
+        """Return the scan as a wave, if it is one: all its values are tried at once."""
+        del candidate, at
+        return None
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate with what is scanned at another value."""
+        del at, value
+        return candidate
+
+    @abstractmethod
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, " p"],
+        covariance: Float64[np.ndarray, "p p"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return what files state: names with units, values, standard uncertainties.
+
+        value_sigma : standard uncertainty of what was scanned
+        """
+
+
+def amplitude_and_phase(
+    theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
+) -> tuple[Measured, Measured]:
+    """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase)."""
+    amplitude = float(np.hypot(theta[0], theta[1]))
+    along = theta / max(amplitude, 1e-300)
+    across = np.array([-along[1], along[0]])
+    phase = float(np.mod(np.arctan2(theta[1], theta[0]), 2.0 * np.pi))
+    return (
+        Measured(amplitude, float(np.sqrt(along @ covariance @ along))),
+        Measured(
+            phase, float(np.sqrt(across @ covariance @ across)) / max(amplitude, 1e-300)
+        ),
+    )
+
+
+def rate_of(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
+    """Return how fast an axis moves in each cell."""
+    if at.around is None:
+        return np.zeros(len(at))
+    return np.abs(at.around.rate[:, at.machine.axis_names.index(axis)])
+
+
+def averaged(
+    angular_rate: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """Return what is left of a wave after averaging it over each span."""
+    return np.sinc(angular_rate * span_s / (2.0 * np.pi))

@@ -1,0 +1,98 @@
+"""A guide that bends under another axis' carriage: no rigid body does it.
+
+A beam on two supports gives way most in its middle, and by the share of the weight that
+rests on it: that share grows with the other axis' position. In one direction the
+displacement is −amplitude · 4u(1 − u) · v, with u along the guide and v along the
+carriage's travel, both from 0 to 1. A heavy carriage makes the deflection under itself
+that of a travelling load, (4u(1 − u))².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    Family,
+    Measured,
+    Signature,
+)
+from app.kinematics.machine import LinearAxis
+from app.kinematics.symbols import DIRECTION, LINEAR
+
+
+@dataclass(frozen=True)
+class ElasticSag(Effect):
+    """Displacement in one direction by the product of two positions."""
+
+    axis: LinearAxis
+    by: LinearAxis
+    direction: str
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"elastic-sag-{self.axis.name}-{self.by.name}-{self.direction}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The displacement at mid guide under the carriage's far end, in mm."""
+        return (Parameter(self.name, "mm"),)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return the direction times the product."""
+        u, v = (_share(axis, at) for axis in (self.axis, self.by))
+        product = -4.0 * u * (1.0 - u) * v
+        unit = np.eye(3)[DIRECTION[self.direction]]
+        return product[:, None, None] * unit[None, :, None]
+
+
+def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
+    return (at.axis_mm(axis.name) - axis.min_mm) / (axis.max_mm - axis.min_mm)
+
+
+class ElasticSagFamily(Family):
+    """Every pair of axes and direction."""
+
+    name = "elastic-sag"
+    signature = Signature(
+        cause="A guide or cross beam bends under the carriage that travels on it, or "
+        "under what hangs from it.",
+        looks_like="The straightness or positioning of one axis depends on where "
+        "another stands: tables of single axes cannot show it.",
+        remedy="Use the controller's cross-axis (sag) compensation for the pair; check "
+        "counterbalance and levelling.",
+    )
+
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each ordered pair and direction."""
+        axes = at.machine.linear_axes
+        return [
+            Candidate(
+                self.name,
+                {"axis": axis.name, "by": by.name, "direction": direction},
+                ElasticSag(axis, by, direction),
+                np.array([2.0 * USUAL_MM]),
+            )
+            for axis in axes
+            for by in axes
+            if by is not axis
+            for direction in LINEAR
+        ]
+
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, "1"],
+        covariance: Float64[np.ndarray, "1 1"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return the amplitude."""
+        sigma = float(np.sqrt(covariance[0, 0]))
+        return {"amplitude_um": Measured(float(theta[0]) * 1e3, sigma * 1e3)}

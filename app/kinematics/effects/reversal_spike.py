@@ -1,0 +1,118 @@
+"""A short excursion after an axis has reversed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    Family,
+    Measured,
+    Scan,
+    Signature,
+)
+from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.machine import LinearAxis
+
+_DECAYS_MM = np.geomspace(3.0, 60.0, 10)
+
+
+@dataclass(frozen=True)
+class ReversalSpike(Effect):
+    """Displacement in one direction that decays with the distance since reversal.
+
+    It turns over with the direction that the axis now goes in.
+    """
+
+    axis: LinearAxis
+    direction: str
+    decay_mm: float
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"reversal-spike-{self.axis.name}-{self.direction}-{self.decay_mm:.4g}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The excursion at the reversal, in mm."""
+        return (Parameter(self.name, "mm"),)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return the direction times what is left of the excursion."""
+        if at.around is None:
+            return np.zeros((len(at), 3, 1))
+        column = at.machine.axis_names.index(self.axis.name)
+        left = np.exp(-at.around.since_reversal[:, column] / self.decay_mm)
+        arm = arm_of(f"E{self.direction}{self.axis.name}", at)
+        return (arm * (left * at.approach[:, column])[:, None])[:, :, None]
+
+
+class ReversalSpikeFamily(Family):
+    """Every axis in every direction, the decay scanned."""
+
+    name = "reversal-spike"
+    signature = Signature(
+        cause="Friction holds an axis back for a moment when it reverses, or its guide "
+        "tilts before it settles.",
+        looks_like="A peak just after each reversal that fades within some millimetres "
+        "of travel; on circles, a spike at the change of quadrant.",
+        remedy="Tune the controller's friction (quadrant error) compensation; check "
+        "lubrication and the preload of guides and nut.",
+    )
+
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each axis that reverses, and direction."""
+        if at.around is None:
+            return []
+        names = [axis.name for axis in at.machine.linear_axes]
+        return [
+            Candidate(
+                self.name,
+                {"axis": axis.name, "direction": direction},
+                ReversalSpike(axis, direction, 10.0),
+                np.array([USUAL_MM]),
+                10.0,
+            )
+            for axis in at.machine.linear_axes
+            for direction in names
+            if self._reverses(axis, at)
+        ]
+
+    @staticmethod
+    def _reverses(axis: LinearAxis, at: Conditions) -> bool:
+        column = at.machine.axis_names.index(axis.name)
+        around = at.around
+        return around is not None and bool(
+            (around.since_reversal[:, column] < _DECAYS_MM[-1]).any()
+        )
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        """Return decays."""
+        return Scan("decay_mm", _DECAYS_MM)
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate of another decay."""
+        axis = at.machine.linear(candidate.keys["axis"])
+        effect = ReversalSpike(axis, candidate.keys["direction"], value)
+        return replace(candidate, effect=effect, value=value)
+
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, "1"],
+        covariance: Float64[np.ndarray, "1 1"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return amplitude and decay."""
+        sigma = float(np.sqrt(covariance[0, 0]))
+        return {
+            "amplitude_um": Measured(float(theta[0]) * 1e3, sigma * 1e3),
+            "decay_mm": Measured(candidate.value or 0.0, value_sigma),
+        }

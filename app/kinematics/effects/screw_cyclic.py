@@ -1,0 +1,122 @@
+"""A positioning error that repeats with every turn of the ball screw or scale pitch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    Family,
+    Measured,
+    Scan,
+    Signature,
+    Wave,
+    amplitude_and_phase,
+    averaged,
+    rate_of,
+)
+from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.machine import LinearAxis
+
+_SHORTEST_MM, _LONGEST_MM = 2.5, 45.0
+
+
+@dataclass(frozen=True)
+class ScrewCyclic(Effect):
+    """Positioning of an axis as sin and cos of its position over a lead."""
+
+    axis: LinearAxis
+    lead_mm: float
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"screw-cyclic-{self.axis.name}-{self.lead_mm:.4g}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Sine and cosine, in mm."""
+        return tuple(Parameter(f"{self.name}-{p}", "mm") for p in ("sin", "cos"))
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the axis' direction times the waves, averaged over each cell."""
+        column = at.machine.axis_names.index(self.axis.name)
+        turn = 2.0 * np.pi / self.lead_mm
+        angle = turn * at.position_mm[:, column]
+        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        if at.around is not None:
+            rate = turn * at.around.rate[:, column]
+            wave *= averaged(rate, at.around.span_s)[:, None]
+        arm = arm_of(f"E{self.axis.name}{self.axis.name}", at)
+        return arm[:, :, None] * wave[:, None, :]
+
+
+class ScrewCyclicFamily(Family):
+    """Candidates of every straight axis, the lead scanned."""
+
+    name = "screw-cyclic"
+    signature = Signature(
+        cause="A ball screw, its bearing or a scale that errs alike every turn.",
+        looks_like="A wave along one axis, the same at every feed, with the period of "
+        "the screw's lead or of the scale's pitch.",
+        remedy="Enter a cyclic compensation for the axis; look at the screw's thrust "
+        "bearing and coupling, or at the scale's head.",
+    )
+
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one an axis."""
+        return [
+            Candidate(
+                self.name,
+                {"axis": axis.name},
+                ScrewCyclic(axis, 10.0),
+                np.full(2, USUAL_MM),
+                10.0,
+            )
+            for axis in at.machine.linear_axes
+            if np.ptp(at.axis_mm(axis.name)) > 2.0 * _LONGEST_MM
+        ]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        """Return leads at equal steps of turns, four to a period over the travel."""
+        travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
+        turns = np.arange(1.0 / _LONGEST_MM, 1.0 / _SHORTEST_MM, 0.25 / travel)
+        return Scan("lead_mm", 1.0 / turns[::-1])
+
+    def wave(self, candidate: Candidate, at: Conditions) -> Wave:
+        """Return the scan as a wave of the position."""
+        axis = candidate.keys["axis"]
+        return Wave(
+            arm_of(f"E{axis}{axis}", at),
+            at.axis_mm(axis),
+            rate_of(at, axis),
+            1.0 / self.scan(candidate, at).values,
+        )
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate of another lead."""
+        axis = at.machine.linear(candidate.keys["axis"])
+        return replace(candidate, effect=ScrewCyclic(axis, value), value=value)
+
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, "2"],
+        covariance: Float64[np.ndarray, "2 2"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return lead, amplitude and phase at the axis zero."""
+        amplitude, phase = amplitude_and_phase(theta, covariance)
+        return {
+            "lead_mm": Measured(candidate.value or 0.0, value_sigma),
+            "amplitude_um": Measured(
+                amplitude.value * 1e3, amplitude.uncertainty * 1e3
+            ),
+            "phase_rad": phase,
+        }

@@ -1,0 +1,123 @@
+"""A periodic motion in time at 1 Hz or faster."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    Family,
+    Measured,
+    Scan,
+    Signature,
+    Wave,
+    amplitude_and_phase,
+    averaged,
+)
+from app.kinematics.symbols import DIRECTION, LINEAR
+
+_SLOWEST_HZ = 1.0
+
+
+@dataclass(frozen=True)
+class Vibration(Effect):
+    """Sine and cosine in time, in one direction."""
+
+    direction: str
+    frequency_hz: float
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"vibration-{self.direction}-{self.frequency_hz:.5g}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Sine and cosine, in mm."""
+        return tuple(
+            Parameter(f"{self.name}-{p}", "mm", nuisance=True) for p in ("sin", "cos")
+        )
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the direction times the waves, averaged over each cell."""
+        turn = 2.0 * np.pi * self.frequency_hz
+        wave = np.stack([np.sin(turn * at.time_s), np.cos(turn * at.time_s)], axis=1)
+        if at.around is not None:
+            span = at.around.span_s
+            wave *= averaged(np.full(len(span), turn), span)[:, None]
+        unit = np.eye(3)[DIRECTION[self.direction]]
+        return unit[None, :, None] * wave[:, None, :]
+
+
+class VibrationFamily(Family):
+    """Every direction, the frequency scanned as far as the cells can follow."""
+
+    name = "vibration"
+    in_machine = False
+    signature = Signature(
+        cause="A pump, a fan, a drive or the floor shakes table, spindle or tracker.",
+        looks_like="A wave in time of one frequency, the same whatever axis moves.",
+        remedy="Find what turns at this frequency and stop or isolate it; check the "
+        "tracker's stand.",
+    )
+
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one a direction."""
+        if at.around is None:
+            return []
+        return [
+            Candidate(
+                self.name,
+                {"direction": direction},
+                Vibration(direction, _SLOWEST_HZ),
+                np.full(2, USUAL_MM),
+                _SLOWEST_HZ,
+            )
+            for direction in LINEAR
+        ]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
+        """Return frequencies, two to a period over the run."""
+        around = at.around
+        if around is None:
+            return None
+        fastest = 0.75 / float(np.median(around.span_s))
+        step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
+        return Scan("frequency_hz", np.arange(_SLOWEST_HZ, fastest, step))
+
+    def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
+        """Return the scan as a wave of time."""
+        scan = self.scan(candidate, at)
+        if scan is None or at.around is None:
+            return None
+        unit = np.eye(3)[DIRECTION[candidate.keys["direction"]]]
+        arm = np.tile(unit, (len(at), 1))
+        return Wave(arm, at.time_s, np.ones(len(at)), scan.values)
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate of another frequency."""
+        effect = Vibration(candidate.keys["direction"], value)
+        return replace(candidate, effect=effect, value=value)
+
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, "2"],
+        covariance: Float64[np.ndarray, "2 2"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return frequency and amplitude."""
+        amplitude, phase = amplitude_and_phase(theta, covariance)
+        return {
+            "frequency_hz": Measured(candidate.value or 0.0, value_sigma),
+            "amplitude_um": Measured(
+                amplitude.value * 1e3, amplitude.uncertainty * 1e3
+            ),
+            "phase_rad": phase,
+        }

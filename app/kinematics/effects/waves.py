@@ -1,0 +1,216 @@
+"""Periodic behaviour that no catalogued effect explains: in time, or along an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    Family,
+    Measured,
+    Scan,
+    Signature,
+    Wave,
+    amplitude_and_phase,
+    averaged,
+    rate_of,
+)
+from app.kinematics.machine import LinearAxis
+from app.kinematics.symbols import DIRECTION, LINEAR
+
+_FASTEST_HZ = 1.0
+_SHORTEST_MM, _LONGEST_MM = 4.0, 60.0
+
+
+@dataclass(frozen=True)
+class TimeWave(Effect):
+    """Sine and cosine of time in one direction."""
+
+    direction: str
+    period_s: float
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"time-wave-{self.direction}-{self.period_s:.5g}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Sine and cosine, in mm."""
+        return _sine_and_cosine(self.name)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the direction times the waves."""
+        angle = 2.0 * np.pi / self.period_s * at.time_s
+        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        if at.around is not None:
+            rate = np.full(len(at), 2.0 * np.pi / self.period_s)
+            wave *= averaged(rate, at.around.span_s)[:, None]
+        return np.eye(3)[DIRECTION[self.direction]][None, :, None] * wave[:, None, :]
+
+
+@dataclass(frozen=True)
+class PositionWave(Effect):
+    """Sine and cosine of an axis' position, across the axis."""
+
+    axis: LinearAxis
+    direction: str
+    period_mm: float
+
+    @property
+    def name(self) -> str:
+        """Name in the provenance of an estimate."""
+        return f"position-wave-{self.axis.name}-{self.direction}-{self.period_mm:.5g}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Sine and cosine, in mm."""
+        return _sine_and_cosine(self.name)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the direction times the waves."""
+        turn = 2.0 * np.pi / self.period_mm
+        angle = turn * at.axis_mm(self.axis.name)
+        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        if at.around is not None:
+            rate = at.around.rate[:, at.machine.axis_names.index(self.axis.name)]
+            wave *= averaged(turn * rate, at.around.span_s)[:, None]
+        return np.eye(3)[DIRECTION[self.direction]][None, :, None] * wave[:, None, :]
+
+
+def _sine_and_cosine(name: str) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{name}-{p}", "mm", nuisance=True) for p in ("sin", "cos"))
+
+
+class TimeWaveFamily(Family):
+    """Every direction, the period scanned down to a second."""
+
+    name = "time-wave"
+    in_machine = False
+    signature = Signature(
+        cause="Something switches or breathes with a steady period: coolant, air "
+        "conditioning, a pump's pressure.",
+        looks_like="All points move to and fro with time, whatever axis moves.",
+        remedy="Find what runs with this period; measure with it off, or average over "
+        "whole periods.",
+    )
+
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one a direction."""
+        usual = np.full(2, USUAL_MM)
+        return [
+            Candidate(self.name, {"direction": d}, TimeWave(d, 20.0), usual, 20.0)
+            for d in LINEAR
+        ]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
+        """Return periods from a second to two thirds of the run."""
+        span = float(np.ptp(at.time_s))
+        frequency = np.arange(1.5 / span, _FASTEST_HZ, 0.25 / span)
+        return Scan("period_s", 1.0 / frequency[::-1]) if len(frequency) else None
+
+    def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
+        """Return the scan as a wave of time."""
+        scan = self.scan(candidate, at)
+        if scan is None or at.around is None:
+            return None
+        unit = np.eye(3)[DIRECTION[candidate.keys["direction"]]]
+        arm = np.tile(unit, (len(at), 1))
+        return Wave(arm, at.time_s, np.ones(len(at)), 1.0 / scan.values)
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate of another period."""
+        effect = TimeWave(candidate.keys["direction"], value)
+        return replace(candidate, effect=effect, value=value)
+
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, "2"],
+        covariance: Float64[np.ndarray, "2 2"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return period and amplitude."""
+        return _wave_found("period_s", candidate, theta, covariance, value_sigma)
+
+
+class PositionWaveFamily(Family):
+    """Every axis and direction across it, the period scanned."""
+
+    name = "position-wave"
+    signature = Signature(
+        cause="A guide, chain or rolling element that repeats with travel.",
+        looks_like="The straightness of an axis waves with a steady period.",
+        remedy="Check guide and rolling elements; compensate straightness finely.",
+    )
+
+    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each axis and direction across it."""
+        usual = np.full(2, USUAL_MM)
+        return [
+            Candidate(
+                self.name,
+                {"axis": axis.name, "direction": d},
+                PositionWave(axis, d, 20.0),
+                usual,
+                20.0,
+            )
+            for axis in at.machine.linear_axes
+            for d in LINEAR
+            if d != axis.name and np.ptp(at.axis_mm(axis.name)) > 2.0 * _LONGEST_MM
+        ]
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
+        """Return periods at equal steps of waves, four to one over the travel."""
+        travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
+        waves = np.arange(1.0 / _LONGEST_MM, 1.0 / _SHORTEST_MM, 0.25 / travel)
+        return Scan("period_mm", 1.0 / waves[::-1])
+
+    def wave(self, candidate: Candidate, at: Conditions) -> Wave:
+        """Return the scan as a wave of the position."""
+        axis = candidate.keys["axis"]
+        unit = np.eye(3)[DIRECTION[candidate.keys["direction"]]]
+        return Wave(
+            np.tile(unit, (len(at), 1)),
+            at.axis_mm(axis),
+            rate_of(at, axis),
+            1.0 / self.scan(candidate, at).values,
+        )
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate of another period."""
+        axis = at.machine.linear(candidate.keys["axis"])
+        effect = PositionWave(axis, candidate.keys["direction"], value)
+        return replace(candidate, effect=effect, value=value)
+
+    def parameters(
+        self,
+        candidate: Candidate,
+        theta: Float64[np.ndarray, "2"],
+        covariance: Float64[np.ndarray, "2 2"],
+        value_sigma: float,
+    ) -> dict[str, Measured]:
+        """Return period and amplitude."""
+        return _wave_found("period_mm", candidate, theta, covariance, value_sigma)
+
+
+def _wave_found(
+    what: str,
+    candidate: Candidate,
+    theta: Float64[np.ndarray, "2"],
+    covariance: Float64[np.ndarray, "2 2"],
+    value_sigma: float,
+) -> dict[str, Measured]:
+    amplitude, phase = amplitude_and_phase(theta, covariance)
+    um = Measured(amplitude.value * 1e3, amplitude.uncertainty * 1e3)
+    return {
+        what: Measured(candidate.value or 0.0, value_sigma),
+        "amplitude_um": um,
+        "phase_rad": phase,
+    }
