@@ -193,6 +193,12 @@ class _Attempt:
         return self._judged(path)
 
     def _lines(self, budget_s: float) -> Path | Configurations:
+        target = self.machine.target()
+        if not moves_where_seen(self._moving, target):
+            raise PlanningError(
+                f"the first target of {self.machine.name} does not move while the "
+                "rotary axes stand; state one on the tool first, or use mode standstill"
+            )
         outlook = line_outlook(
             self.machine,
             self.stand_mm,

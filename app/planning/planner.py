@@ -62,6 +62,11 @@ class Planner:
         """
         rng = np.random.default_rng(seed)
         region = self._region()
+        if not self._apart(np.stack([region.low, region.high])):
+            raise PlanningError(
+                f"the travel of {self.machine.name} is too short for a steady feed of "
+                f"{max(self.feeds_mm_min):g} mm/min; lower the feed"
+            )
         begin = self._first_stop(region, rng) if start is None else start
         choice = LegChoice(self.outlook, self.drive, region, self.feeds_mm_min, rng)
         stops = choice.stops(begin, budget_s - self.drive.dwell_s)

@@ -158,3 +158,8 @@ def test_a_volume_that_is_all_kept_out_is_refused(mill, planner):
 def test_a_time_too_short_for_any_line_is_refused(mill, planner):
     with pytest.raises(PlanningError, match=r"fits into .* s; give more time"):
         planner(mill).plan(1.0)
+
+
+def test_a_travel_too_short_for_a_steady_feed_is_refused(mill, planner):
+    with pytest.raises(PlanningError, match="too short for a steady feed of 60000"):
+        planner(mill, feeds=(60_000.0,)).plan(60.0)
