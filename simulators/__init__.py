@@ -25,6 +25,8 @@ closed form from seed and time alone, at any speed of the clock.
     tracker_head    range and angles of a point, with noise correlated in time
     paths           paths and points without a planner; turning_paths: with rotary axes
     synthetic       whole recordings without wire and without waiting
+    hidden          effects that no rigid-body model knows, one physical cause a file
+    scale_sensors   temperatures of the axis scales
     faults          what goes wrong, when
     tracker_*       the tracker behind its wire
     cnc_*, modbus_* the CNC behind its wire

@@ -20,10 +20,13 @@ import numpy as np
 from simulators.board import new_board
 from simulators.errors import SimulatorError
 from simulators.faults import parse_fault
+from simulators.hidden.drawing import as_json
+from simulators.hidden.effect import HiddenEffect
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
 from simulators.profile import Limits
 from simulators.scenario import load_machine
+from simulators.tracker_head import random_clock
 from simulators.truth_machine import TruthMachine, random_machine
 
 _START_TIMEOUT_S = 20.0
@@ -39,6 +42,7 @@ class Bench:
     faults : see `simulators.faults`; `inject` adds more while it runs
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     tracker : link of the tracker, `pty` or `tcp`
+    hidden : effects that no rigid-body model knows; their time begins with the bench
     """
 
     def __init__(
@@ -56,6 +60,7 @@ class Bench:
         error_scale: float = 1.0,
         limits: Limits | None = None,
         rtu: bool = True,
+        hidden: Sequence[HiddenEffect] = (),
     ) -> None:
         if speed <= 0.0:
             raise SimulatorError(f"speed: {speed} is not above zero")
@@ -63,6 +68,8 @@ class Bench:
         self.truth: TruthMachine = random_machine(
             parse_machine(self.machine), seed, scale=error_scale
         )
+        self._hidden = tuple(hidden)
+        self._clock = random_clock(seed)
         self._faults = [(parse_fault(text).device, text) for text in faults]
         self._workdir = workdir
         self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
@@ -75,6 +82,7 @@ class Bench:
             "speed": speed,
             "error_scale": error_scale,
             "limits": asdict(limits or Limits()),
+            "hidden": [as_json(effect) for effect in hidden],
         }
         self._children: dict[str, _Child] = {}
         self._addresses: dict[str, dict[str, Any]] = {}
@@ -142,6 +150,10 @@ class Bench:
     def truth_at(self, points_mm: np.ndarray) -> np.ndarray:
         """Return the true volumetric error in µm at axis positions, (n, 3)."""
         return 1e3 * self.truth.deviation_mm(np.asarray(points_mm, float))
+
+    def hidden_truth(self) -> list[dict[str, Any]]:
+        """Return the hidden effects in the form of `discovery.json`."""
+        return [effect.truth(self._clock) for effect in self._hidden]
 
     def close(self) -> None:
         """End both processes and wait for them. Idempotent."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from simulators.machine_file import MachineFile
 from simulators.randomness import generator
-from simulators.recording import Recording
+from simulators.recording import Recording, Temperatures
 from simulators.truth_machine import TruthMachine
 
 _GRID_MARGIN_MM = 15.0
@@ -23,16 +23,23 @@ def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) ->
     (folder / "machine.json").write_text(json.dumps(dict(recording.content), indent=1))
     _write_program(folder, recording)
     _write_stream(folder, recording, csv=csv)
-    _write_environment(folder / "environment.csv", recording)
-    (folder / "truth.json").write_text(json.dumps(truth_of(recording.truth)))
+    if recording.temperatures is not None:
+        _write_environment(folder / "environment.csv", recording.temperatures)
+    truth = truth_of(recording.truth, recording.hidden_truth())
+    (folder / "truth.json").write_text(json.dumps(truth))
 
 
-def truth_of(truth: TruthMachine, points: int = 8) -> dict[str, Any]:
-    """Return the volumetric error on a grid of the travel, as a case states it."""
+def truth_of(
+    truth: TruthMachine, hidden: Sequence[dict[str, Any]] = (), points: int = 8
+) -> dict[str, Any]:
+    """Return the volumetric error on a grid of the travel, as a case states it.
+
+    hidden : effects beside the error motions, which the grid is without
+    """
     grid = _grid(truth.machine, points).round(4)
     return {
         "note": "synthetic recording",
-        "effects": [],
+        "effects": list(hidden),
         "points_mm": grid.tolist(),
         "deviation_um": (1e3 * truth.deviation_mm(grid)).round(4).tolist(),
     }
@@ -90,13 +97,9 @@ def _write_stream(folder: Path, recording: Recording, *, csv: bool) -> None:
     parquet.write_table(pa.table(columns), folder / "tracker.parquet")
 
 
-def _write_environment(path: Path, recording: Recording) -> None:
-    """Write scale temperatures once a second: constant but for the sensors' noise."""
-    rng = generator(len(recording), "environment")
-    time_s = np.arange(recording.time_s[0], recording.time_s[-1], 1.0)
-    celsius = 20.0 + rng.normal(0.0, 0.02, (len(time_s), 3))
-    names = ["t_s", *(f"{a.name}_degC" for a in recording.truth.machine.linear_axes)]
-    _write_table(path, names, np.column_stack([time_s, celsius]), "%.3f")
+def _write_environment(path: Path, told: Temperatures) -> None:
+    names = ["t_s", *(f"{name}_degC" for name in told.names)]
+    _write_table(path, names, np.column_stack([told.time_s, told.celsius]), "%.3f")
 
 
 def _write_table(

@@ -20,6 +20,8 @@ from typing import Any
 from simulators.bench import Bench
 from simulators.errors import SimulatorError
 from simulators.faults import KINDS, parse_fault
+from simulators.hidden.drawing import EFFECTS, parse_hidden
+from simulators.machine_file import parse_machine
 from simulators.scenario import bundled_machines, load_machine
 
 _CHECK_S = 0.5
@@ -39,8 +41,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _bench(options: argparse.Namespace) -> Bench:
+    content = load_machine(options.machine)
+    machine = parse_machine(content)
     return Bench(
-        load_machine(options.machine),
+        content,
         options.seed,
         options.speed,
         options.fault,
@@ -51,6 +55,7 @@ def _bench(options: argparse.Namespace) -> Bench:
         modbus_port=options.modbus_port,
         error_scale=options.error_scale,
         rtu=options.rtu,
+        hidden=[parse_hidden(text, options.seed, machine) for text in options.hide],
     )
 
 
@@ -172,6 +177,14 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         type=_fault,
         help="device:kind[@begin][+duration][*amount]; may be given several times",
+    )
+    add(
+        "--hide",
+        action="append",
+        default=[],
+        metavar="EFFECT[*SIZE_UM]",
+        help="an effect that no rigid-body model knows, drawn by the seed: "
+        + ", ".join(EFFECTS),
     )
     add("--json", action="store_true", help="print one JSON object")
     return parser

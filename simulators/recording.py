@@ -8,9 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from simulators.hidden.effect import HiddenEffect
 from simulators.timeline import Program, Timeline
-from simulators.tracker_head import TrackerPose
+from simulators.tracker_head import TrackerClock, TrackerPose
 from simulators.truth_machine import TruthMachine
+
+
+@dataclass(frozen=True, slots=True)
+class Temperatures:
+    """What sensors show on the tracker's clock.
+
+    names : of the axes whose scales have one; time_s (n,); celsius (n, sensors)
+    """
+
+    names: tuple[str, ...]
+    time_s: np.ndarray
+    celsius: np.ndarray
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +33,8 @@ class Recording:
     time_s (n,), position_mm (n, 3), status (n,) : in the tracker's frame and clock
     commanded_mm (n, 3) : nominal axis positions at each sample
     row (n,) : row that the machine moved towards or dwelt at, at each sample
+    hidden : effects that no rigid-body model knows; clock : of the tracker
+    temperatures : none where the machine has no sensors
     """
 
     content: Mapping[str, Any]
@@ -33,6 +48,13 @@ class Recording:
     commanded_mm: np.ndarray
     row: np.ndarray
     timeline: Timeline
+    clock: TrackerClock
+    hidden: tuple[HiddenEffect, ...] = ()
+    temperatures: Temperatures | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def hidden_truth(self) -> list[dict[str, Any]]:
+        """Return the hidden effects in the form of `discovery.json`."""
+        return [effect.truth(self.clock) for effect in self.hidden]

@@ -20,14 +20,19 @@ import numpy as np
 from simulators import interruption, paths, tracker_head, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.errors import SimulatorError
+from simulators.hidden.drawing import parse_hidden
+from simulators.hidden.effect import HiddenEffect
+from simulators.hidden.motion import Motion
+from simulators.hidden.seen import misread, seen_mm
 from simulators.machine_file import MachineFile, parse_machine
 from simulators.profile import Limits
 from simulators.randomness import generator
 from simulators.recording import Recording
+from simulators.scale_sensors import shown
 from simulators.scenario import load_machine
 from simulators.timeline import Program, Timeline, follow
 from simulators.tracker_head import Air, TrackerClock, TrackerPose
-from simulators.truth_machine import TruthMachine, random_machine
+from simulators.truth_machine import random_machine
 
 BEAM_BROKEN = 1
 
@@ -43,7 +48,6 @@ class Defects:
     duplicated_share : share of the frames that come twice, as no good driver lets them
     late_start_s : the stream begins so long after the motion
     holds : (begin_s, duration_s) of feed holds, wherever the machine is then
-    knock : (time_s, x, y, z mm), the tracker shifts once
     """
 
     dropped_share: float = 0.0
@@ -54,7 +58,6 @@ class Defects:
     duplicated_share: float = 0.0
     late_start_s: float = 0.0
     holds: tuple[tuple[float, float], ...] = ()
-    knock: tuple[float, float, float, float] | None = None
 
 
 ROUGH = Defects(
@@ -72,6 +75,8 @@ class Setting:
 
     machine_seed : which machine, where it is not that of the recording's seed: so that
         several recordings of one machine differ in noise, clock and tracker pose
+    hidden : effects that no rigid-body model knows
+    sensors : whether the scales have temperature sensors
     """
 
     machine_seed: int | None = None
@@ -85,6 +90,8 @@ class Setting:
     pose: TrackerPose | None = None
     clock: TrackerClock | None = None
     defects: Defects = field(default_factory=Defects)
+    hidden: tuple[HiddenEffect, ...] = ()
+    sensors: bool = True
 
 
 def record(
@@ -105,10 +112,15 @@ def record(
     pose = setting.pose or tracker_head.random_pose(machine, seed)
     timeline = _motion(program, setting)
     device_s, true_s = _sample_times(machine, timeline, seed, setting)
-    commanded = timeline.positions(true_s)
+    clock = _clock(seed, setting)
     row = timeline.rows(true_s)
-    table_mm = _seen_mm(truth, commanded, row, program)
-    table_mm = table_mm + _knocked(true_s, setting.defects)
+    table_mm = seen_mm(
+        truth,
+        Motion(machine, timeline),
+        true_s,
+        [program.target[k] for k in row] if program.target else [""] * len(row),
+        setting.hidden,
+    )
     stream = _observed(machine, pose.from_table(table_mm), seed, setting)
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
@@ -123,24 +135,19 @@ def record(
         device_s[keep],
         _with_spikes(stream, seed, setting.defects)[keep],
         status[keep],
-        commanded[keep],
+        timeline.positions(true_s[keep]),
         row[keep],
         timeline,
+        clock,
+        setting.hidden,
+        shown(machine, device_s, clock, seed, setting.hidden)
+        if setting.sensors
+        else None,
     )
 
 
-def _seen_mm(
-    truth: TruthMachine, commanded: np.ndarray, row: np.ndarray, program: Program
-) -> np.ndarray:
-    """Return the measured target of each row where the tracker stands, (n, 3)."""
-    if not program.target:
-        return truth.seen_mm(commanded)
-    point = np.empty((len(commanded), 3))
-    measured = np.array(program.target)[row]
-    for name in set(program.target):
-        mine = measured == name
-        point[mine] = truth.seen_mm(commanded[mine], name)
-    return point
+def _clock(seed: int, setting: Setting) -> TrackerClock:
+    return setting.clock or tracker_head.random_clock(seed)
 
 
 def _motion(program: Program, setting: Setting) -> Timeline:
@@ -164,7 +171,7 @@ def _sample_times(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the times of all samples on the tracker's clock and in truth."""
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
-    clock = setting.clock or tracker_head.random_clock(seed)
+    clock = _clock(seed, setting)
     begin = setting.defects.late_start_s
     if begin:
         begin += setting.lead_in_s
@@ -178,17 +185,13 @@ def _observed(
 ) -> np.ndarray:
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
     noise = tracker_head.SampleNoise(seed, rate_hz, setting.air).draw(len(point_mm))
+    if setting.hidden:
+        polar = misread(tracker_head.to_spherical(point_mm), setting.hidden)
+        point_mm = tracker_head.to_cartesian(polar)
     polar = tracker_head.measured(
         point_mm, setting.noise_scale * noise, machine.tracker
     )
     return tracker_head.to_cartesian(polar)
-
-
-def _knocked(true_s: np.ndarray, defects: Defects) -> np.ndarray:
-    shift = np.zeros((len(true_s), 3))
-    if defects.knock:
-        shift[true_s >= defects.knock[0]] = defects.knock[1:]
-    return shift
 
 
 def _with_spikes(stream: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
@@ -221,9 +224,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     begin = time.perf_counter()
     try:
         content = load_machine(options.machine)
+        machine = parse_machine(content)
         recording = record(
             content,
-            _program(parse_machine(content), options),
+            _program(machine, options),
             options.seed,
             options.mode,
             Setting(
@@ -231,6 +235,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 rate_hz=options.rate,
                 error_scale=options.error_scale,
                 defects=ROUGH if options.rough else Defects(),
+                hidden=tuple(
+                    parse_hidden(text, options.seed, machine) for text in options.hide
+                ),
             ),
         )
     except SimulatorError as error:
@@ -279,6 +286,13 @@ def _options() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=None, help="Hz")
     parser.add_argument("--error-scale", type=float, default=1.0)
     parser.add_argument("--rough", action="store_true", help="with losses and holds")
+    parser.add_argument(
+        "--hide",
+        action="append",
+        default=[],
+        metavar="EFFECT[*SIZE_UM]",
+        help="an effect that no rigid-body model knows, drawn by the seed",
+    )
     parser.add_argument("--csv", action="store_true", help="tracker.csv, not parquet")
     return parser
 

@@ -115,6 +115,10 @@ class Timeline:
         """Return the first pieces."""
         return self._select(slice(0, count))
 
+    def last(self, count: int) -> Timeline:
+        """Return the last pieces."""
+        return self._select(slice(-count, None))
+
     def since(self, time_s: float) -> Timeline:
         """Forget what ended before a time."""
         piece = int(self._located(np.array([time_s]))[0][0])

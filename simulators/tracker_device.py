@@ -39,6 +39,9 @@ from drivers.tracker.streaming.messages import (
 )
 from simulators.faults import Schedule
 from simulators.frame_damage import FrameDamage
+from simulators.hidden.effect import HiddenEffect
+from simulators.hidden.motion import Motion, continued
+from simulators.hidden.seen import misread, seen_mm
 from simulators.randomness import generator
 from simulators.timeline import Timeline
 from simulators.tracker_head import (
@@ -47,6 +50,8 @@ from simulators.tracker_head import (
     TrackerClock,
     TrackerPose,
     measured,
+    to_cartesian,
+    to_spherical,
 )
 from simulators.truth_machine import TruthMachine
 
@@ -66,6 +71,7 @@ class TrackerParts:
     clock: TrackerClock
     air: Air
     seed: int
+    hidden: tuple[HiddenEffect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +108,8 @@ class TrackerDevice:
         self._beam_locked = True
         self._last_heard_s = -np.inf
         self._next_status_s = 0.0
+        self._newest: Timeline | None = None
+        self._motion: Motion | None = None
 
     @property
     def streaming(self) -> bool:
@@ -218,6 +226,8 @@ class TrackerDevice:
         clock_us = stream.clock_us(index)
         moments_s = parts.clock.true_s(1e-6 * clock_us)
         point = parts.pose.from_table(self._seen_mm(timeline, moments_s))
+        if parts.hidden:
+            point = to_cartesian(misread(to_spherical(point), parts.hidden))
         noise = stream.noise.draw(len(index))
         polar = measured(point, noise, parts.truth.machine.tracker)
         for fault, mask in self._faults.struck("spike", moments_s, number):
@@ -242,14 +252,25 @@ class TrackerDevice:
 
     def _seen_mm(self, timeline: Timeline, moments_s: np.ndarray) -> np.ndarray:
         """Return where the target is that the tracker looks at, the first at first."""
-        truth, position = self._parts.truth, timeline.positions(moments_s)
-        reflectors = truth.machine.reflectors
-        point = truth.seen_mm(position, reflectors[0].name)
+        parts, reflectors = self._parts, self._parts.truth.machine.reflectors
+        targets = np.full(len(moments_s), reflectors[0].name, object)
         rows = timeline.rows(moments_s)
         for fault, mask in self._faults.struck("target", moments_s, rows):
             number = min(max(int(fault.amount), 1), len(reflectors))
-            point[mask] = truth.seen_mm(position[mask], reflectors[number - 1].name)
-        return point
+            targets[mask] = reflectors[number - 1].name
+        motion = self._followed(timeline)
+        return seen_mm(parts.truth, motion, moments_s, targets.tolist(), parts.hidden)
+
+    def _followed(self, timeline: Timeline) -> Motion:
+        """Return the motion so far: play and friction remember it, the board not."""
+        machine = self._parts.truth.machine
+        if not self._parts.hidden:
+            return Motion(machine, timeline)
+        if self._newest is not timeline:
+            known = None if self._motion is None else self._motion.timeline
+            self._motion = Motion(machine, continued(known, timeline))
+            self._newest = timeline
+        return self._motion or Motion(machine, timeline)
 
     def _beam_event(self, raw: RawSamples) -> bytes:
         locked = not raw.status[-1] & StatusBit.BEAM_BROKEN

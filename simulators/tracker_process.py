@@ -11,6 +11,7 @@ from simulators import tracker_head
 from simulators.board import BoardReader
 from simulators.child import LifeLine
 from simulators.faults import Schedule, parse_fault
+from simulators.hidden.drawing import from_json
 from simulators.links import Port, PtyPort, TcpPort
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
@@ -103,6 +104,7 @@ def _device(orders: dict[str, Any], faults: Schedule) -> TrackerDevice:
         tracker_head.random_clock(seed),
         Air(),
         seed,
+        tuple(map(from_json, orders["hidden"])),
     )
     # Patience of a link stays in wall seconds: a faster clock fills a larger buffer.
     buffer_bytes = int(BUFFER_BYTES * max(orders["speed"], 1.0))

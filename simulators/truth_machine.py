@@ -33,6 +33,7 @@ from simulators.turning_motions import (
 # Squareness of an axis: the rotation of its direction of travel about another.
 SQUARENESS = {"C0Y": ("Y", "Z"), "B0Z": ("Z", "Y"), "A0Z": ("Z", "X")}
 _CHUNK = 20_000
+Carried = Mapping[str, np.ndarray]
 _TURN_ABOUT = {"X": "A", "Y": "B", "Z": "C"}
 
 
@@ -126,35 +127,44 @@ class TruthMachine:
         reflector = self.machine.reflector(target)
         return self.point_mm(q, reflector) - self.nominal_point_mm(q, reflector)
 
-    def seen_mm(self, q: np.ndarray, target: str = "") -> np.ndarray:
+    def seen_mm(
+        self, q: np.ndarray, target: str = "", carried: Carried | None = None
+    ) -> np.ndarray:
         """Return where a target is in the frame that the tracker stands on, (n, 3)."""
         return self.point_mm(
-            q, self.machine.reflector(target), self.machine.tracker.stands_on
+            q, self.machine.reflector(target), self.machine.tracker.stands_on, carried
         )
 
     def point_mm(
-        self, q: np.ndarray, reflector: Reflector, frame: str = "workpiece"
+        self,
+        q: np.ndarray,
+        reflector: Reflector,
+        frame: str = "workpiece",
+        carried: Carried | None = None,
     ) -> np.ndarray:
-        """Return where a reflector is, in the frame `workpiece` or `base`, (n, 3)."""
-        return self._in_chunks(q, reflector, frame, actual=True)
+        """Return where a reflector is, in the frame `workpiece` or `base`, (n, 3).
+
+        carried : what joints do beyond their error motions at each of the positions
+        """
+        point = np.empty((len(q), 3))
+        for start in range(0, len(q), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            more = {axis: value[part] for axis, value in (carried or {}).items()}
+            point[part] = self._place(q[part], reflector, frame, more)
+        return point
 
     def nominal_point_mm(
         self, q: np.ndarray, reflector: Reflector, frame: str = "workpiece"
     ) -> np.ndarray:
         """Return where it should be, in the frame `workpiece` or `base`, (n, 3)."""
-        return self._in_chunks(q, reflector, frame, actual=False)
-
-    def _in_chunks(
-        self, q: np.ndarray, reflector: Reflector, frame: str, *, actual: bool
-    ) -> np.ndarray:
         point = np.empty((len(q), 3))
         for start in range(0, len(q), _CHUNK):
             part = slice(start, start + _CHUNK)
-            point[part] = self._place(q[part], reflector, frame, actual=actual)
+            point[part] = self._place(q[part], reflector, frame, None)
         return point
 
     def _place(
-        self, q: np.ndarray, reflector: Reflector, frame: str, *, actual: bool
+        self, q: np.ndarray, reflector: Reflector, frame: str, carried: Carried | None
     ) -> np.ndarray:
         """Return p = T_wb T_bt t in the workpiece, T_bt t in the base.
 
@@ -164,26 +174,43 @@ class TruthMachine:
         point[:, :, 0] = (*reflector.offset_mm, 1.0)
         if reflector.on == "workpiece":
             if frame == "base":
-                table = self._product(
-                    self.machine.workpiece_side, q, np.eye(4), actual=actual
-                )
+                side = self.machine.workpiece_side
+                table = self._product(side, q, np.eye(4), carried)
                 point = np.linalg.solve(table, point)
             return point[:, :3, 0]
         side = self.machine.tool_side
         if frame == "workpiece":
             side = self.machine.workpiece_side + side
-        return self._product(side, q, point, actual=actual)[:, :3, 0]
+        return self._product(side, q, point, carried)[:, :3, 0]
 
     def _product(
-        self, side: tuple[str, ...], q: np.ndarray, last: np.ndarray, *, actual: bool
+        self,
+        side: tuple[str, ...],
+        q: np.ndarray,
+        last: np.ndarray,
+        carried: Carried | None,
     ) -> np.ndarray:
+        """Multiply the joints as they are, or as they should be without `carried`."""
         product = np.broadcast_to(last, (len(q), *last.shape[-2:]))
         for name in reversed(side):
             joint = self.joints[name]
             position = q[:, self.machine.axis_names.index(name)]
-            step = joint.actual(position) if actual else joint.nominal(position)
+            if carried is None:
+                step = joint.nominal(position)
+            else:
+                step = _carried_on(joint.actual(position), carried.get(name))
             product = step @ product
         return product
+
+
+def _carried_on(transform: np.ndarray, motions: np.ndarray | None) -> np.ndarray:
+    """Return transforms with further error motions (n, 6), in mm and rad."""
+    if motions is None:
+        return transform
+    moved = transform.copy()
+    moved[:, :3, :3] = moved[:, :3, :3] @ rotation_matrices(*motions[:, 3:].T)
+    moved[:, :3, 3] += motions[:, :3]
+    return moved
 
 
 def perfect(machine: MachineFile) -> TruthMachine:

@@ -26,6 +26,7 @@ from drivers.tracker.streaming.driver import StreamingTracker
 from simulators import tracker_head
 from simulators.bench import Bench
 from simulators.errors import SimulatorError
+from simulators.hidden.backlash import Backlash
 from simulators.machine_file import parse_machine
 
 LINE = MotionPath(
@@ -155,6 +156,24 @@ def test_the_tracker_sees_what_the_cnc_does(
     # The mean of a second of samples keeps the slow part of the noise.
     np.testing.assert_allclose(seen, expected, atol=5e-3)
     assert np.linalg.norm(running.truth_at(q)) > 5.0
+
+
+def test_the_tracker_sees_what_the_machine_hides(
+    bench: Callable[..., Bench], driven: Callable[..., Any]
+) -> None:
+    hidden = (Backlash("X", 200.0), Backlash("Y", 100.0))
+    running = bench(seed=6, speed=5.0, hidden=hidden, error_scale=0.0)
+    tracker, motion = driven(running)
+    motion.load(LINE)
+    assert drive(motion).state is MotionState.FINISHED
+    tracker.start(500.0)
+    seen = read_for(tracker, 0.5).position_mm.mean(axis=0)
+    machine = parse_machine(running.machine)
+    pose = tracker_head.random_pose(machine, 6)
+    nominal = LINE.position[-1] + machine.reflector().offset_mm
+    off = pose.position_mm + pose.rotation @ seen - nominal
+    # Both axes came from below: they stop short by half of their play.
+    np.testing.assert_allclose(off, [-0.1, -0.05, 0.0], atol=6e-3)
 
 
 def test_a_fast_clock_measures_more_in_a_second(

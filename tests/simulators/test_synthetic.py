@@ -12,6 +12,7 @@ import pytest
 from app.measurement.bundle import read_bundle
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
+from simulators.hidden.setup_step import SetupStep
 from simulators.machine_file import MachineFile
 from simulators.recording import Recording
 from simulators.synthetic import Defects, Setting, record
@@ -182,7 +183,7 @@ def test_a_hold_stands_in_mid_line(recorded: Recorder) -> None:
 
 def test_a_knock_moves_everything_after_it(recorded: Recorder) -> None:
     clean = recorded()
-    knocked = recorded(defects=Defects(knock=(6.0, 0.05, 0.0, 0.0)))
+    knocked = recorded(hidden=(SetupStep(6.0, (50.0, 0.0, 0.0)),))
     off = np.linalg.norm(knocked.position_mm - clean.position_mm, axis=1)
     t = clean.time_s - clean.time_s[0]
     assert off[t < 5.9].max() < 1e-9

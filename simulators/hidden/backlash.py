@@ -1,0 +1,42 @@
+"""Lost motion: the nut has play, the table follows when the screw has crossed it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from simulators.hidden.motion import Motion
+from simulators.tracker_head import TrackerClock
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(HiddenEffect):
+    """Play of an axis in its own direction; positive widths lose motion."""
+
+    name = "backlash"
+    axis: str
+    width_um: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw an axis; half of the width to either side."""
+        return cls(occasion.axis(rng), 2.0 * occasion.size_um)
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Its axis."""
+        return {"axis": self.axis}
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return its width."""
+        del clock
+        return {"width_um": self.width_um}
+
+    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return how far the table is from where the screw is."""
+        table = motion.played_mm(self.axis, 0.5e-3 * self.width_um, time_s)
+        off = table - motion.position_mm(self.axis, time_s)
+        return error_motion(f"E{self.axis}{self.axis}", off)

@@ -1,0 +1,96 @@
+"""Effects by name, at random by seed, and as text for other processes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from simulators.errors import SimulatorError
+from simulators.hidden.backlash import Backlash
+from simulators.hidden.coolant_cycle import CoolantCycle
+from simulators.hidden.effect import HiddenEffect, Occasion
+from simulators.hidden.elastic_sag import ElasticSag
+from simulators.hidden.floating_slide import FloatingSlide
+from simulators.hidden.lateral_backlash import LateralBacklash
+from simulators.hidden.reversal_spike import ReversalSpike
+from simulators.hidden.screw_cyclic import ScrewCyclic
+from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.hidden.setup_step import SetupStep
+from simulators.hidden.table_drift import TableDrift
+from simulators.hidden.thermal_growth import ThermalGrowth
+from simulators.hidden.tracker_eccentricity import TrackerEccentricity
+from simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from simulators.hidden.twist import Twist
+from simulators.hidden.vibration import Vibration
+from simulators.hidden.wavy_guide import WavyGuide
+from simulators.machine_file import MachineFile
+from simulators.randomness import generator
+
+EFFECTS: dict[str, type[HiddenEffect]] = {
+    kind.name: kind
+    for kind in (
+        Backlash,
+        LateralBacklash,
+        ScrewCyclic,
+        ThermalGrowth,
+        TableDrift,
+        ElasticSag,
+        ServoMismatch,
+        ReversalSpike,
+        TrackerEccentricity,
+        TrackerRangeOffset,
+        Vibration,
+        SetupStep,
+        CoolantCycle,
+        WavyGuide,
+        Twist,
+        FloatingSlide,
+    )
+}
+CATALOGUED = tuple(n for n, kind in EFFECTS.items() if kind.in_catalogue)
+_USUAL_UM = 4.0
+UNCATALOGUED = tuple(n for n, kind in EFFECTS.items() if not kind.in_catalogue)
+
+
+def drawn(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
+    """Draw an effect of a name; raises SimulatorError naming those there are."""
+    rng = generator(seed, f"hidden: {name}")
+    return _kind(name).drawn(rng, occasion)
+
+
+def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
+    """Draw the effect of a text `name[*size_um]` for a recording of usual length.
+
+    Raises SimulatorError on an unknown name or a size that is no number.
+    """
+    name, _, size = text.partition("*")
+    try:
+        size_um = float(size or _USUAL_UM)
+    except ValueError as error:
+        raise SimulatorError(f"hidden: {text!r} is not name*size_um") from error
+    return drawn(name, seed, Occasion.usual(machine, size_um))
+
+
+def as_json(effect: HiddenEffect) -> dict[str, Any]:
+    """Return an effect as the content of a JSON object."""
+    return {"name": effect.name, **asdict(effect)}  # type: ignore[call-overload]
+
+
+def from_json(content: Mapping[str, Any]) -> HiddenEffect:
+    """Return the effect of `as_json`; raises SimulatorError on what it is not."""
+    values = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in content.items()
+        if key != "name"
+    }
+    try:
+        return _kind(str(content.get("name"))).__call__(**values)
+    except TypeError as error:
+        raise SimulatorError(f"hidden: {content.get('name')}: {error}") from error
+
+
+def _kind(name: str) -> type[HiddenEffect]:
+    if name not in EFFECTS:
+        raise SimulatorError(f"hidden: no effect {name!r}; there are {list(EFFECTS)}")
+    return EFFECTS[name]

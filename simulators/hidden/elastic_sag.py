@@ -1,0 +1,61 @@
+"""A guide that bends under the carriage that travels on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from simulators.hidden.motion import Motion
+from simulators.tracker_head import TrackerClock
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticSag(HiddenEffect):
+    """−amplitude 4u(1 − u) v: most in mid guide, in proportion to what it bears.
+
+    u : share of the travel along `axis`, the guide; v : along `by`, whose carriage
+        brings the load from one guide to the other
+    """
+
+    name = "elastic-sag"
+    axis: str
+    by: str
+    direction: str
+    amplitude_um: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw guide, carriage and direction.
+
+        The mean over v is straightness, the mean over u a tilt, so that four times the
+        size is needed to move the point by the size about what is rigid.
+        """
+        axis = occasion.axis(rng)
+        by = str(rng.choice([n for n in "XYZ" if n != axis]))
+        amplitude = 4.0 * occasion.size_um * float(rng.choice([-1.0, 1.0]))
+        return cls(axis, by, str(rng.choice(list("XYZ"))), amplitude)
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Guide, carriage and direction."""
+        return {"axis": self.axis, "by": self.by, "direction": self.direction}
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return the sag in mid guide under the whole load."""
+        del clock
+        return {"amplitude_um": self.amplitude_um}
+
+    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the guide's deflection under the carriage."""
+        u, v = (_share(motion, name, time_s) for name in (self.axis, self.by))
+        deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
+        return error_motion(f"E{self.direction}{self.axis}", deflection)
+
+
+def _share(motion: Motion, name: str, time_s: np.ndarray) -> np.ndarray:
+    axis = motion.machine.linear_axes[motion.column(name)]
+    run_mm = motion.position_mm(name, time_s) - axis.min_mm
+    return run_mm / (axis.max_mm - axis.min_mm)

@@ -1,0 +1,47 @@
+"""A slide that floats up on its oil: the faster, the higher."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from simulators.hidden.motion import Motion
+from simulators.tracker_head import TrackerClock
+
+
+@dataclass(frozen=True, slots=True)
+class FloatingSlide(HiddenEffect):
+    """lift v² / (v² + usual²) across an axis, whichever way it goes at v."""
+
+    name = "floating-slide"
+    in_catalogue = False
+    axis: str
+    direction: str
+    lift_um: float
+    usual_mm_s: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw an axis and a direction across it."""
+        axis = occasion.axis(rng)
+        direction = str(rng.choice([d for d in "XYZ" if d != axis]))
+        return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Axis and direction."""
+        return {"axis": self.axis, "direction": self.direction}
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return the lift at high speed."""
+        del clock
+        return {"lift_um": self.lift_um}
+
+    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return how far the oil film carries."""
+        square = motion.derivatives(self.axis, time_s)[0] ** 2
+        lift = square / (square + self.usual_mm_s**2)
+        return error_motion(f"E{self.direction}{self.axis}", 1e-3 * self.lift_um * lift)

@@ -1,0 +1,62 @@
+"""A carriage with play in its guide: friction leans it to one side or the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
+from simulators.hidden.motion import Motion
+from simulators.tracker_head import TrackerClock
+
+_ARM_M = 0.33
+
+
+@dataclass(frozen=True, slots=True)
+class LateralBacklash(HiddenEffect):
+    """Going up the carriage leans by +h, going down by −h.
+
+    motion : the error motion it leans in; half_width : h in µm or µrad
+    turnover_mm : travel after a reversal in which it leans over
+    """
+
+    name = "lateral-backlash"
+    axis: str
+    motion: str
+    half_width: float
+    turnover_mm: float = 0.5
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a straightness or an angle; an angle acts over a third of a metre."""
+        axis = occasion.axis(rng)
+        letter = str(rng.choice([c for c in "XYZABC" if c != axis]))
+        half = occasion.size_um * float(rng.choice([-1.0, 1.0]))
+        if letter in "ABC":
+            half /= _ARM_M
+        return cls(axis, f"E{letter}{axis}", half, float(rng.uniform(0.1, 1.0)))
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Axis and error motion."""
+        return {"axis": self.axis, "motion": self.motion}
+
+    @property
+    def _turns(self) -> bool:
+        return self.motion[1] in "ABC"
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return its half width."""
+        del clock
+        unit = "urad" if self._turns else "um"
+        return {f"half_width_{unit}": self.half_width}
+
+    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return how far it leans, by how much of the play friction has crossed."""
+        half_mm = 0.5 * self.turnover_mm
+        follows = motion.played_mm(self.axis, half_mm, time_s)
+        lean = (motion.position_mm(self.axis, time_s) - follows) / half_mm
+        unit = 1e-6 if self._turns else 1e-3
+        return error_motion(self.motion, unit * self.half_width * lean)

@@ -1,0 +1,112 @@
+"""What the axes have done so far: positions, rates, reversals and lost motion.
+
+Within a piece of a timeline every axis moves in one direction only, so its history is
+told by the pieces' ends: nothing has to be sampled, and the answer does not depend on
+when it is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from simulators.machine_file import MachineFile
+from simulators.timeline import Timeline
+
+_KEPT_PIECES = 4000
+_STANDS_MM = 1e-9
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A timeline of a machine, with the memory that its axes have of it."""
+
+    machine: MachineFile
+    timeline: Timeline
+    _remembered: dict[tuple[str, float], np.ndarray] = field(default_factory=dict)
+
+    def column(self, axis: str) -> int:
+        """Return the column of an axis."""
+        return self.machine.axis_names.index(axis)
+
+    def position_mm(self, axis: str, time_s: np.ndarray) -> np.ndarray:
+        """Return where an axis is commanded to be, (n,)."""
+        return self.timeline.positions(time_s)[:, self.column(axis)]
+
+    def derivatives(
+        self, axis: str, time_s: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return velocity, acceleration and jerk of an axis, (n,) each."""
+        piece = self._piece(time_s)
+        heading = self.timeline.direction[piece, self.column(axis)]
+        return (
+            self.timeline.speeds(time_s) * heading,
+            self.timeline.accelerations(time_s) * heading,
+            self.timeline.jerk[piece] * heading,
+        )
+
+    def played_mm(
+        self, axis: str, half_width_mm: float, time_s: np.ndarray
+    ) -> np.ndarray:
+        """Return the output of the play operator, (n,): what really follows the axis.
+
+        It stays where it is until the axis has crossed the play, whose half is given.
+        At first the axis is in the middle of it.
+        """
+        key = (axis, half_width_mm)
+        if key not in self._remembered:
+            self._remembered[key] = self._played(axis, half_width_mm)
+        before = self._remembered[key][self._piece(time_s)]
+        now = self.position_mm(axis, time_s)
+        return np.clip(before, now - half_width_mm, now + half_width_mm)
+
+    def since_reversal_mm(
+        self, axis: str, time_s: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return travel since an axis last turned back, and its direction since.
+
+        (n,) each; inf and 0 where it has not turned back.
+        """
+        key = (axis, np.inf)
+        if key not in self._remembered:
+            self._remembered[key] = self._turned(axis)
+        travel, sign = self._remembered[key][self._piece(time_s)].T
+        begin = self.timeline.origin[self._piece(time_s), self.column(axis)]
+        return travel + np.abs(self.position_mm(axis, time_s) - begin), sign
+
+    def _piece(self, time_s: np.ndarray) -> np.ndarray:
+        place = np.searchsorted(self.timeline.start_s, time_s, side="right") - 1
+        return np.maximum(place, 0)
+
+    def _played(self, axis: str, half_width_mm: float) -> np.ndarray:
+        begin = self.timeline.origin[:, self.column(axis)]
+        state = np.empty(len(begin))
+        state[0] = begin[0]
+        for k in range(1, len(begin)):
+            low, high = begin[k] - half_width_mm, begin[k] + half_width_mm
+            state[k] = min(max(state[k - 1], low), high)
+        return state
+
+    def _turned(self, axis: str) -> np.ndarray:
+        """Return travel since the reversal as each piece begins, and the sign in it."""
+        begin = self.timeline.origin[:, self.column(axis)]
+        step = np.append(np.diff(begin), 0.0)
+        known = np.zeros((len(begin), 2))
+        travel, sign = np.inf, 0.0
+        for k, move in enumerate(step):
+            heading = float(np.sign(move)) if abs(move) > _STANDS_MM else 0.0
+            if heading and sign and heading != sign:
+                travel = 0.0
+            sign = heading or sign
+            known[k] = travel, sign if travel < np.inf else 0.0
+            travel += abs(float(move))
+        return known
+
+
+def continued(known: Timeline | None, new: Timeline) -> Timeline:
+    """Return a new timeline with what was known of the time before it."""
+    if known is None or known.start_s[0] >= new.start_s[0]:
+        return new
+    past = known.cut(float(new.start_s[0]))
+    return past.last(_KEPT_PIECES).then(new)

@@ -1,0 +1,43 @@
+"""A tracker stand or a table that creeps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion
+from simulators.hidden.motion import Motion
+from simulators.tracker_head import TrackerClock
+
+
+@dataclass(frozen=True, slots=True)
+class TableDrift(HiddenEffect):
+    """All points shift at a steady rate."""
+
+    name = "table-drift"
+    rate_um_per_s: tuple[float, float, float]
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a direction; from begin to end it creeps twice the size."""
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        x, y, z = 2.0 * occasion.size_um / occasion.duration_s * direction
+        return cls((float(x), float(y), float(z)))
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Nothing: there is one."""
+        return {}
+
+    def parameters(self, clock: TrackerClock) -> dict[str, tuple[float, ...]]:
+        """Return the rates."""
+        del clock
+        return {"rate_um_per_s": self.rate_um_per_s}
+
+    def shifted_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+        """Return the rate times the time."""
+        del motion
+        return 1e-3 * np.outer(time_s, self.rate_um_per_s)

@@ -1,0 +1,44 @@
+"""A wrong home distance, or the constant of another reflector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion
+from simulators.tracker_head import TrackerClock
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerRangeOffset(HiddenEffect):
+    """Every range is read too long by the same amount."""
+
+    name = "tracker-range-offset"
+    offset_um: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw a sign.
+
+        Most of it shifts the tracker: eight times the size is needed for its bend to
+        move the point by the size.
+        """
+        return cls(8.0 * occasion.size_um * float(rng.choice([-1.0, 1.0])))
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Nothing: there is one."""
+        return {}
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return the offset."""
+        del clock
+        return {"offset_um": self.offset_um}
+
+    def misread(self, polar: np.ndarray) -> np.ndarray:
+        """Return the offset in every range."""
+        error = np.zeros_like(polar)
+        error[:, 0] = 1e-3 * self.offset_um
+        return error

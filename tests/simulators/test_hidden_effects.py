@@ -1,0 +1,306 @@
+"""Hidden effects: each moves what its physics says, the same at any speed of asking."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simulators import paths, synthetic
+from simulators.bench import Bench
+from simulators.errors import SimulatorError
+from simulators.hidden.backlash import Backlash
+from simulators.hidden.drawing import (
+    CATALOGUED,
+    EFFECTS,
+    as_json,
+    drawn,
+    from_json,
+    parse_hidden,
+)
+from simulators.hidden.effect import HiddenEffect, Occasion
+from simulators.hidden.elastic_sag import ElasticSag
+from simulators.hidden.lateral_backlash import LateralBacklash
+from simulators.hidden.motion import Motion, continued
+from simulators.hidden.reversal_spike import ReversalSpike
+from simulators.hidden.screw_cyclic import ScrewCyclic
+from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.hidden.setup_step import SetupStep
+from simulators.hidden.table_drift import TableDrift
+from simulators.hidden.thermal_growth import ThermalGrowth
+from simulators.hidden.tracker_eccentricity import TrackerEccentricity
+from simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from simulators.hidden.vibration import Vibration
+from simulators.machine_file import MachineFile, parse_machine
+from simulators.profile import Limits
+from simulators.recording import Recording
+from simulators.scenario import load_machine
+from simulators.synthetic import Setting, record
+from simulators.timeline import Program, follow
+from simulators.tracker_head import TrackerClock
+
+FEED_MM_S = 100.0
+CLOCK = TrackerClock(100.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def content() -> dict[str, Any]:
+    return load_machine("demo")
+
+
+@pytest.fixture(scope="module")
+def machine(content: dict[str, Any]) -> MachineFile:
+    return parse_machine(content)
+
+
+def program(rows: list[tuple[float, float, float]]) -> Program:
+    n = len(rows)
+    return Program(np.array(rows), np.full(n, FEED_MM_S), np.full(n, 0.2))
+
+
+THERE_AND_BACK = program(
+    [(50, 50, 50), (250, 50, 50), (50, 50, 50), (50, 200, 50), (150, 200, 50)]
+)
+
+
+def moved_um(
+    content: dict[str, Any], effect: HiddenEffect, way: Program = THERE_AND_BACK
+) -> tuple[np.ndarray, Recording]:
+    """How far a perfect machine's target is from where it would be without."""
+    setting = Setting(error_scale=0.0, noise_scale=0.0, clock=CLOCK)
+    plain = record(content, way, 1, setting=setting)
+    spoilt = record(
+        content,
+        way,
+        1,
+        setting=Setting(
+            error_scale=0.0, noise_scale=0.0, clock=CLOCK, hidden=(effect,)
+        ),
+    )
+    off = spoilt.position_mm - plain.position_mm
+    return 1e3 * off @ plain.pose.rotation.T, spoilt
+
+
+def middle_of(recording: Recording, row: int) -> slice:
+    """The samples in the middle half of the way to a row."""
+    at = np.flatnonzero(recording.row == row)
+    return slice(int(at[len(at) // 4]), int(at[3 * len(at) // 4]))
+
+
+def test_lost_motion_stays_half_a_width_behind(content: dict[str, Any]) -> None:
+    off, recording = moved_um(content, Backlash("X", 8.0))
+    there, back = (off[middle_of(recording, row), 0] for row in (1, 2))
+    np.testing.assert_allclose(there, -4.0, atol=1e-6)
+    np.testing.assert_allclose(back, 4.0, atol=1e-6)
+    # What crosses the play first is the first hundredths of a second of the motion.
+    np.testing.assert_allclose(off[middle_of(recording, 3), 0], 4.0, atol=1e-6)
+    assert np.abs(off[:, 1:]).max() < 1e-6
+
+
+def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked(
+    machine: MachineFile,
+) -> None:
+    timeline = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
+    motion = Motion(machine, timeline)
+    time_s = np.linspace(0.0, timeline.end_s + 1.0, 40_001)
+    table = motion.played_mm("X", 0.5, time_s)
+    stepped, state = np.empty(len(time_s)), 50.0
+    for k, screw in enumerate(motion.position_mm("X", time_s)):
+        state = min(max(state, screw - 0.5), screw + 0.5)
+        stepped[k] = state
+    np.testing.assert_allclose(table, stepped, atol=1e-9)
+    some = np.sort(np.random.default_rng(1).choice(len(time_s), 50))
+    np.testing.assert_array_equal(motion.played_mm("X", 0.5, time_s[some]), table[some])
+
+
+def test_a_motion_that_goes_on_remembers_what_was_before(machine: MachineFile) -> None:
+    first = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
+    way = program([(150, 200, 90)])
+    later = first.end_s + 5.0
+    new = (
+        first.since(later)
+        .cut(later)
+        .then(follow(way, THERE_AND_BACK.position[-1], later, Limits()))
+    )
+    time_s = np.linspace(later, later + 1.0, 50)
+    forgot, knows = Motion(machine, new), Motion(machine, continued(first, new))
+    assert forgot.played_mm("X", 0.5, time_s)[-1] == pytest.approx(150.0)
+    assert knows.played_mm("X", 0.5, time_s)[-1] == pytest.approx(149.5)
+    assert knows.since_reversal_mm("X", time_s)[0][-1] == pytest.approx(100.0)
+    np.testing.assert_allclose(
+        knows.position_mm("Z", time_s), forgot.position_mm("Z", time_s)
+    )
+
+
+def test_a_carriage_leans_to_the_side_it_comes_from(content: dict[str, Any]) -> None:
+    off, recording = moved_um(content, LateralBacklash("X", "EYX", 3.0))
+    np.testing.assert_allclose(off[middle_of(recording, 1), 1], 3.0, atol=1e-6)
+    np.testing.assert_allclose(off[middle_of(recording, 2), 1], -3.0, atol=1e-6)
+
+
+def test_a_lean_about_an_axis_acts_on_the_arm_beyond_it(
+    content: dict[str, Any], machine: MachineFile
+) -> None:
+    off, recording = moved_um(content, LateralBacklash("X", "EAX", 10.0))
+    x, y, z = machine.reflector().offset_mm
+    there = middle_of(recording, 1)
+    arm = np.array([0.0, -(50.0 + z), 50.0 + y])  # w-X-b-Y-Z-t: Y and Z are beyond X
+    np.testing.assert_allclose(off[there].mean(axis=0), 10e-3 * arm, atol=1e-4)
+    assert x == 20.0
+
+
+def test_a_screw_errs_alike_every_turn(content: dict[str, Any]) -> None:
+    off, recording = moved_um(content, ScrewCyclic("X", 10.0, 3.0, 0.5))
+    there = middle_of(recording, 1)
+    x = recording.commanded_mm[there, 0]
+    np.testing.assert_allclose(
+        off[there, 0], 3.0 * np.sin(2 * np.pi * x / 10.0 + 0.5), atol=1e-6
+    )
+
+
+def test_a_scale_grows_as_it_warms_and_its_sensor_lags(
+    content: dict[str, Any],
+) -> None:
+    effect = ThermalGrowth("X", 10.0, 2.0, 10.0, 5.0)
+    off, recording = moved_um(content, effect)
+    true_s = CLOCK.true_s(recording.time_s)
+    expected = 10.0 * 2.0 * -np.expm1(-true_s / 10.0) * recording.commanded_mm[:, 0]
+    np.testing.assert_allclose(off[:, 0], 1e-3 * expected, atol=1e-6)
+    told = recording.temperatures
+    assert told is not None
+    rise = told.celsius[:, 0] - 20.0
+    np.testing.assert_allclose(told.celsius[:, 1:], 20.0, atol=0.1)
+    steps = np.linspace(0.0, 20.0, 20_001)
+    scale = -2.0 * np.expm1(-steps / 10.0)
+    sensor = np.zeros(len(steps))
+    for k in range(1, len(steps)):
+        sensor[k] = sensor[k - 1] + 1e-3 / 5.0 * (scale[k - 1] - sensor[k - 1])
+    at = CLOCK.true_s(told.time_s)
+    assert np.abs(rise - np.interp(at, steps, sensor))[at < 20.0].max() < 0.1
+
+
+def test_a_creeping_table_and_a_knock_shift_all_axes_alike(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, TableDrift((0.1, 0.0, -0.2)))
+    true_s = CLOCK.true_s(recording.time_s)
+    np.testing.assert_allclose(off, np.outer(true_s, [0.1, 0.0, -0.2]), atol=1e-6)
+    knock = SetupStep(4.0, (3.0, 2.0, 1.0))
+    off, recording = moved_um(content, knock)
+    after = CLOCK.true_s(recording.time_s) >= 4.0
+    np.testing.assert_allclose(off[after], np.tile([3.0, 2.0, 1.0], (after.sum(), 1)))
+    np.testing.assert_allclose(off[~after], 0.0, atol=1e-9)
+    assert knock.truth(CLOCK)["parameters"]["t_s"]["value"] == 104.0
+
+
+def test_a_guide_bends_most_in_its_middle_and_by_what_it_bears(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, ElasticSag("X", "Y", "Z", 12.0))
+    u, v = recording.commanded_mm[:, 0] / 500.0, recording.commanded_mm[:, 1] / 400.0
+    np.testing.assert_allclose(off[:, 2], -12.0 * 4 * u * (1 - u) * v, atol=1e-6)
+
+
+def test_a_slow_servo_lags_by_its_speed_in_ramps_too(
+    content: dict[str, Any], machine: MachineFile
+) -> None:
+    effect = ServoMismatch("X", 1.0)
+    off, recording = moved_um(content, effect)
+    np.testing.assert_allclose(off[middle_of(recording, 1), 0], -100.0, atol=1e-3)
+    np.testing.assert_allclose(off[middle_of(recording, 2), 0], 100.0, atol=1e-3)
+    motion = Motion(machine, recording.timeline)
+    time_s = np.arange(0.9, 4.5, 1e-5)
+    command = motion.position_mm("X", time_s)
+    servo = np.empty(len(time_s))
+    servo[0] = command[0]
+    for k in range(1, len(time_s)):
+        mean = 0.5 * (command[k] + command[k - 1])
+        servo[k] = mean + (servo[k - 1] - mean) * np.exp(-1e-5 / 1e-3)
+    found = effect.carried(motion, time_s)["X"][:, 0]
+    np.testing.assert_allclose(found, servo - command, atol=5e-5)
+
+
+def test_a_spike_fades_with_the_travel_since_the_reversal(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, ReversalSpike("X", "Z", 5.0, 20.0))
+    assert np.abs(off[recording.row <= 1]).max() < 1e-9
+    back = recording.row == 2
+    gone = 250.0 - recording.commanded_mm[back, 0]
+    moving = gone > 0.0
+    expected = -5.0 * np.exp(-gone / 20.0)
+    np.testing.assert_allclose(off[back, 2][moving], expected[moving], atol=1e-6)
+
+
+def test_the_tracker_misreads_what_its_circles_and_home_distance_say(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, TrackerRangeOffset(30.0))
+    beam = (recording.position_mm @ recording.pose.rotation.T) / np.linalg.norm(
+        recording.position_mm, axis=1, keepdims=True
+    )
+    np.testing.assert_allclose(off, 30.0 * beam, atol=0.01)
+    off, recording = moved_um(content, TrackerEccentricity("azimuth", 20.0, 0.3))
+    x, y, _ = recording.position_mm.T
+    turn = 20e-6 * np.sin(np.arctan2(y, x) + 0.3)
+    expected = 1e3 * turn * np.hypot(x, y)
+    np.testing.assert_allclose(
+        np.linalg.norm(off, axis=1), np.abs(expected), rtol=1e-3, atol=1e-3
+    )
+
+
+def test_a_vibration_keeps_its_frequency_on_the_trackers_clock(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, Vibration("Y", 12.5, 2.0))
+    time_s = recording.time_s - recording.time_s[0]
+    share = np.exp(-2j * np.pi * 12.5 * time_s) @ off[:, 1] / len(time_s)
+    assert 2.0 * abs(share) == pytest.approx(2.0, rel=0.01)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_is_drawn_alike_by_its_seed_and_travels_as_text(
+    name: str, machine: MachineFile, content: dict[str, Any]
+) -> None:
+    occasion = Occasion(machine, 3.0, 60.0, FEED_MM_S, 700.0)
+    effect = drawn(name, 4, occasion)
+    assert drawn(name, 4, occasion) == effect
+    assert from_json(json.loads(json.dumps(as_json(effect)))) == effect
+    assert any(drawn(name, seed, occasion) != effect for seed in range(5, 9))
+    truth = effect.truth(CLOCK)
+    assert truth["name"] == name
+    assert all("value" in entry for entry in truth["parameters"].values())
+    way = paths.chord_path(machine, 2, 12, 60.0 * FEED_MM_S)
+    off, _ = moved_um(content, effect, way)
+    off -= off.mean(axis=0)
+    assert 0.3 < np.linalg.norm(off, axis=1).max() < 40.0
+
+
+def test_bad_effects_are_refused_by_name(machine: MachineFile) -> None:
+    with pytest.raises(SimulatorError, match="backlsh"):
+        parse_hidden("backlsh", 1, machine)
+    with pytest.raises(SimulatorError, match="size_um"):
+        parse_hidden("backlash*big", 1, machine)
+    with pytest.raises(SimulatorError, match="depth"):
+        from_json({"name": "backlash", "depth": 3})
+    assert parse_hidden("backlash*2", 1, machine).parameters(CLOCK) == {"width_um": 4.0}
+    assert len(CATALOGUED) == 12
+
+
+def test_a_bundle_tells_the_truth_of_what_was_hidden(tmp_path: Path) -> None:
+    out = tmp_path / "bundle"
+    options = ["--rows", "5", "--hide", "backlash*3", "--hide", "table-drift"]
+    assert synthetic.main([str(out), "--seed", "2", *options]) == 0
+    effects = json.loads((out / "truth.json").read_text())["effects"]
+    assert [e["name"] for e in effects] == ["backlash", "table-drift"]
+    assert effects[0]["parameters"]["width_um"]["value"] == 6.0
+    assert synthetic.main([str(out), "--hide", "nothing-known"]) == 2
+
+
+def test_a_bench_knows_what_it_hides() -> None:
+    bench = Bench(seed=5, hidden=(Backlash("Y", 6.0), TableDrift((0.1, 0.0, 0.0))))
+    names = [e["name"] for e in bench.hidden_truth()]
+    assert names == ["backlash", "table-drift"]
