@@ -45,8 +45,13 @@ def _effect(effect: dict[str, Any]) -> str:
     keys = [
         effect[k] for k in ("name", "axis", "motion", "by", "circle") if k in effect
     ]
-    numbers = ", ".join(
-        f"{name} {m['value']:.3g} ± {2.0 * m['uncertainty']:.2g}"
-        for name, m in effect["parameters"].items()
-    )
-    return f"{' '.join(keys)}: {numbers} (k = 2)"
+    numbers = [_number(name, m) for name, m in effect["parameters"].items()]
+    return f"{' '.join(keys)}: {', '.join(numbers)} (k = 2)"
+
+
+def _number(name: str, measured: dict[str, Any]) -> str:
+    values, sigmas = measured["value"], measured["uncertainty"]
+    if not isinstance(values, list):
+        values, sigmas = [values], [sigmas]
+    told = [f"{v:.3g} ± {2.0 * s:.2g}" for v, s in zip(values, sigmas, strict=True)]
+    return f"{name} {', '.join(told)}"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
 from app.discovery.discover import Discovery, Finding
 from app.discovery.where import Segment, Where
-from app.kinematics.effects.catalogue import Candidate
+from app.kinematics.effects.catalogue import Candidate, Measured
+from app.kinematics.symbols import is_turn
 
 SCHEMA = "discovery/1"
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
@@ -48,10 +50,7 @@ def effect_json(finding: Finding) -> dict[str, Any]:
     words = finding.family.signature
     return {
         **_key(finding.candidate),
-        "parameters": {
-            name: {"value": m.value, "uncertainty": m.uncertainty}
-            for name, m in finding.parameters.items()
-        },
+        "parameters": parameters_json(finding.parameters),
         "evidence": {
             "log_bayes_factor": finding.evidence.log_bayes,
             "held_out_log_score": finding.evidence.held_out,
@@ -62,6 +61,20 @@ def effect_json(finding: Finding) -> dict[str, Any]:
         "looks_like": words.looks_like,
         "remedy": words.remedy,
     }
+
+
+def parameters_json(found: Mapping[str, Measured]) -> dict[str, Any]:
+    """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
+    stated: dict[str, Any] = {}
+    for name, m in found.items():
+        whole, vector, _ = name.partition("[")
+        if not vector:
+            stated[name] = {"value": m.value, "uncertainty": m.uncertainty}
+            continue
+        parts = stated.setdefault(whole, {"value": [], "uncertainty": []})
+        parts["value"].append(m.value)
+        parts["uncertainty"].append(m.uncertainty)
+    return stated
 
 
 def _unnamed_json(finding: Finding) -> dict[str, Any]:
@@ -108,7 +121,10 @@ def described(finding: Finding) -> str:
 
 
 def _key(candidate: Candidate) -> dict[str, str]:
-    return {"name": candidate.family, **candidate.keys}
+    key = {"name": candidate.family, **candidate.keys}
+    if "motion" in candidate.keys:
+        key["unit"] = "urad" if is_turn(candidate.keys["motion"]) else "um"
+    return key
 
 
 def _segment_json(segment: Segment) -> dict[str, Any]:

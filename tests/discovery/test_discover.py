@@ -4,14 +4,14 @@ import pytest
 
 from app.discovery.discover import discover
 from app.discovery.discovery_json import discovery_json
-from simulators.synthetic import Defects, Setting
+from simulators.hidden.setup_step import SetupStep
+from simulators.synthetic import Setting
 
 
 @pytest.fixture(scope="module")
 def knocked(record):
     """A Run in the middle of which the tracker's mount is knocked by 5 µm."""
-    knock = (40.0, 0.004, -0.003, 0.0)
-    setting = Setting(defects=Defects(knock=knock))
+    setting = Setting(hidden=(SetupStep(40.0, (4.0, -3.0, 0.0)),))
     return discover(record(11, rows=60, setting=setting)[0])
 
 
@@ -33,7 +33,7 @@ def test_a_knock_is_named_with_its_moment_and_size(knocked):
     said = found.parameters
     begin = knocked.scene.run.tracker.device_time_s[0]
     assert abs(said["t_s"].value - begin - 40.0) < 0.1
-    truth = {"step_x_um": 4.0, "step_y_um": -3.0, "step_z_um": 0.0}
+    truth = {"step_um[x]": 4.0, "step_um[y]": -3.0, "step_um[z]": 0.0}
     for name, value in truth.items():
         assert abs(said[name].value - value) < 3.0 * said[name].uncertainty
         assert said[name].uncertainty < 0.5
@@ -58,6 +58,7 @@ def test_the_file_states_what_the_contract_asks(knocked, clean):
     (effect,) = content["effects"]
     assert effect["name"] == "setup-step"
     assert set(effect["parameters"]["t_s"]) == {"value", "uncertainty"}
+    assert len(effect["parameters"]["step_um"]["uncertainty"]) == 3
     assert effect["indistinguishable_from"] == []
     assert set(content["gap"]) == {"unit", "before", "after", "noise_floor", "on"}
     assert content["unnamed"] == []

@@ -91,8 +91,8 @@ class LateralBacklashFamily(Family):
         covariance: Float64[np.ndarray, "1 1"],
         value_sigma: float,
     ) -> dict[str, Measured]:
-        """Return half the difference between both directions."""
+        """Return half the difference between both directions, in µm or µrad."""
         turn = is_turn(candidate.keys["motion"])
-        scale, unit = (1e6, "urad") if turn else (1e3, "um")
+        scale = 1e6 if turn else 1e3
         sigma = float(np.sqrt(covariance[0, 0]))
-        return {f"half_width_{unit}": Measured(scale * float(theta[0]), scale * sigma)}
+        return {"half_width": Measured(scale * float(theta[0]), scale * sigma)}

@@ -86,7 +86,7 @@ class SetupStepFamily(Family):
         """Return the moment and the step."""
         sigma = np.sqrt(np.diag(covariance))
         steps = {
-            f"step_{a}_um": Measured(float(t) * 1e3, float(s) * 1e3)
+            f"step_um[{a}]": Measured(float(t) * 1e3, float(s) * 1e3)
             for a, t, s in zip(_AXES, theta, sigma, strict=True)
         }
         return {"t_s": Measured(candidate.value or 0.0, value_sigma), **steps}

@@ -73,6 +73,6 @@ class TableDriftFamily(Family):
         """Return the rates."""
         sigma = np.sqrt(np.diag(covariance))
         return {
-            f"rate_{a}_um_per_s": Measured(float(t) * 1e3, float(s) * 1e3)
+            f"rate_um_per_s[{a}]": Measured(float(t) * 1e3, float(s) * 1e3)
             for a, t, s in zip(_AXES, theta, sigma, strict=True)
         }
