@@ -31,7 +31,7 @@ LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
 LONGEST_S = 3600.0
 _FIRST_TRY_S = 60.0
-_TRIES = 7
+_TRIES = 5
 _CLOSE = 0.93  # a plan that would be shorter by less is not tried
 
 

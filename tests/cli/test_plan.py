@@ -82,7 +82,7 @@ def test_points_are_planned_for_standstills(machine_file, tmp_path, summary):
 def test_a_target_is_reached_in_no_more_time_than_it_takes(
     machine_file, tmp_path, summary
 ):
-    options = ["--target-um", "5", "--control", "linuxcnc", "--json"]
+    options = ["--target-um", "5", "--minutes", "2", "--control", "linuxcnc", "--json"]
     assert run(["plan", str(machine_file), "-o", str(tmp_path), *options]) == 0
     said = summary()
     assert said["target"] == {

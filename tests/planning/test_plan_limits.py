@@ -74,7 +74,7 @@ ANY = {
 
 
 @given(**ANY)
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=5)
 def test_every_plan_passes_an_independent_checker_or_is_refused(
     planner, mill, workspace, kind, seed, feed
 ):
