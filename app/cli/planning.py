@@ -44,6 +44,10 @@ def _print_plan(document: Mapping[str, Any], files: Sequence[str]) -> None:
         for unit, shown in (("um", "µm"), ("urad", "µrad"))
         if f"uncertainty_{unit}" in at
     ]
+    rows += [
+        (f"lag of {axis}", f"{2e3 * at['uncertainty_ms']:.1f}", "µs")
+        for axis, at in predicted["servo_mismatch"].items()
+    ]
     name = document["machine"]["name"]
     columns = ("error", "predicted U (k = 2)", "")
     print_table(f"What a measurement of {name} will leave", columns, rows)

@@ -23,17 +23,35 @@ from app.estimation.rehearsal import EXPECTED_NOISE, usual_stands_mm
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision
 from app.kinematics.effects.base import standstill
+from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
 from app.planning.line_outlook import LineOutlook
-from app.planning.outlook import ExpectedNoise
+from app.planning.outlook import ExpectedNoise, Outlook, inverse
 from app.planning.point_outlook import PointOutlook
 from app.planning.workspace import Workspace
 
 INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
 _ANY_POSE = (1e2, 1e-1)  # mm and rad: nobody knows where the tracker stands
+_ANY_LAG_S = 1e-3  # of an axis behind its command
 _JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
+
+
+def mismatch_sigma_s(outlook: Outlook) -> dict[str, float]:
+    """Return how well each axis' lag against the mean of all is known, by axis.
+
+    The lag that all have in common only makes a line late, which its own unknown phase
+    takes up. Nothing where the outlook has no lags.
+    """
+    effects = [e for e in outlook.model.effects if isinstance(e, ServoMismatch)]
+    if not effects:
+        return {}
+    at = [outlook.model.slices[e.name].start for e in effects]
+    own = inverse(outlook.precision)[np.ix_(at, at)]
+    against_mean = np.eye(len(at)) - 1.0 / len(at)
+    sigma = np.sqrt(np.diag(against_mean @ own @ against_mean.T))
+    return {e.axis.name: float(v) for e, v in zip(effects, sigma, strict=True)}
 
 
 class _Believed(TypedDict):
@@ -68,11 +86,14 @@ def line_outlook(
     stand_mm: NDArray[np.float64],
     *,
     perpendicular_only: bool = False,
+    dynamic: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
     strength: Mapping[str, float] | None = None,
 ) -> LineOutlook:
     """Return what is believed before the first line of a machine's straight axes.
 
+    dynamic : each axis may lag behind its command by more than the others, which lines
+        of several feeds tell from errors that do not depend on the feed
     strength : of the prior, by the effect's name, where a live estimate has found it
     """
     part = linear_part(machine)
@@ -80,7 +101,9 @@ def line_outlook(
         noise = replace(noise, along_sigma_mm=np.inf)
     target = machine.target()
     offset = np.array([target.offset_mm], np.float64)
-    return LineOutlook(**_believed(part, offset, target, stand_mm, noise, strength))
+    lags = tuple(ServoMismatch(axis) for axis in part.linear_axes) if dynamic else ()
+    believed = _believed(part, offset, target, stand_mm, noise, strength, lags)
+    return LineOutlook(**believed)
 
 
 def point_outlook(
@@ -104,10 +127,11 @@ def _believed(
     stand_mm: NDArray[np.float64],
     noise: NoiseModel,
     strength: Mapping[str, float] | None,
+    lags: tuple[ServoMismatch, ...] = (),
 ) -> _Believed:
     motions, _ = identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = with_half_widths(motions)
-    model = motions.with_effects(_pose_of(machine))
+    model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
     pose = np.diag(np.repeat(np.array(_ANY_POSE) ** -2.0, 3))
     prior = usual_precision(motions, strength or usual_strength(motions))
@@ -116,7 +140,7 @@ def _believed(
     return _Believed(
         model=model,
         target=target,
-        precision=block_diag(prior, pose),
+        precision=block_diag(prior, np.eye(len(lags)) / _ANY_LAG_S**2, pose),
         gram=gram,
         stand_mm=stand_mm,
         noise=_expected(noise, machine.tracker.rate_hz),

@@ -45,6 +45,10 @@ def plan_document(planned: Planned) -> dict[str, Any]:
             "volumetric_uncertainty_um": planned.expanded_um / 2.0,
             "expanded_volumetric_uncertainty_um": planned.expanded_um,
             "errors": _errors(planned),
+            "servo_mismatch": {
+                axis: {"uncertainty_ms": 1e3 * sigma}
+                for axis, sigma in planned.lag_sigma_s.items()
+            },
         },
         "target": None
         if target_um is None

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from app.errors import PlanningError
 from app.estimation.forecast import Forecast, forecast
-from app.jobs.outlooks import line_outlook, linear_part, point_outlook, stand_of
+from app.jobs.outlooks import (
+    line_outlook,
+    linear_part,
+    mismatch_sigma_s,
+    point_outlook,
+    stand_of,
+)
 from app.kinematics.machine import Machine
 from app.planning.configurations import Configurations
 from app.planning.corner_path import corner_path
@@ -80,6 +86,7 @@ class Planned:
     """A plan and what it will leave unknown.
 
     stand_mm : of the tracker; time_s : (rows,) at which each row is done
+    lag_sigma_s : of each axis behind the others, where there are several feeds
     """
 
     machine: Machine
@@ -88,6 +95,7 @@ class Planned:
     stand_mm: NDArray[np.float64]
     time_s: NDArray[np.float64]
     forecast: Forecast
+    lag_sigma_s: dict[str, float]
 
     @property
     def duration_s(self) -> float:
@@ -199,16 +207,19 @@ class _Attempt:
                 f"the first target of {self.machine.name} does not move while the "
                 "rotary axes stand; state one on the tool first, or use mode standstill"
             )
+        return self._line_planner().plan(budget_s, seed=self.request.seed)
+
+    def _line_planner(self) -> Planner:
+        request = self.request
         outlook = line_outlook(
             self.machine,
             self.stand_mm,
-            perpendicular_only=self.request.perpendicular_only,
+            perpendicular_only=request.perpendicular_only,
+            dynamic=len(request.feeds_mm_min) > 1,
         )
-        request = self.request
-        planner = Planner(
+        return Planner(
             self.machine, outlook, request.workspace, self.drive, request.feeds_mm_min
         )
-        return planner.plan(budget_s, seed=request.seed)
 
     def _points(self, budget_s: float) -> Path | Configurations:
         """Return a block of points for each target that moves, one after another."""
@@ -255,7 +266,13 @@ class _Attempt:
             self.stand_mm,
             self._times_s(commanded),
             found,
+            self._lags(commanded),
         )
+
+    def _lags(self, commanded: Path | Configurations) -> dict[str, float]:
+        if self.request.mode != "otf" or len(self.request.feeds_mm_min) == 1:
+            return {}
+        return mismatch_sigma_s(self._line_planner().measured(commanded).outlook)
 
     def _times_s(self, commanded: Path | Configurations) -> NDArray[np.float64]:
         feed = np.full(len(commanded), self._feed)

@@ -7,11 +7,12 @@ the path are used, that direction tells nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from app.kinematics.effects.base import Conditions, Surroundings
 from app.planning.motion_times import Drive
 from app.planning.outlook import Outlook
 from drivers.interfaces.records import Path
@@ -39,6 +40,7 @@ class LineOutlook(Outlook):
             -1, begin.shape[1]
         )
         at = self.conditions(places, np.repeat(np.sign(step), _PLACES, axis=0))
+        at = replace(at, around=self._around(at, begin, end, feed_mm_min, drive))
         direction = np.repeat(self._directions(begin, end), _PLACES, axis=0)
         weight = np.sqrt(np.repeat(seconds, _PLACES) / _PLACES)
         root = weight[:, None, None] * self.roots(at, direction)
@@ -84,6 +86,29 @@ class LineOutlook(Outlook):
     ) -> Float64[np.ndarray, "n a"]:
         """Return none: two lines meet in a stop, and no exact optimum is known."""
         return np.empty((0, len(here)))
+
+    def _around(
+        self,
+        at: Conditions,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: Float64[np.ndarray, " n"],
+        drive: Drive,
+    ) -> Surroundings:
+        """Return how fast each axis moves, for effects that depend on it.
+
+        Every axis is taken to have reversed where its line begins.
+        """
+        length = np.maximum(drive.length(begin, end), 1e-9)
+        rate = (end - begin) / length[:, None] * (feed_mm_min / 60.0)[:, None]
+        rate, first = (np.repeat(v, _PLACES, axis=0) for v in (rate, begin))
+        return Surroundings(
+            rate,
+            np.full(len(at), 1.0 / _PLACES),
+            np.abs(at.position_mm - first),
+            at.point_mm - self.stand_mm,
+            np.eye(3),
+        )
 
     def _directions(
         self, begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]

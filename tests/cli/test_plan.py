@@ -101,6 +101,17 @@ def test_a_target_out_of_reach_in_the_minutes_says_how_far_they_come(
     assert "the target of 0.5 µm is out of reach" in capsys.readouterr().out
 
 
+def test_several_feeds_say_how_well_the_lags_of_the_axes_will_be_told(
+    machine_file, tmp_path, summary
+):
+    feeds = ["--feed", "3000", "--feed", "9000", "--minutes", "1"]
+    arguments = ["-o", str(tmp_path), *feeds, "--control", "linuxcnc", "--json"]
+    assert run(["plan", str(machine_file), *arguments]) == 0
+    lags = summary()["predicted"]["servo_mismatch"]
+    assert set(lags) == {"X", "Y", "Z"}
+    assert all(0.0 < lag["uncertainty_ms"] < 0.3 for lag in lags.values())
+
+
 def test_a_corner_path_is_judged_like_a_plan(machine_file, tmp_path, summary):
     options = ["--corner-path", "--perpendicular-only", "--control", "linuxcnc"]
     arguments = ["plan", str(machine_file), "-o", str(tmp_path), *options, "--json"]

@@ -6,12 +6,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from app.jobs.outlooks import line_outlook, mismatch_sigma_s
 from app.numerics.design_criteria import Belief
 from app.planning.corner_path import corner_path
 from app.planning.leg_choice import gains
+from app.planning.motion_times import drive_of
 from app.planning.outlook import inverse
 from app.planning.paths import line_times_s
+from app.planning.planner import Planner
 from app.planning.short_order import short_order
+from app.planning.workspace import Workspace
 from drivers.interfaces.records import Path
 
 
@@ -83,6 +87,18 @@ def test_several_feeds_have_their_share_of_the_lines(planner, mill):
     path = planner(mill, feeds=(3000.0, 6000.0, 12_000.0)).plan(120.0)
     counts = [(path.feed_mm_min[1:] == feed).sum() for feed in (3000, 6000, 12_000)]
     assert max(counts) - min(counts) <= 1
+
+
+def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
+    outlook = line_outlook(mill, np.array([250.0, -900.0, 100.0]), dynamic=True)
+    drive = drive_of(mill, acceleration_mm_s2=1000.0, dwell_s=0.4)
+
+    def known(*feeds):
+        made = Planner(mill, outlook, Workspace(), drive, feeds)
+        lags = mismatch_sigma_s(made.measured(made.plan(120.0)).outlook)
+        return np.mean(list(lags.values()))
+
+    assert known(3000.0, 6000.0, 12_000.0) < 0.95 * known(6000.0)
 
 
 def test_after_some_lines_the_rest_is_planned_from_where_the_machine_is(planner, mill):
