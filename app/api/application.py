@@ -16,6 +16,7 @@ from app.api import (
     jobs,
     machine,
     nc_programs,
+    plans,
     problems,
     runs,
 )
@@ -39,6 +40,10 @@ is the hard-wired circuit of the machine.
 """
 _TAGS = [
     {"name": "jobs", "description": "Measuring and analysing."},
+    {
+        "name": "plans",
+        "description": "What to measure, and what that will tell.",
+    },
     {"name": "results", "description": "Error tables, report."},
     {"name": "runs", "description": "What was recorded, as measurement bundles."},
     {"name": "machines", "description": "The machine and its devices."},
@@ -102,6 +107,8 @@ def _api() -> APIRouter:
         grades.router,
         nc_programs.router,
         nc_programs.dialects,
+        plans.router,
+        plans.checks,
         runs.router,
         machine.machines,
         machine.system,

@@ -84,7 +84,7 @@ def get_plan_grade(
     job = service.store.get(job_id)
     plan = service.store.plan(job.id)
     if plan is None:
-        raise NotFound(f"job {job_id} analyses a Run; its result states the grade")
+        raise NotFound(f"job {job_id} ({job.kind}) commands nothing to be graded")
     if service.machine is None:
         raise NotFound("the service has no machine file to grade the plan with")
     found = graded(

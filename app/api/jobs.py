@@ -155,6 +155,8 @@ def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
     """Return what the job commands, or what the Run it analyses was commanded."""
     job = service.store.get(job_id)
     plan = service.store.plan(job_id)
+    if plan is None and job.run_id is None:
+        raise NotFound(f"job {job_id} ({job.state}) has no plan")
     if plan is None:
         plan = service.runs.get(job.run_id or "").plan
     return PlanOut(**{**plan, "target_um": job.target_um})

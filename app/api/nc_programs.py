@@ -31,7 +31,7 @@ Dialect = Annotated[
         examples=["heidenhain"],
     ),
 ]
-_PROGRAM: dict[int | str, dict[str, Any]] = {
+PROGRAM: dict[int | str, dict[str, Any]] = {
     200: {"content": {"text/plain": {"schema": {"type": "string"}}}}
 }
 
@@ -63,7 +63,7 @@ def list_nc_dialects() -> DialectList:
     "/{job_id}/nc-program",
     operation_id="download_nc_program",
     response_class=PlainTextResponse,
-    responses={**answers(404, 422), **_PROGRAM},
+    responses={**answers(404, 422), **PROGRAM},
 )
 def download_nc_program(
     job_id: str, dialect: Dialect, service: ServiceDep
@@ -77,7 +77,7 @@ def download_nc_program(
     job = service.store.get(job_id)
     plan = service.store.plan(job.id)
     if plan is None:
-        raise NotFound(f"job {job_id} analyses a Run; it commands no path of its own")
+        raise NotFound(f"job {job_id} ({job.kind}) commands no path of its own")
     if service.machine is None:
         raise NotFound("the service has no machine file to check the path against")
     return program_response(commanded_from_plan(plan), service.machine, dialect)

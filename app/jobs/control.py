@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from typing import Any
 
 import structlog
 
@@ -113,13 +114,13 @@ class Control:
                 self._changed.wait()
         self.checkpoint()
 
-    def compute(self, computation: Computation) -> None:
-        """Wait for a computation, which ends when the job is called off."""
+    def compute(self, computation: Computation) -> Any:
+        """Return what a computation gives; it ends when the job is called off."""
         with self._changed:
             self._computation = computation
         try:
             self.checkpoint()
-            computation.result()
+            return computation.result()
         except Aborted:
             self.checkpoint()
             raise

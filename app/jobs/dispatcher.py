@@ -11,15 +11,17 @@ from dataclasses import dataclass, replace
 
 import structlog
 
-from app.errors import IllegalTransition
+from app.errors import IllegalTransition, NotFound
 from app.jobs.control import Control
 from app.jobs.errors import CellDown, NoMachine, QueueFull
 from app.jobs.feed import Feed
-from app.jobs.job import Failure, Job, Kind, NewJob, Stage
+from app.jobs.job import Failure, Job, Json, Kind, NewJob, Stage
+from app.jobs.plan_orders import driven_plan
 from app.jobs.plans import Row, plan_json, plan_motion
 from app.jobs.store import Key
 from app.jobs.transitions import State, Verb, after_verb
 from app.jobs.workflow import Workshop, carry_out
+from app.kinematics.machine import Machine
 from app.numerics.adaptive_trials import TrialPlan
 
 log = structlog.get_logger(__name__)
@@ -35,6 +37,8 @@ class Wish:
     rows : path or points in the columns of the bundle
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
     monte_carlo : trials to hold the uncertainty of an analysis against
+    plan_id : of a plan whose rows are driven
+    plan_request : what is asked of a plan, as `plan_orders` states it
     """
 
     kind: Kind
@@ -44,6 +48,8 @@ class Wish:
     perpendicular_only: bool = False
     target_um: float | None = None
     monte_carlo: TrialPlan | None = None
+    plan_id: str | None = None
+    plan_request: Json | None = None
 
 
 class Dispatcher:
@@ -141,6 +147,12 @@ class Dispatcher:
             thread.join(max(0.0, deadline - time.monotonic()))
 
     def _checked(self, wish: Wish) -> NewJob:
+        if wish.kind is Kind.PLAN:
+            if self._shop.machine is None:
+                raise NoMachine("no machine is set up; give the service a machine_file")
+            only = wish.perpendicular_only
+            request = {"request": dict(wish.plan_request or {})}
+            return NewJob(wish.kind, None, only, wish.target_um, request)
         if not wish.kind.measures:
             first, *further = [self._shop.runs.get(i).id for i in wish.run_ids]
             return NewJob(
@@ -153,9 +165,22 @@ class Dispatcher:
         machine = self._shop.machine
         if machine is None or self._shop.cell is None:
             raise NoMachine("no machine is set up; give the service a machine_file")
-        commanded = plan_motion(machine, wish.kind, wish.rows, wish.feed_mm_min)
+        if wish.plan_id is None:
+            rows, feed_mm_min = wish.rows, wish.feed_mm_min
+            plan = plan_json(plan_motion(machine, wish.kind, rows, feed_mm_min))
+        else:
+            plan = self._planned(wish.plan_id, wish.kind, machine)
         only, target_um = wish.perpendicular_only, wish.target_um
-        return NewJob(wish.kind, None, only, target_um, plan_json(commanded))
+        return NewJob(wish.kind, None, only, target_um, plan)
+
+    def _planned(self, plan_id: str, kind: Kind, machine: Machine) -> Json:
+        """Return the rows of a plan, checked anew against mode, machine and travel."""
+        job, plan = self._shop.store.get(plan_id), self._shop.store.plan(plan_id)
+        if job.kind is not Kind.PLAN:
+            raise NotFound(f"there is no plan {plan_id}")
+        if plan is None:
+            raise IllegalTransition(f"plan {plan_id} is {job.state}; it has no rows")
+        return driven_plan(machine, kind, plan)
 
     def _begin(self, job: Job) -> None:
         control = Control(job, self._shop.store, self._feed)

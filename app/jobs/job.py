@@ -18,16 +18,20 @@ Json = Mapping[str, Any]
 
 
 class Kind(StrEnum):
-    """What a job does. The first two drive the machine and end with an analysis."""
+    """What a job does. The first two drive the machine and end with an analysis.
+
+    `PLAN` chooses what a measuring job may then drive.
+    """
 
     MEASURE_OTF = "measure-otf"
     MEASURE_STANDSTILL = "measure-standstill"
     ANALYSE = "analyse"
+    PLAN = "plan"
 
     @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
-        return self is not Kind.ANALYSE
+        return self in (Kind.MEASURE_OTF, Kind.MEASURE_STANDSTILL)
 
 
 class Stage(StrEnum):
@@ -133,12 +137,15 @@ class Job:
     @property
     def has_result(self) -> bool:
         """Whether error tables stand."""
-        return self.state is State.SUCCEEDED
+        return self.state is State.SUCCEEDED and self.kind is not Kind.PLAN
 
 
 @dataclass(frozen=True, slots=True)
 class NewJob:
-    """What a job starts with; `plan` is what `plans.plan_json` makes."""
+    """What a job starts with.
+
+    plan : what `plans.plan_json` makes; of a job that plans its `request` alone
+    """
 
     kind: Kind
     run_id: str | None = None

@@ -111,10 +111,22 @@ class Store:
             return _get(connection, job_id)
 
     def plan(self, job_id: str) -> Mapping[str, Any] | None:
-        """Return what a measuring job commands, None for other jobs."""
-        query = select(jobs.c.plan).where(jobs.c.id == job_id)
-        with self._database.read() as connection:
-            return connection.execute(query).scalar()
+        """Return what a job commands or has planned; None if it does not, or not yet.
+
+        Beside the rows stand `request` and `document` of what has been planned.
+        """
+        content = self._plan_content(job_id)
+        return content if "kind" in content else None
+
+    def plan_request(self, job_id: str) -> Mapping[str, Any]:
+        """Return what is asked of the plan of a job, nothing if nothing is."""
+        return self._plan_content(job_id).get("request") or {}
+
+    def keep_plan(self, job_id: str, plan: Mapping[str, Any]) -> None:
+        """Keep what has been planned beside what was asked."""
+        content = {"request": self.plan_request(job_id), **plan}
+        query = update(jobs).where(jobs.c.id == job_id).values(plan=content)
+        self._database.write(lambda connection: connection.execute(query).rowcount)
 
     def page(
         self,
@@ -201,6 +213,11 @@ class Store:
             connection.execute(delete(idempotency_keys).where(old))
 
         self._database.write(change)
+
+    def _plan_content(self, job_id: str) -> Mapping[str, Any]:
+        query = select(jobs.c.plan).where(jobs.c.id == job_id)
+        with self._database.read() as connection:
+            return connection.execute(query).scalar() or {}
 
     def _tell(self, outcome: tuple[Job, StoredEvent | None]) -> None:
         event = outcome[1]

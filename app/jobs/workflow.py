@@ -26,10 +26,11 @@ from app.jobs.errors import (
     TaskFailed,
 )
 from app.jobs.executor import Executor, Task
-from app.jobs.job import Failure, Job, Progress, Stage
+from app.jobs.job import Failure, Job, Kind, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
+from app.jobs.plan_orders import plan_measurement
 from app.jobs.plans import Commanded, commanded_from_plan
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
@@ -50,6 +51,7 @@ class Workshop:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
+    planner : task `(machine, order, *, progress)` that returns the plan as JSON
     science : task `(run_files, folder, perpendicular_only, monte_carlo, workers, *,
         progress)`
     workers : who computes what science can cut into blocks
@@ -67,6 +69,7 @@ class Workshop:
     cell: CellSupervisor | None = None
     confirm_s: Mapping[State, float] | None = None
     live: Callable[[LiveOrder, Show], LiveEstimation] | None = None
+    planner: Task = plan_measurement
 
 
 def carry_out(job: Job, control: Control, shop: Workshop) -> None:
@@ -74,14 +77,39 @@ def carry_out(job: Job, control: Control, shop: Workshop) -> None:
     with structlog.contextvars.bound_contextvars(job_id=job.id):
         log.info("job begins", kind=str(job.kind))
         try:
-            run_ids = job.run_ids
-            if job.kind.measures:
-                run_ids = (measure(job, control, shop),)
-            analyse(job, run_ids, control, shop)
+            if job.kind is Kind.PLAN:
+                plan(job, control, shop)
+            else:
+                measures = job.kind.measures
+                run_ids = (measure(job, control, shop),) if measures else job.run_ids
+                analyse(job, run_ids, control, shop)
         except Exception as error:
             _end(control, *_outcome(error))
         else:
             _end(control, State.SUCCEEDED)
+
+
+def plan(job: Job, control: Control, shop: Workshop) -> None:
+    """Choose what to drive and keep it with the job."""
+    if shop.machine is None:
+        raise NoMachine("no machine is set up; give the service a machine_file")
+
+    def report(fraction: float, _stage: str) -> None:
+        control.report(Progress(fraction, 1.0), stage=Stage.PLANNING)
+
+    def started() -> None:
+        control.enter(State.RUNNING, Stage.PLANNING)
+
+    computation = shop.executor.submit(
+        shop.planner,
+        shop.machine,
+        shop.store.plan_request(job.id),
+        report=report,
+        started=started,
+    )
+    planned = control.compute(computation)
+    control.checkpoint()
+    shop.store.keep_plan(job.id, planned)
 
 
 def measure(job: Job, control: Control, shop: Workshop) -> str:

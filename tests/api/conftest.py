@@ -23,10 +23,12 @@ from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.feed import Feed
+from app.jobs.plans import plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.workflow import Workshop
-from app.measurement.machine_file import machine_from_json
+from app.measurement.machine_file import machine_from_json, machine_to_json
+from app.planning.paths import default_path
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
@@ -88,13 +90,28 @@ def empty_catalogue(tmp_path_factory):
 
 
 @pytest.fixture
+def planner():
+    """Plans the usual path at once; overridden by tests of real plans."""
+
+    def plan(machine, order, *, progress):
+        progress(0.5, "planning")
+        document = {"machine": machine_to_json(machine)}
+        rows = plan_json(default_path(machine))
+        return {**rows, "predicted_um": 1.0, "document": document}
+
+    return plan
+
+
+@pytest.fixture
 def estimates():
     """The live estimates of the jobs that move the machine, the newest last."""
     return []
 
 
 @pytest.fixture
-def service(make_cell, science, has_machine, empty_catalogue, tmp_path, estimates):
+def service(
+    make_cell, science, planner, has_machine, empty_catalogue, tmp_path, estimates
+):
     """Everything behind the routes."""
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
     database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
@@ -116,6 +133,7 @@ def service(make_cell, science, has_machine, empty_catalogue, tmp_path, estimate
         machine=machine_from_json(load_machine("demo")) if has_machine else None,
         cell=cell,
         live=live_estimation,
+        planner=planner,
     )
     dispatcher = Dispatcher(shop, feed)
     if cell is not None:

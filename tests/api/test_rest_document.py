@@ -11,6 +11,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.api import failures
+from app.jobs.plan_orders import plan_measurement
 from app.jobs.transitions import FINAL, State
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "rest-api.md"
@@ -81,6 +82,12 @@ class Curl:
 
 
 @pytest.fixture
+def planner():
+    """The real one."""
+    return plan_measurement
+
+
+@pytest.fixture
 def curl(live, tmp_path):
     return Curl(live, tmp_path)
 
@@ -142,6 +149,24 @@ def test_a_path_is_taken_away_as_a_program(curl, follow, tmp_path):
     assert len(curl(offered).json()["items"]) >= 4
     assert curl(download).status_code == 200
     assert (tmp_path / "path.h").read_text().startswith("0 BEGIN PGM ")
+    curl.client.post("/api/v1/stop")
+    follow("aborted")
+
+
+def test_a_plan_is_made_looked_at_and_driven(curl, follow, tmp_path):
+    create, look, download, drive, validate = section("Plan lines or points")
+    answer = curl(create)
+    assert answer.status_code == 202
+    curl.names |= {"JOB": answer.json()["id"], "PLAN": answer.json()["id"]}
+    follow("succeeded")
+    assert curl(look).json()["document"]["predicted"]["errors"]
+    assert curl(download).status_code == 200
+    assert (tmp_path / "plan.h").read_text().startswith("0 BEGIN PGM ")
+    answer = curl(drive)
+    assert answer.status_code == 202, answer.text
+    curl.take(answer.json())
+    follow("ready")
+    assert curl(validate).json()["rows"] == 2
     curl.client.post("/api/v1/stop")
     follow("aborted")
 

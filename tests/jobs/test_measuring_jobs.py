@@ -127,7 +127,7 @@ def test_a_job_is_planned_armed_measured_and_analysed(
     run = shop.runs.get(job.run_id)
     assert (run.samples, run.lost_samples, run.complete) == (50, 0, True)
     assert science.calls == [
-        (str(shop.runs.file(run.id)), str(shop.results / job.id), False)
+        ([str(shop.runs.file(run.id))], str(shop.results / job.id), False)
     ]
     assert (shop.results / job.id / "result.json").is_file()
 

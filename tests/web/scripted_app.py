@@ -78,6 +78,15 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         known = {name: order.get(name) for name in names}
         return service.new_job(order["kind"], **known)
 
+    @app.post(f"{API}/plans", status_code=202)
+    async def create_plan(request: Request) -> Any:
+        service.requests.append(("POST", "/plans", await request.json()))
+        return service.planned | {"state": "queued"}
+
+    @app.get(f"{API}/plans/{{plan_id}}")
+    def planned(plan_id: str) -> Any:
+        return service.planned
+
     @app.get(f"{API}/jobs/{{job_id}}")
     def job(job_id: str) -> Any:
         if job_id not in service.jobs:

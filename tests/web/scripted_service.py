@@ -42,6 +42,7 @@ class ScriptedService:
         self.jobs: dict[str, dict[str, Any]] = {}
         self.runs: list[dict[str, Any]] = []
         self.plan = planned_path()
+        self.planned: dict[str, Any] = {"id": "plan-1", "state": "succeeded"}
         self.grade: dict[str, Any] = GRADE
         self.machine: dict[str, Any] = MACHINE
         self.result = result()

@@ -91,6 +91,45 @@ def test_the_order_carries_what_was_chosen(panel, service):
     ]
 
 
+def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(panel, service):
+    service.connected = True
+    service.plan["predicted_um"] = 1.15
+    page = panel.open("#/plan")
+    page.locator("#minutes").fill("2.5")
+    follow(page, "Prepare the run")
+    page.wait_for_url("**/#/check/*")
+    assert service.requests == [
+        (
+            "POST",
+            "/plans",
+            {
+                "mode": "otf",
+                "minutes": 2.5,
+                "perpendicular_only": False,
+                "feeds_mm_min": [6000],
+            },
+        ),
+        (
+            "POST",
+            "/jobs",
+            {"kind": "measure-otf", "perpendicular_only": False, "plan_id": "plan-1"},
+        ),
+    ]
+    service.change(next(iter(service.jobs)), state="ready")
+    expect(page.locator(".pairs").first).to_contain_text("U = 2.3 µm (k = 2)")
+
+
+def test_a_plan_that_cannot_be_says_why_and_makes_no_job(panel, service):
+    service.connected = True
+    error = {"title": "No", "detail": "the travel is too short", "action": "Slower."}
+    service.planned |= {"state": "failed", "error": error}
+    page = panel.open("#/plan")
+    page.locator("#minutes").fill("1")
+    follow(page, "Prepare the run")
+    expect(page.locator(".notice", has_text="the travel is too short")).to_be_visible()
+    assert not service.jobs
+
+
 def test_the_feed_goes_up_and_down_in_steps(panel, service):
     service.connected = True
     page = panel.open("#/plan")

@@ -15,8 +15,8 @@ from app.jobs.plans import MAX_ROWS
 
 MAX_RUNS = 50
 _ALLOWED = {
-    "measure-otf": {"path", "feed_mm_min", "target_um"},
-    "measure-standstill": {"points", "target_um"},
+    "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um"},
+    "measure-standstill": {"points", "plan_id", "target_um"},
     "analyse": {"run_id", "run_ids", "monte_carlo"},
 }
 
@@ -29,6 +29,7 @@ class JobRequest(Taken):
         json_schema_extra={
             "examples": [
                 {"kind": "measure-otf"},
+                {"kind": "measure-otf", "plan_id": OTHER_ID},
                 {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
                 {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
                 {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
@@ -65,6 +66,9 @@ class JobRequest(Taken):
         max_length=MAX_ROWS,
         description="Standstill: points in order; without it the default points.",
     )
+    plan_id: Identifier | None = Field(
+        None, description="A plan whose rows are driven, in place of rows sent in."
+    )
     feed_mm_min: Feed | None = Field(
         None, description="Feed of the default path, and of rows that state none."
     )
@@ -92,6 +96,9 @@ class JobRequest(Taken):
             raise ValueError("a job of kind analyse needs a run_id, or run_ids")
         if self.run_id is not None and self.run_ids is not None:
             raise ValueError("run_id stands beside run_ids; give one of the two")
+        beside = [self.path, self.points, self.feed_mm_min]
+        if self.plan_id is not None and any(x is not None for x in beside):
+            raise ValueError("plan_id stands beside rows or a feed; the plan has them")
         if len(set(runs)) < len(runs):
             raise ValueError("run_ids names a Run twice; give each once")
         return self
@@ -109,4 +116,5 @@ class JobRequest(Taken):
             perpendicular_only=self.perpendicular_only,
             target_um=self.target_um,
             monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
+            plan_id=self.plan_id,
         )

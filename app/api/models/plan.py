@@ -44,3 +44,8 @@ class PlanOut(BaseModel):
     target_um: float | None = Field(
         None, description="The volumetric uncertainty at which it may end early."
     )
+    predicted_um: float | None = Field(
+        None,
+        description="Where it was planned: the volumetric uncertainty (k = 1) that it "
+        "is foretold to leave.",
+    )

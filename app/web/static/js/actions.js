@@ -4,6 +4,7 @@ import { addressOf, hasEnded, isActive, isMeasuring } from "./flow.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
+const PLAN_LOOK_MS = 300;
 const COURSE = ["elapsed_s", "done", "volumetric_uncertainty_um"];
 
 /** The course of the uncertainty before the first estimate. */
@@ -38,11 +39,12 @@ export function createActions(store, go) {
 
   async function loadRecords() {
     const [jobs, runs] = await Promise.all([api.jobs(KEPT_JOBS), api.runs()]);
-    store.set({ jobs, runs });
+    store.set({ jobs: jobs.filter((job) => job.kind !== "plan"), runs });
   }
 
   /** Take over what the service says of a job: the followed one, or one that now moves. */
   function hear(job) {
+    if (job.kind === "plan") return; // it belongs to the request that asked for it
     const { job: followed, jobs } = store.get();
     const others = jobs.filter((other) => other.id !== job.id);
     store.set({ jobs: [job, ...others].sort(byCreation).slice(0, KEPT_JOBS) });
@@ -127,8 +129,10 @@ export function createActions(store, go) {
     }
   }
 
-  async function begin(order) {
-    const job = await during("prepare", () => api.createJob(order));
+  /** Make a job; where `request` asks for a plan, of the rows that are planned first. */
+  async function begin(order, request = null) {
+    const job = await during("prepare", async () =>
+      api.createJob(request ? { ...order, plan_id: await planId(request) } : order));
     if (!job) return;
     hear(job);
     follow(job);
@@ -164,6 +168,17 @@ export function createActions(store, go) {
     },
     dismiss: () => store.set({ problem: null }),
   };
+}
+
+/** Have a plan made; answers its id once it is there. */
+async function planId(request) {
+  let plan = await api.createPlan(request);
+  while (!hasEnded(plan)) {
+    await new Promise((resolve) => setTimeout(resolve, PLAN_LOOK_MS));
+    plan = await api.planned(plan.id);
+  }
+  if (plan.state !== "succeeded") throw new api.Problem(422, plan.error ?? {});
+  return plan.id;
 }
 
 const byCreation = (a, b) => (a.created < b.created ? 1 : -1);

@@ -54,6 +54,9 @@ export const jobs = async (limit) => items(await call("GET", `/jobs?limit=${limi
 
 /** Make a job. The key makes one of it, even if the request is sent twice. */
 export const createJob = (order) => call("POST", "/jobs", { json: order, key: newKey() });
+/** Ask for a plan; follow it with `planned`. */
+export const createPlan = (request) => call("POST", "/plans", { json: request, key: newKey() });
+export const planned = (id) => call("GET", `/plans/${id}`);
 export const plan = (id) => call("GET", `/jobs/${id}/plan`);
 export const grade = (id) => call("GET", `/jobs/${id}/plan/grade`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));

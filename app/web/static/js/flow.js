@@ -5,7 +5,7 @@ const BEFORE_MOTION = new Set(["queued", "preparing", "ready"]);
 const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
 const COMPUTING = new Set(["aligning", "estimating", "validating", "reporting"]);
 
-export const isMeasuring = (job) => Boolean(job) && job.kind !== "analyse";
+export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));
 export const hasEnded = (job) => ENDED.has(job.state);
 export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);

@@ -16,6 +16,7 @@ const KINDS = {
   error: () => (inch() ? [1 / MICROINCH_UM, "µin", 0] : [1, "µm", 1]),
   angle: () => [1, "µrad", 1],
   turn: () => [1, "°", 3],
+  minutes: () => [1, "min", 1],
 };
 
 /** Name of the unit a kind is shown in. */

@@ -79,6 +79,10 @@ function describe(job, plan, machine) {
     const target = quantity(COVERAGE * job.target_um, "error");
     facts.push([t("check.target"), t("check.target_at", { target, k: COVERAGE })]);
   }
+  if (plan.predicted_um) {
+    const predicted = quantity(COVERAGE * plan.predicted_um, "error");
+    facts.push([t("check.predicted"), t("check.predicted_at", { predicted, k: COVERAGE })]);
+  }
   const time_s = job.progress?.eta_s ?? plan.duration_s;
   if (time_s) facts.push([t("check.time"), `${duration(time_s)} min`]);
   return facts;

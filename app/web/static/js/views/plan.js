@@ -8,8 +8,10 @@ import { numberField, within } from "./number-field.js";
 
 const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
 const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100] };
+const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
 const choices = {
   kind: "measure-otf", feed_mm_min: FEED_MM_MIN.usual, expanded_um: null, perpendicular_only: false,
+  minutes: null,
 };
 
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
@@ -25,7 +27,7 @@ export function lead({ machine, busy, job }, { actions, go }) {
   const reason = refusal(machine, busy);
   return { back, reason,
     next: { key: "prepare", label: t("plan.next"), disabled: Boolean(reason),
-      run: () => actions.prepare(order()) } };
+      run: () => actions.prepare(...orders()) } };
 }
 
 function refusal(machine, busy) {
@@ -34,14 +36,21 @@ function refusal(machine, busy) {
   if (!isConnected(machine)) return t("plan.not_connected");
   const fed = feed_mm_min !== null && within(feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most);
   if (streams() && !fed) return t("plan.feed_refused");
+  if (!within(choices.minutes, MINUTES.least, MINUTES.most)) return t("plan.minutes_refused");
   return within(expanded_um, TARGET_UM.least, TARGET_UM.most) ? "" : t("plan.target_refused");
 }
 
-/** What is sent: files and interface carry standard uncertainties, the page shows k = 2. */
-function order() {
-  const { kind, feed_mm_min, expanded_um, perpendicular_only } = choices;
-  return { kind, perpendicular_only, ...(streams() ? { feed_mm_min } : {}),
+/** What is sent: a job, and the plan it drives, or null for the usual path.
+ *
+ * Files and interface carry standard uncertainties, the page shows k = 2.
+ */
+function orders() {
+  const { kind, feed_mm_min, expanded_um, perpendicular_only, minutes } = choices;
+  const job = { kind, perpendicular_only,
     ...(expanded_um === null ? {} : { target_um: expanded_um / COVERAGE }) };
+  if (minutes === null) return [streams() ? { ...job, feed_mm_min } : job, null];
+  const feeds = streams() ? { feeds_mm_min: [feed_mm_min ?? FEED_MM_MIN.usual] } : {};
+  return [job, { mode: streams() ? "otf" : "standstill", minutes, perpendicular_only, ...feeds }];
 }
 
 /** Show the choices. */
@@ -52,7 +61,8 @@ export function mount(root, { store }) {
     head(t("plan.title"), t("plan.text")),
     h("div", { class: "columns" },
       h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()),
-      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), feed, targetField(changed))),
+      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), feed, minutesField(changed),
+        targetField(changed))),
   );
   return {
     update() {
@@ -89,6 +99,21 @@ function feedField(changed) {
     less: t("plan.slower"), more: t("plan.faster"), least, most,
     get: () => choices.feed_mm_min ?? NaN, set: keep("feed_mm_min", changed),
     next: (feed, direction) => (Math.round((feed ?? usual) / step) + direction) * step,
+  });
+}
+
+function minutesField(changed) {
+  const { usual, least, most, steps } = MINUTES;
+  const shorter = (minutes) => steps.findLast((s) => s < minutes - 1e-9) ?? null;
+  const longer = (minutes) => steps.find((s) => s > minutes + 1e-9) ?? most;
+  return numberField({
+    id: "minutes", kind: "minutes", label: t("plan.minutes"), note: t("plan.minutes_note"),
+    less: t("plan.shorter"), more: t("plan.longer"), none: t("plan.minutes_none"), least, most,
+    get: () => choices.minutes, set: keep("minutes", changed),
+    next: (minutes, direction) => {
+      if (minutes === null) return usual;
+      return direction < 0 ? shorter(minutes) : longer(minutes);
+    },
   });
 }
 

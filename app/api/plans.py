@@ -1,0 +1,126 @@
+"""Plans: made, looked at, taken to a control or handed to a measuring job."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+from fastapi.responses import PlainTextResponse
+
+from app.api.conditional import etag
+from app.api.failures import problem_of_failure
+from app.api.jobs import IdempotencyKey
+from app.api.models.base import PREFIX
+from app.api.models.plan import PlanOut
+from app.api.models.planning import (
+    PlanCheck,
+    PlanCheckOut,
+    PlanRequest,
+    PlanResource,
+    plan_links,
+)
+from app.api.models.problem import Problem
+from app.api.nc_programs import PROGRAM, Dialect, program_response
+from app.api.problems import answers
+from app.api.service import Service, ServiceDep
+from app.errors import NotFound
+from app.jobs.dispatcher import Wish
+from app.jobs.errors import NoMachine
+from app.jobs.job import Job, Kind
+from app.jobs.plan_orders import checked_rows
+from app.jobs.plans import commanded_from_plan
+from app.jobs.store import Key
+
+router = APIRouter(prefix="/plans", tags=["plans"])
+checks = APIRouter(tags=["plans"])
+
+
+@router.post(
+    "",
+    operation_id="create_plan",
+    status_code=202,
+    responses=answers(409, 422),
+)
+def create_plan(
+    request: PlanRequest,
+    response: Response,
+    service: ServiceDep,
+    idempotency_key: IdempotencyKey = None,
+) -> PlanResource:
+    """Choose the measurement that tells most in its time. Nothing moves.
+
+    A job of the same identifier computes it; follow that one's events, or ask again.
+    """
+    order = request.order()
+    body = b"plan " + request.model_dump_json(exclude_defaults=True).encode()
+    key = Key(idempotency_key, body) if idempotency_key else None
+    wish = Wish(
+        Kind.PLAN,
+        perpendicular_only=request.perpendicular_only,
+        target_um=request.target_um,
+        plan_request=order,
+    )
+    job, _ = service.dispatcher.create(wish, key)
+    response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
+    return _out(job, response, service)
+
+
+@checks.post(
+    "/plans:validate", operation_id="validate_plan", responses=answers(409, 422)
+)
+def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
+    """Check rows over the whole swept path; a refusal names row and reason."""
+    if service.machine is None:
+        raise NoMachine("no machine is set up; give the service a machine_file")
+    kind = Kind.MEASURE_STANDSTILL if check.path is None else Kind.MEASURE_OTF
+    workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
+    rows, duration_s = checked_rows(
+        service.machine, kind, check.rows(), check.feed_mm_min, workspace
+    )
+    return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))
+
+
+@router.get("/{plan_id}", operation_id="get_plan", responses=answers(404))
+def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
+    """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
+    return _out(_plan_job(plan_id, service), response, service)
+
+
+@router.get(
+    "/{plan_id}/nc-program",
+    operation_id="download_plan_nc_program",
+    response_class=PlainTextResponse,
+    responses={**answers(404, 422), **PROGRAM},
+)
+def download_plan_nc_program(
+    plan_id: str, dialect: Dialect, service: ServiceDep
+) -> PlainTextResponse:
+    """Return a plan as a program of a control, read back before it is given out."""
+    job = _plan_job(plan_id, service)
+    plan = service.store.plan(job.id)
+    if plan is None or service.machine is None:
+        raise NotFound(f"plan {plan_id} ({job.state}) has no rows")
+    return program_response(commanded_from_plan(plan), service.machine, dialect)
+
+
+def _plan_job(plan_id: str, service: Service) -> Job:
+    job = service.store.get(plan_id)
+    if job.kind is not Kind.PLAN:
+        raise NotFound(f"job {plan_id} is no plan; its kind is {job.kind}")
+    return job
+
+
+def _out(job: Job, response: Response, service: Service) -> PlanResource:
+    response.headers["ETag"] = etag(job)
+    plan = service.store.plan(job.id)
+    failure = job.failure
+    commanded = None if plan is None else PlanOut(**plan, target_um=job.target_um)
+    return PlanResource(
+        id=job.id,
+        state=str(job.state),
+        created=job.created,
+        progress=1.0 if plan is not None else job.progress.done,
+        request=dict(service.store.plan_request(job.id)),
+        commanded=commanded,
+        document=None if plan is None else dict(plan["document"]),
+        error=Problem(**problem_of_failure(failure)) if failure else None,
+        links=plan_links(job.id),
+    )

@@ -1,0 +1,121 @@
+"""What is asked of a plan, as JSON: kept with its job, computed by an executor.
+
+    {"mode": "otf", "minutes": 5, "target_um": 1.0, "feeds_mm_min": [6000],
+     "dwell_s": 0.4, "perpendicular_only": false, "corner_path": false, "seed": 0,
+     "workspace": {…}}
+
+All keys but `mode` may be left out. `target_um` is a standard uncertainty (k = 1), as
+everywhere in the interface; `workspace` is the content of a workspace file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from app.errors import PlanningError
+from app.jobs.job import Json, Kind
+from app.jobs.plans import (
+    MAX_ROWS,
+    Row,
+    commanded_from_plan,
+    plan_json,
+    plan_motion,
+)
+from app.kinematics.machine import Machine
+from app.measurement.machine_file import machine_to_json
+from app.measurement.progress import schedule_of
+from app.measurement.workspace_file import workspace_from_json
+from app.planning.paths import DEFAULT_FEED_MM_MIN, check_travel
+from drivers.interfaces.records import Path
+
+if TYPE_CHECKING:
+    from app.jobs.planning import PlanRequest
+
+_PLAIN = ("mode", "minutes", "dwell_s", "perpendicular_only", "corner_path", "seed")
+_POINTS = Kind.MEASURE_STANDSTILL
+
+
+def plan_measurement(
+    machine: Machine, order: Json, *, progress: Callable[[float, str], None]
+) -> dict[str, Any]:
+    """Return a plan as `plans.plan_json` states it, with its `document`.
+
+    The document is the content of `plan.json` and the grade of the set-up.
+
+    Raises PlanningError if nothing can be planned; it names the reason.
+    """
+    # Imported where it computes: the service itself carries no science.
+    from app.jobs.grading import graded
+    from app.jobs.plan_files import plan_document
+    from app.jobs.planning import make_plan
+
+    planned = make_plan(machine, plan_request(order), progress=progress)
+    if len(planned.commanded) > MAX_ROWS:
+        raise PlanningError(
+            f"the plan has {len(planned.commanded)} rows; a controller takes "
+            f"{MAX_ROWS}; give less time"
+        )
+    grade = graded(
+        machine,
+        planned.commanded,
+        tracker_mm=planned.stand_mm.tolist(),
+        perpendicular_only=planned.request.perpendicular_only,
+    )
+    return {
+        **plan_json(planned.commanded),
+        "predicted_um": planned.expanded_um / 2.0,
+        "document": plan_document(planned) | {"grade": grade},
+    }
+
+
+def plan_request(order: Json) -> PlanRequest:
+    """Return the request that an order states."""
+    from app.jobs.planning import PlanRequest
+
+    target_um = order.get("target_um")
+    given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
+    if order.get("feeds_mm_min"):
+        given["feeds_mm_min"] = tuple(order["feeds_mm_min"])
+    return PlanRequest(
+        **given,
+        target_um=None if target_um is None else 2.0 * target_um,
+        workspace=workspace_from_json(order.get("workspace") or {}),
+    )
+
+
+def checked_rows(
+    machine: Machine,
+    kind: Kind,
+    rows: Sequence[Row],
+    feed_mm_min: float | None,
+    workspace: Json,
+) -> tuple[int, float]:
+    """Return how many rows there are and how long they take, s.
+
+    Raises PlanningError, OutOfTravel among them, naming row and reason.
+    """
+    commanded = plan_motion(machine, kind, rows, feed_mm_min)
+    workspace_from_json(workspace).refuse(machine, commanded)
+    schedule = schedule_of(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
+    return len(commanded), float(schedule.row_s.sum())
+
+
+def driven_plan(machine: Machine, kind: Kind, plan: Json) -> dict[str, Any]:
+    """Return the rows of a plan, checked anew for the job that is to drive them.
+
+    Raises PlanningError if it is of the other mode, was made for another state of the
+    machine file, or leaves the travel.
+    """
+    commanded = commanded_from_plan(plan)
+    if isinstance(commanded, Path) != (kind is Kind.MEASURE_OTF):
+        wanted = Kind.MEASURE_OTF if isinstance(commanded, Path) else _POINTS
+        raise PlanningError(f"the plan is one for {wanted}, not for {kind}")
+    now = json.loads(json.dumps(machine_to_json(machine)))  # as the catalogue keeps it
+    if plan["document"]["machine"] != now:
+        raise PlanningError(
+            "the machine file has changed since this plan was made; plan again"
+        )
+    check_travel(machine, commanded)
+    return {**plan_json(commanded), "predicted_um": plan["predicted_um"]}
