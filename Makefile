@@ -58,6 +58,10 @@ bench: setup ## the numbers that count, as ratios
 validation: setup ## both papers reproduced and random machines; writes docs/validation.md
 	$(SINGLE) $(BIN)/python validation/run.py
 
+.PHONY: discovery-table
+discovery-table: setup ## discovery on worlds that hide effects; writes docs/discovery.md
+	$(SINGLE) $(BIN)/python validation/discovery_worlds.py --jobs $(JOBS)
+
 .PHONY: clean
 clean: ## remove everything that was made
 	rm -rf .venv var build dist *.egg-info .coverage .coverage.* htmlcov \

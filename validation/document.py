@@ -1,4 +1,4 @@
-"""Writes the numbers of `docs/validation.md`: no figure in it is typed by hand."""
+"""Writes the numbers of a page of `docs`: no figure in them is typed by hand."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from pathlib import Path
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "validation.md"
 
 
-def write_section(name: str, text: str) -> None:
+def write_section(name: str, text: str, document: Path | None = None) -> None:
     """Put text between the markers `<!-- name -->` and `<!-- /name -->`.
 
+    document : `docs/validation.md` where it is left out
     Raises KeyError where the document has no such place.
     """
-    content = DOCUMENT.read_text(encoding="utf-8")
+    page = document or DOCUMENT
+    content = page.read_text(encoding="utf-8")
     place = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
     if not place.search(content):
-        raise KeyError(f"{DOCUMENT.name} has no section {name!r}")
+        raise KeyError(f"{page.name} has no section {name!r}")
     written = place.sub(lambda m: f"{m[1]}\n{text.strip()}\n\n{m[2]}", content)
-    DOCUMENT.write_text(written, encoding="utf-8")
+    page.write_text(written, encoding="utf-8")
     print(f"\n{text.strip()}\n", flush=True)
 
 

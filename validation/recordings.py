@@ -11,7 +11,7 @@ from app.measurement.machine_file import machine_from_json
 from app.measurement.run import Run
 from app.planning.configurations import Configurations
 from app.planning.paths import default_path
-from drivers.interfaces.records import Path, TrackerSamples
+from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 from simulators import paths
 from simulators.machine_file import parse_machine
 from simulators.recording import Recording
@@ -75,7 +75,12 @@ def run_of(recording: Recording) -> Run:
         recording.position_mm,
         recording.status,
     )
-    return Run("validation", machine, _commanded(recording, machine), samples)
+    told = recording.temperatures
+    celsius = None
+    if told is not None:
+        celsius = TemperatureSamples(told.names, told.time_s, told.celsius)
+    commanded = _commanded(recording, machine)
+    return Run("validation", machine, commanded, samples, celsius)
 
 
 def duration_s(recording: Recording) -> float:

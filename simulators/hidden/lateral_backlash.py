@@ -48,10 +48,9 @@ class LateralBacklash(HiddenEffect):
         return self.motion[1] in "ABC"
 
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return its half width."""
+        """Return its half width, in µm or µrad."""
         del clock
-        unit = "urad" if self._turns else "um"
-        return {f"half_width_{unit}": self.half_width}
+        return {"half_width": self.half_width}
 
     def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far it leans, by how much of the play friction has crossed."""

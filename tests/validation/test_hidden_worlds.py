@@ -1,0 +1,176 @@
+"""Discovery held against worlds that hide something; the whole draw is `long`."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = str(ROOT / "validation")
+SHORT = (14, 14)
+QUICK = [
+    ("single", 24),  # backlash
+    ("single", 26),  # screw-cyclic
+    ("single", 30),  # servo-mismatch
+    ("clean", 1),
+    ("off-catalogue", 4),  # coolant-cycle
+]
+
+
+@pytest.fixture(scope="module")
+def validation():
+    """Import one of the scripts by its name."""
+    before = set(sys.modules)
+    sys.path.insert(0, FOLDER)
+    yield importlib.import_module
+    sys.path.remove(FOLDER)
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(FOLDER):
+            del sys.modules[name]
+
+
+def effect(name, value=1.0, sigma=0.1, others=(), **keys):
+    parameters = {"width_um": {"value": value, "uncertainty": sigma}}
+    return {
+        "name": name,
+        **keys,
+        "parameters": parameters,
+        "indistinguishable_from": list(others),
+    }
+
+
+def said(*effects, unnamed=()):
+    return {
+        "effects": list(effects),
+        "unnamed": [{"description": text} for text in unnamed],
+        "gap": {"before": 3.0, "after": 1.0, "noise_floor": 1.0},
+    }
+
+
+class World:
+    """What the judge asks of a world."""
+
+    seed, size_um, signal_to_noise = 1, (3.0,), (20.0,)
+
+    def __init__(self, *truth, kind="single", is_catalogued=True):
+        self.truth, self.kind = list(truth), kind
+        self.size_um = self.size_um[: len(truth)]
+        self.signal_to_noise = self.signal_to_noise[: len(truth)]
+        self.is_catalogued = is_catalogued
+
+
+def test_an_answer_is_right_when_it_or_its_equivalents_say_the_truth(validation):
+    judged = validation("discovery_score").judged
+    truth = World(effect("backlash", axis="X"))
+    own = judged(truth, said(effect("backlash", 1.3, axis="X")), 0.0)
+    assert own.right
+    assert own.deviation == pytest.approx({"backlash width_um": 3.0})
+    other = effect("squareness", others=[{"name": "backlash", "axis": "X"}])
+    assert judged(truth, said(other), 0.0).right
+    assert not judged(truth, said(other), 0.0).deviation
+    assert not judged(truth, said(effect("backlash", axis="Y")), 0.0).right
+    assert not judged(truth, said(), 0.0).right
+    two = said(effect("backlash", axis="X"), effect("table-drift"))
+    assert judged(truth, two, 0.0).wrong == ("table-drift",)
+
+
+def test_nothing_is_the_answer_where_nothing_is_catalogued(validation):
+    judged = validation("discovery_score").judged
+    clean = World(kind="clean")
+    assert judged(clean, said(), 0.0).right
+    assert not judged(clean, said(unnamed=["a wave"]), 0.0).right
+    strange = World(effect("twist"), kind="off-catalogue", is_catalogued=False)
+    assert judged(strange, said(unnamed=["a surface"]), 0.0).right
+    assert not judged(strange, said(effect("backlash", axis="X")), 0.0).right
+
+
+def test_phases_are_compared_on_their_circle(validation):
+    deviations = validation("discovery_score").deviations
+    truth = {"name": "vibration", "parameters": {"phase_rad": {"value": 0.1}}}
+    late = {"phase_rad": {"value": 2.0 * np.pi, "uncertainty": 0.05}}
+    assert deviations(truth, {"parameters": late}) == pytest.approx(
+        {"vibration phase_rad": -2.0}
+    )
+
+
+def test_the_summary_counts_what_was_asked(validation):
+    judged = validation("discovery_score").judged
+    summary = validation("discovery_summary")
+    truth = World(effect("backlash", axis="X"))
+    found = [judged(truth, said(effect("backlash", axis="X")), 0.0)] * 3
+    found.append(judged(truth, said(effect("table-drift")), 0.0))
+    found += [judged(World(kind="clean"), said(), 0.0)] * 4
+    got = summary.summary(found)
+    assert (got.singles_right, got.false_alarms, got.within) == (0.75, 0.0, 1.0)
+    assert got.closed == 1.0
+    table = summary.confusion_table(found)
+    assert "| (clean) |  | 4 |" in table
+    assert "| backlash | 3 |  | 1 |" in table
+    assert "75.0 %" in summary.marks_table(found)
+    assert "| 20 to 40 | 4 | 75.0 % |" in summary.size_table(found)
+    assert "backlash width_um" in summary.parameter_table(found)
+
+
+def test_an_outcome_is_the_same_after_it_was_kept(validation):
+    score = validation("discovery_score")
+    one = score.judged(World(effect("backlash", axis="X")), said(), 0.5)
+    assert score.from_row(score.as_row(one)) == one
+
+
+def test_the_ideal_test_sees_twice_as_much_of_twice_the_effect(validation):
+    worlds, ideal = validation("hidden_worlds"), validation("ideal_test")
+    world = worlds.world(24, "single", SHORT)
+    recording = world.recording
+    air = validation("recordings").random_air(24)
+    shift = np.zeros((len(recording), 3))
+    moving = np.random.default_rng(1).normal(size=len(recording) // 500 + 1)
+    shift[:, 2] = 1e-3 * np.repeat(moving, 500)[: len(recording)]
+    one, two = (ideal.signal_to_noise(recording, [k * shift], air) for k in (1, 2))
+    assert two == pytest.approx(2.0 * one, rel=1e-3)
+    rigid = np.tile([[1e-3, 2e-3, -1e-3]], (len(recording), 1))
+    assert ideal.signal_to_noise(recording, [rigid], air)[0] < 0.1
+
+
+def test_a_world_is_drawn_alike_by_its_seed(validation):
+    world = validation("hidden_worlds").world
+    one, again = (world(30, "single", SHORT) for _ in range(2))
+    np.testing.assert_array_equal(
+        one.recording.position_mm, again.recording.position_mm
+    )
+    assert one.truth == again.truth
+    assert min(one.signal_to_noise) >= 8.0
+
+
+def test_the_draw_covers_every_effect_and_kind(validation):
+    script, worlds = validation("discovery_worlds"), validation("hidden_worlds")
+    tasks = script.draw(script.COUNTS)
+    assert len(set(tasks)) == len(tasks) >= 300
+    singles = {worlds._names(seed, kind) for seed, kind in tasks if kind == "single"}
+    assert {name for (name,) in singles} == set(worlds.CATALOGUED)
+    assert all(len(set(worlds._names(s, k))) == 2 for s, k in tasks if k == "pair")
+
+
+@pytest.mark.parametrize(("kind", "seed"), QUICK)
+@pytest.mark.timeout(60)
+def test_a_small_draw_is_named_right(validation, kind, seed):
+    world = validation("hidden_worlds").world(seed, kind, SHORT)
+    found = validation("discovery_score").outcome(world)
+    assert found.right, validation("discovery_worlds").told(found)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3 * 3600)
+def test_discovery_meets_its_marks_on_all_worlds(validation):
+    script = validation("discovery_worlds")
+    tasks = script.draw(script.COUNTS)
+    found = list(script.outcomes(tasks, jobs=2))
+    report = "\n".join(script.told(o) for o in found if not o.right)
+    got = validation("discovery_summary").summary(found)
+    assert got.singles_right >= 0.95, report
+    assert got.pairs_right >= 0.85, report
+    assert got.false_alarms <= 0.01, report
+    assert got.misnamed <= 0.05, report
+    assert 0.90 <= got.within <= 0.99
+    assert got.closed <= 1.05

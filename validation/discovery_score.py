@@ -1,0 +1,153 @@
+"""What discovery says of a world, held against what was hidden in it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from hidden_worlds import World
+from recordings import run_of
+
+from app.discovery.discover import discover
+from app.discovery.discovery_json import discovery_json
+
+NOTHING, UNNAMED = "nothing", "unnamed"
+_KEYS = ("axis", "motion", "by", "direction", "circle")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One world and what was said of it.
+
+    truth, said : names with their keys; unnamed : what was described without a name
+    matched : for each true effect the said one that is it, or empty
+    wrong : names that were said and are not there
+    deviation : error of each parameter of a rightly named effect in units of its
+        uncertainty, by effect and parameter
+    gap_um : before, after, noise floor
+    """
+
+    seed: int
+    kind: str
+    catalogued: bool
+    size_um: tuple[float, ...]
+    signal_to_noise: tuple[float, ...]
+    truth: tuple[str, ...]
+    said: tuple[str, ...]
+    unnamed: tuple[str, ...]
+    matched: tuple[str, ...]
+    wrong: tuple[str, ...]
+    deviation: dict[str, float]
+    gap_um: tuple[float, float, float]
+    took_s: float
+
+    @property
+    def right(self) -> bool:
+        """Whether all that is in the catalogue was named, and nothing else."""
+        wanted = len(self.truth) if self.catalogued else 0
+        clean = self.kind == "clean" and bool(self.unnamed)
+        return sum(map(bool, self.matched)) == wanted and not self.wrong and not clean
+
+    @property
+    def closed(self) -> float:
+        """The gap after over the noise floor."""
+        return self.gap_um[1] / self.gap_um[2]
+
+
+def outcome(world: World) -> Outcome:
+    """Let discovery look at a world's Run, and nothing else of it."""
+    begin = time.perf_counter()
+    content = discovery_json(discover([run_of(world.recording)]))
+    return judged(world, content, time.perf_counter() - begin)
+
+
+def judged(world: World, content: Mapping[str, Any], took_s: float) -> Outcome:
+    """Hold a `discovery.json` against a world.
+
+    A name is right if it and its keys are the truth, or the truth is among what it
+    says it cannot be told from.
+    """
+    truth, said = world.truth, list(content["effects"])
+    matched = [_match(effect, said) for effect in truth]
+    named = [effect for effect in said if any(effect is m for m in matched)]
+    again = [e for e in said if any(is_same(t, e) for t in truth)]
+    deviation: dict[str, float] = {}
+    for effect, match in zip(truth, matched, strict=True):
+        if match is not None and is_same(effect, match):
+            deviation |= deviations(effect, match)
+    gap = content["gap"]
+    return Outcome(
+        world.seed,
+        world.kind,
+        world.is_catalogued,
+        world.size_um,
+        world.signal_to_noise,
+        tuple(map(label, truth)),
+        tuple(map(label, said)),
+        tuple(str(e["description"]) for e in content["unnamed"]),
+        tuple("" if m is None else label(m) for m in matched),
+        tuple(label(e) for e in said if e not in named and e not in again),
+        deviation,
+        (gap["before"], gap["after"], gap["noise_floor"]),
+        took_s,
+    )
+
+
+def label(effect: Mapping[str, Any]) -> str:
+    """Return name and keys in one line."""
+    keys = [str(effect[key]) for key in _KEYS if key in effect]
+    return " ".join([str(effect["name"]), *keys])
+
+
+def is_same(truth: Mapping[str, Any], said: Mapping[str, Any]) -> bool:
+    """Tell whether name and every key of the truth are those said."""
+    return all(said.get(k) == truth[k] for k in ("name", *_KEYS) if k in truth)
+
+
+def _match(
+    truth: Mapping[str, Any], said: Sequence[Mapping[str, Any]]
+) -> Mapping[str, Any] | None:
+    """Return the effect that says the truth, by its name before by its equivalents."""
+    for effect in said:
+        if is_same(truth, effect):
+            return effect
+    for effect in said:
+        others = effect.get("indistinguishable_from", [])
+        if any(is_same(truth, other) for other in others):
+            return effect
+    return None
+
+
+def deviations(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, float]:
+    """Return found minus true in units of the uncertainty, by effect and parameter.
+
+    Angles are compared on their circle.
+    """
+    found: dict[str, float] = {}
+    for name, entry in truth["parameters"].items():
+        true = np.atleast_1d(entry["value"])
+        stated = said["parameters"][name]
+        off = np.atleast_1d(stated["value"]) - true
+        if name.endswith("_rad"):
+            off = (off + np.pi) % (2.0 * np.pi) - np.pi
+        for k, number in enumerate(off / np.atleast_1d(stated["uncertainty"])):
+            place = f" {k + 1}" if len(true) > 1 else ""
+            found[f"{truth['name']} {name}{place}"] = float(number)
+    return found
+
+
+def as_row(result: Outcome) -> dict[str, Any]:
+    """Return an outcome as the content of a line of JSON."""
+    return asdict(result)
+
+
+def from_row(row: Mapping[str, Any]) -> Outcome:
+    """Return the outcome of `as_row`."""
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in row.items()
+    }
+    return Outcome(**values)

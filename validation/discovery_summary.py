@@ -1,0 +1,158 @@
+"""Outcomes of many worlds in a few numbers, and as tables."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from discovery_score import NOTHING, UNNAMED, Outcome
+from document import table
+
+_BINS = (8.0, 12.0, 20.0, 40.0, 80.0, np.inf)
+_WITHIN = 2.0  # an expanded uncertainty
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Shares over worlds; `nan` where there is no such world.
+
+    singles_right, pairs_right : all effects named and no other
+    false_alarms : of clean worlds in which anything was said
+    misnamed : of worlds whose effect is in no catalogue and was given a name
+    within : of parameters of rightly named effects, off by at most 2 u
+    closed : gap after over noise floor where the effect was named, the 95 % quantile
+    """
+
+    singles_right: float
+    pairs_right: float
+    false_alarms: float
+    misnamed: float
+    described: float
+    within: float
+    closed: float
+
+
+def summary(outcomes: Sequence[Outcome]) -> Summary:
+    """Return the numbers that are asked for."""
+    kinds = {k: [o for o in outcomes if o.kind == k] for k in _kinds(outcomes)}
+    off, clean = kinds.get("off-catalogue", []), kinds.get("clean", [])
+    named = [o for o in outcomes if o.right and o.kind in ("single", "pair")]
+    deviation = [v for o in outcomes for v in o.deviation.values()]
+    return Summary(
+        _share([o.right for o in kinds.get("single", [])]),
+        _share([o.right for o in kinds.get("pair", [])]),
+        _share([bool(o.said or o.unnamed) for o in clean]),
+        _share([bool(o.said) for o in off]),
+        _share([bool(o.unnamed) and not o.said for o in off]),
+        _share([abs(v) <= _WITHIN for v in deviation]),
+        float(np.quantile([o.closed for o in named], 0.95)) if named else np.nan,
+    )
+
+
+def marks_table(outcomes: Sequence[Outcome]) -> str:
+    """Return the shares against what they have to be."""
+    got = summary(outcomes)
+    count = Counter(o.kind for o in outcomes)
+    parameters = sum(len(o.deviation) for o in outcomes)
+    named = sum(o.right for o in outcomes if o.kind in ("single", "pair"))
+    rows = [
+        ["single effects named right", count["single"], _pc(got.singles_right), "95 %"],
+        ["pairs, both named right", count["pair"], _pc(got.pairs_right), "85 %"],
+        [
+            "clean worlds with a false alarm",
+            count["clean"],
+            _pc(got.false_alarms),
+            "1 %",
+        ],
+        [
+            "off-catalogue effects given a name",
+            count["off-catalogue"],
+            _pc(got.misnamed),
+            "5 %",
+        ],
+        [
+            "off-catalogue effects described",
+            count["off-catalogue"],
+            _pc(got.described),
+            "",
+        ],
+        ["parameters within 2 u", parameters, _pc(got.within), "90 to 99 %"],
+        ["gap after / noise floor, 95 % of named", named, f"{got.closed:.3f}", "1.05"],
+    ]
+    return table(["what", "of", "found", "mark"], rows)
+
+
+def confusion_table(outcomes: Sequence[Outcome]) -> str:
+    """Return what was said of each hidden effect on its own, in counts."""
+    alone = [o for o in outcomes if o.kind != "pair"]
+    counts: dict[str, Counter[str]] = {}
+    for o in alone:
+        truth = _name(o.truth[0]) if o.truth else "(clean)"
+        counts.setdefault(truth, Counter())[_answer(o)] += 1
+    answers = sorted({a for c in counts.values() for a in c})
+    rows = [
+        [truth, *[c[a] or "" for a in answers]] for truth, c in sorted(counts.items())
+    ]
+    return table(["hidden \\ said", *answers], rows)
+
+
+def size_table(outcomes: Sequence[Outcome]) -> str:
+    """Return the share found against the ideal test's signal-to-noise ratio."""
+    rows = []
+    for low, high in pairwise(_BINS):
+        found = [
+            bool(m)
+            for o in outcomes
+            if o.catalogued
+            for s, m in zip(o.signal_to_noise, o.matched, strict=True)
+            if low <= s < high
+        ]
+        name = f"{low:.0f} to {high:.0f}" if np.isfinite(high) else f"over {low:.0f}"
+        rows.append([name, len(found), _pc(_share(found))])
+    return table(["size in units of noise", "effects", "named"], rows)
+
+
+def parameter_table(outcomes: Sequence[Outcome]) -> str:
+    """Return how far parameters are off, in units of their uncertainty."""
+    by_name: dict[str, list[float]] = {}
+    for o in outcomes:
+        for name, value in o.deviation.items():
+            by_name.setdefault(name, []).append(value)
+    rows = [
+        [
+            name,
+            len(values),
+            f"{np.mean(values):+.2f}",
+            f"{np.sqrt(np.mean(np.square(values))):.2f}",
+            _pc(_share([abs(v) <= _WITHIN for v in values])),
+        ]
+        for name, values in sorted(by_name.items())
+    ]
+    return table(["parameter", "of", "mean / u", "rms / u", "within 2 u"], rows)
+
+
+def _answer(o: Outcome) -> str:
+    if o.right and o.matched:
+        return _name(o.truth[0])
+    if o.said:
+        return _name((o.wrong or o.said)[0])
+    return UNNAMED if o.unnamed else NOTHING
+
+
+def _kinds(outcomes: Sequence[Outcome]) -> set[str]:
+    return {o.kind for o in outcomes}
+
+
+def _name(label: str) -> str:
+    return label.split()[0]
+
+
+def _share(true: Sequence[bool]) -> float:
+    return float(np.mean(true)) if len(true) else float("nan")
+
+
+def _pc(share: float) -> str:
+    return "–" if np.isnan(share) else f"{100.0 * share:.1f} %"

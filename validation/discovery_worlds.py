@@ -1,0 +1,118 @@
+"""Discovery held against worlds that hide something: right names, false alarms, gap.
+
+Outcomes are kept as lines of JSON, one a world, so that a draw goes on where it was
+left; `--fresh` begins anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from discovery_score import Outcome, as_row, from_row, outcome
+from discovery_summary import (
+    confusion_table,
+    marks_table,
+    parameter_table,
+    size_table,
+)
+from document import write_section
+from hidden_worlds import world
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCUMENT = ROOT / "docs" / "discovery.md"
+KEPT = ROOT / "var" / "discovery-worlds.jsonl"
+COUNTS = {"single": 192, "pair": 60, "clean": 100, "off-catalogue": 60}
+
+Task = tuple[int, str]
+
+
+def draw(counts: dict[str, int]) -> list[Task]:
+    """Return seed and kind of every world; kinds take turns."""
+    tasks = [
+        (1000 * number + k, kind, k / count)
+        for number, (kind, count) in enumerate(counts.items(), 1)
+        for k in range(count)
+    ]
+    return [(seed, kind) for seed, kind, _ in sorted(tasks, key=lambda t: t[2])]
+
+
+def outcome_of(task: Task) -> Outcome:
+    """Draw a world, let discovery look at it, and judge what it says."""
+    return outcome(world(*task))
+
+
+def outcomes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+    """Yield the outcomes in the order of the tasks."""
+    if jobs == 1:
+        yield from map(outcome_of, tasks)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(outcome_of, tasks)
+
+
+def told(o: Outcome) -> str:
+    """Return an outcome in one line."""
+    before, after, floor = o.gap_um
+    hidden = ", ".join(o.truth) or "nothing"
+    said = ", ".join(o.said) or "nothing"
+    beside = f"; unnamed: {'; '.join(o.unnamed)}" if o.unnamed else ""
+    sizes = " ".join(f"{s:.0f}" for s in o.signal_to_noise)
+    return (
+        f"{'ok  ' if o.right else 'FAIL'} {o.kind:13s} {o.seed}  hidden: {hidden}"
+        f" (S/N {sizes or '-'})  said: {said}{beside}"
+        f"  gap {before:.2f} -> {after:.2f}, floor {floor:.2f} µm  {o.took_s:.0f} s"
+    )
+
+
+def main() -> None:
+    """Judge the worlds that are missing, then write the tables."""
+    options, _ = _parser().parse_known_args()
+    counts = {kind: max(1, round(options.share * n)) for kind, n in COUNTS.items()}
+    tasks = draw(counts)
+    if options.fresh:
+        options.kept.unlink(missing_ok=True)
+    done = _kept(options.kept)
+    missing = [task for task in tasks if task not in done]
+    options.kept.parent.mkdir(parents=True, exist_ok=True)
+    with options.kept.open("a", encoding="utf-8") as file:
+        for one in outcomes(missing, options.jobs):
+            done[one.seed, one.kind] = one
+            print(told(one), flush=True)
+            file.write(json.dumps(as_row(one)) + "\n")
+            file.flush()
+    _write([done[task] for task in tasks])
+
+
+def _write(found: Sequence[Outcome]) -> None:
+    for name, make in (
+        ("discovery-marks", marks_table),
+        ("discovery-confusion", confusion_table),
+        ("discovery-sizes", size_table),
+        ("discovery-parameters", parameter_table),
+    ):
+        write_section(name, make(found), DOCUMENT)
+
+
+def _kept(file: Path) -> dict[Task, Outcome]:
+    if not file.exists():
+        return {}
+    lines = file.read_text(encoding="utf-8").splitlines()
+    found = [from_row(json.loads(line)) for line in lines]
+    return {(o.seed, o.kind): o for o in found}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--share", type=float, default=1.0, help="of the whole draw")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--fresh", action="store_true", help="forget earlier outcomes")
+    parser.add_argument("--kept", type=Path, default=KEPT, help="outcomes so far")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

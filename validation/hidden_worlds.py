@@ -1,0 +1,158 @@
+"""Worlds in which something is hidden, or nothing: drawn by seed, recorded at once.
+
+Machines of any size and chain, measured on planned or on random lines at any usual
+feed; effects of 1.5 to 6 µm as the tracker sees them. An effect that even an ideal test
+would hardly see is drawn anew: nobody could be asked to find it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from ideal_test import signal_to_noise
+from recordings import planned_program, random_air, random_content
+
+from simulators import paths, synthetic
+from simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, drawn
+from simulators.hidden.effect import HiddenEffect, Occasion
+from simulators.hidden.thermal_growth import ThermalGrowth
+from simulators.machine_file import parse_machine
+from simulators.recording import Recording
+from simulators.synthetic import Setting
+from simulators.timeline import Program, follow
+
+KINDS = ("single", "pair", "clean", "off-catalogue")
+SIZES_UM = (1.5, 6.0)
+# A log-likelihood ratio of 32: after the price of looking for thousands of shapes.
+LEAST_SIGNAL_TO_NOISE = 8.0
+_DRAWS, _APART = 100, 100_000
+
+
+@dataclass(frozen=True)
+class World:
+    """One recording and what it hides.
+
+    size_um : as drawn; signal_to_noise : of the ideal test; one for each effect
+    """
+
+    seed: int
+    kind: str
+    recording: Recording
+    size_um: tuple[float, ...]
+    signal_to_noise: tuple[float, ...]
+
+    @property
+    def truth(self) -> list[dict[str, Any]]:
+        """The hidden effects in the form of `discovery.json`."""
+        return self.recording.hidden_truth()
+
+    @property
+    def is_catalogued(self) -> bool:
+        """Whether all that is hidden has a name in the catalogue."""
+        return all(effect.in_catalogue for effect in self.recording.hidden)
+
+
+def world(seed: int, kind: str, lines: tuple[int, int] = (22, 40)) -> World:
+    """Draw a world of a kind.
+
+    seed : neighbouring seeds go through all effects in turn
+    """
+    names = _names(seed, kind)
+    for attempt in range(_DRAWS):
+        made = _drawn_world(seed + _APART * attempt, kind, names, lines)
+        if all(value >= LEAST_SIGNAL_TO_NOISE for value in made.signal_to_noise):
+            return replace(made, seed=seed)
+    raise RuntimeError(f"world {seed}: {names} were not to be seen in {_DRAWS} draws")
+
+
+def _drawn_world(
+    seed: int, kind: str, names: tuple[str, ...], lines: tuple[int, int]
+) -> World:
+    rng = np.random.default_rng([seed, 11])
+    content, air = random_content(seed), random_air(seed)
+    program = _program(content, rng, lines)
+    setting = Setting(air=air, sensors=bool(rng.uniform() < 0.5))
+    sizes = tuple(float(s) for s in rng.uniform(*SIZES_UM, len(names)))
+    hidden = _drawn(seed, names, sizes, content, program)
+    recording = _recorded(content, program, seed, setting, hidden)
+    return World(seed, kind, recording, sizes, _seen(recording, setting, seed))
+
+
+def _names(seed: int, kind: str) -> tuple[str, ...]:
+    if kind == "single":
+        return (CATALOGUED[seed % len(CATALOGUED)],)
+    if kind == "pair":
+        first = CATALOGUED[seed % len(CATALOGUED)]
+        others = [name for name in CATALOGUED if name != first]
+        return first, str(np.random.default_rng([seed, 12]).choice(others))
+    if kind == "off-catalogue":
+        return (UNCATALOGUED[seed % len(UNCATALOGUED)],)
+    return ()
+
+
+def _program(
+    content: dict[str, Any], rng: np.random.Generator, lines: tuple[int, int]
+) -> Program:
+    """Draw the product's path or random chords, at one feed or at several."""
+    count = int(rng.integers(*lines, endpoint=True))
+    feed = float(np.round(rng.uniform(3000.0, 9000.0), -2))
+    if rng.uniform() < 0.5:
+        program = planned_program(content, feed, count)
+    else:
+        chords = int(rng.integers(1 << 30))
+        program = paths.chord_path(parse_machine(content), chords, count + 1, feed)
+    if rng.uniform() < 0.5:
+        return program
+    shares = rng.choice([0.5, 0.75, 1.0], len(program))
+    return replace(program, feed_mm_s=np.round(60.0 * program.feed_mm_s * shares) / 60)
+
+
+def _drawn(
+    seed: int,
+    names: tuple[str, ...],
+    sizes_um: tuple[float, ...],
+    content: dict[str, Any],
+    program: Program,
+) -> tuple[HiddenEffect, ...]:
+    machine = parse_machine(content)
+    motion = follow(program, program.position[0], 0.0, Setting().limits)
+    usual = replace(
+        Occasion.usual(machine, 1.0),
+        duration_s=motion.end_s,
+        feed_mm_s=float(np.median(program.feed_mm_s)),
+    )
+    return tuple(
+        drawn(name, seed, replace(usual, size_um=size))
+        for name, size in zip(names, sizes_um, strict=True)
+    )
+
+
+def _recorded(
+    content: Mapping[str, Any],
+    program: Program,
+    seed: int,
+    setting: Setting,
+    hidden: tuple[HiddenEffect, ...],
+) -> Recording:
+    for effect in hidden:
+        if isinstance(effect, ThermalGrowth):
+            setting = replace(setting, sensors=effect.has_sensor)
+    return synthetic.record(
+        content, program, seed, "otf", replace(setting, hidden=hidden)
+    )
+
+
+def _seen(recording: Recording, setting: Setting, seed: int) -> tuple[float, ...]:
+    """Return the ideal test's signal-to-noise ratio of each effect."""
+    if not recording.hidden:
+        return ()
+    quiet = replace(setting, noise_scale=0.0)
+    alone = [
+        _recorded(recording.content, recording.program, seed, quiet, effects)
+        for effects in ((), *((effect,) for effect in recording.hidden))
+    ]
+    shifts = [one.position_mm - alone[0].position_mm for one in alone[1:]]
+    return tuple(map(float, signal_to_noise(recording, shifts, setting.air)))

@@ -1,0 +1,99 @@
+"""What an ideal test could see of a hidden effect.
+
+The ideal test is told what no real one knows: the noise, how strongly each error motion
+bends, and the effect's very shape, so that only its size is asked for. What machine,
+pose and timing can absorb is taken out first. The expected log-likelihood ratio between
+the effect and none is then half the squared signal-to-noise ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from information_bound import true_noise, true_precision
+from judging import true_parameters
+from recordings import run_of
+
+from app.alignment.align import align
+from app.alignment.observations import Observations
+from app.estimation.identifiable import identifiable_model
+from app.estimation.information import information
+from app.estimation.problem import pose_problem
+from app.kinematics.effects.base import Conditions, Effect, Parameter
+from simulators.recording import Recording
+from simulators.tracker_head import Air
+
+CELL_MM = 3.0
+
+
+@dataclass(frozen=True)
+class Shape(Effect):
+    """What an effect did in each cell of one recording; its size is 1.
+
+    time_s : (n,) of the cells, in order; shift_mm : (n, 3)
+    """
+
+    number: int
+    time_s: np.ndarray
+    shift_mm: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Name in the model."""
+        return f"shape-{self.number}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The size."""
+        return (Parameter(self.name, "1"),)
+
+    def jacobian(self, at: Conditions) -> np.ndarray:
+        """Return the shift of the cells, which their times tell."""
+        return self.shift_mm[np.searchsorted(self.time_s, at.time_s), :, None]
+
+
+def signal_to_noise(
+    recording: Recording, shifts_mm: Sequence[np.ndarray], air: Air
+) -> np.ndarray:
+    """Return how many standard deviations each effect is away from none.
+
+    recording : with its effects; shifts_mm : what each did to the samples, (m, 3), in
+    the tracker's frame. The others are known to be there, but not their sizes.
+    """
+    run = run_of(recording)
+    seen = align(run, cell_mm=CELL_MM)
+    model, _ = identifiable_model(run.machine, seen.at.offset_mm)
+    shapes = [
+        Shape(k, *_in_cells(recording, seen, shift))
+        for k, shift in enumerate(shifts_mm)
+    ]
+    machine = model.with_effects(*shapes)
+    data = information(pose_problem(seen, machine, seen.pose), true_noise(air)).matrix
+    truth = true_parameters(model, recording.truth)
+    total = data + true_precision(model, truth, len(data))
+    return np.array([_left(total, k) for k in range(model.size, machine.size)])
+
+
+def _left(total: np.ndarray, k: int) -> float:
+    """Return the square root of the information on one parameter, all others free."""
+    others = np.arange(len(total)) != k
+    scale = 1.0 / np.sqrt(np.diag(total)[others])
+    known = total[np.ix_(others, others)] * scale[:, None] * scale
+    cross = total[others, k] * scale
+    return float(np.sqrt(max(total[k, k] - cross @ np.linalg.solve(known, cross), 0.0)))
+
+
+def _in_cells(
+    recording: Recording, seen: Observations, shift_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return times of the cells and mean shifts, in the frame the tracker stands on."""
+    table_mm = shift_mm @ recording.pose.rotation.T
+    sums = np.vstack([np.zeros(3), np.cumsum(table_mm, axis=0)])
+    middle = np.searchsorted(recording.time_s, seen.at.time_s)
+    count = seen.count.astype(np.int64)
+    first = np.clip(middle - count // 2, 0, len(table_mm) - count)
+    mean = (sums[first + count] - sums[first]) / count[:, None]
+    order = np.argsort(seen.at.time_s)
+    return seen.at.time_s[order], mean[order]
