@@ -190,13 +190,21 @@ def discover(
         Path, typer.Argument(metavar="BUNDLE", help="A folder or a .zip.")
     ],
     output: OutputFolder,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL.json",
+            help="A model or result to hold it against. Else the rigid-body model "
+            "fitted to it.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Find what the model of a measurement lacks, and how much of the gap it closes."""
     _compute_on_one_thread()
     from app.cli.discovering import discover_bundle
 
-    discover_bundle(bundle, output, as_json=json)
+    discover_bundle(bundle, output, model=model, as_json=json)
 
 
 @app.command()
@@ -238,7 +246,10 @@ def grade(
 @app.command()
 def predict(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")
+        Path,
+        typer.Argument(
+            metavar="RESULT.json", help="What `analyse` or `discover` wrote."
+        ),
     ],
     points: Annotated[
         Path, typer.Option(metavar="P.csv", help="Axis positions: x_mm,y_mm,z_mm[,...]")
@@ -257,7 +268,10 @@ def predict(
 @app.command()
 def compare(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")
+        Path,
+        typer.Argument(
+            metavar="RESULT.json", help="What `analyse` or `discover` wrote."
+        ),
     ],
     reference: Annotated[
         Path,
@@ -287,7 +301,10 @@ def compare(
 @app.command()
 def export(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT.json", help="What `analyse` wrote.")
+        Path,
+        typer.Argument(
+            metavar="RESULT.json", help="What `analyse` or `discover` wrote."
+        ),
     ],
     format: Annotated[
         str, typer.Option(metavar="F", help="Of the controller; another word lists.")

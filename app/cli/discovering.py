@@ -7,24 +7,31 @@ from typing import Any
 
 from app.cli.terminal import print_json, progress
 from app.errors import BadInput
-from app.jobs.discovery import DISCOVERY, discover_run, write_discovery
+from app.jobs.discovery import discover_run, read_parent, write_discovery
 from app.measurement.bundle import read_bundle
 
 
-def discover_bundle(bundle: Path, output: Path, *, as_json: bool) -> None:
-    """Find what a measurement's model lacks and write the files of the answer."""
+def discover_bundle(
+    bundle: Path, output: Path, *, model: Path | None, as_json: bool
+) -> None:
+    """Find what a measurement's model lacks and write the files of the answer.
+
+    model : a model or result file; the rigid-body model fitted to the bundle if None
+    """
     if output.exists() and not output.is_dir():
         raise BadInput(f"{output}: is a file; name a folder for the results")
     with progress("discover") as report:
         report(0.0, "reading")
-        discovered = discover_run(read_bundle(bundle), progress=report)
+        parent = None if model is None else read_parent(model)
+        discovered = discover_run(read_bundle(bundle), parent, report)
         report(1.0, "writing")
         write_discovery(discovered, output)
     if as_json:
         print_json(discovered.content)
     else:
         print(worded(discovered.content))
-        print(f"written: {output / DISCOVERY}")
+        for file in sorted(path for path in output.iterdir() if path.is_file()):
+            print(file)
 
 
 def worded(content: dict[str, Any]) -> str:

@@ -19,6 +19,7 @@ from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.prior import BendingPrior, first_guess, fitted
 from app.estimation.runs import Measured
 from app.kinematics.effects.base import Effect
+from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.time_spline import time_splines
 from app.kinematics.model import MachineModel
 from app.measurement.run import Run
@@ -117,7 +118,8 @@ def ground_of(run: Run, given: GivenModel | None) -> Ground:
 def renoised(ground: Ground, effects: Sequence[Effect] = ()) -> Ground:
     """Return it with the pose and noise that are left beside effects and all slow."""
     coarse, base = ground.coarse, ground.base
-    beside = (*time_splines(coarse.at, _SPLINE_S), *effects)
+    known = [e for e in base.model.effects if isinstance(e, Catalogued)]
+    beside = (*time_splines(coarse.at, _SPLINE_S), *known, *effects)
     noise = first_noise(coarse, perpendicular_only=False)
     runs = [Measured(coarse, base.pose, noise)]
     (found,) = looked_at(coarse.at.machine, runs, beside)

@@ -81,16 +81,22 @@ class Gap:
 class Discovery:
     """What the model lacks.
 
+    plain : the Run explained by the base alone
     findings : by evidence, greatest first; compared : effects that were looked for
+    left_before_mm, left_after_mm : (n, 3) what base alone and explanation leave, where
+        the tracker stands
     """
 
     scene: Scene
     ground: Ground
+    plain: Explanation
     explanation: Explanation
     findings: tuple[Finding, ...]
     gap: Gap
     before: Where
     after: Where
+    left_before_mm: Float64[np.ndarray, "n 3"]
+    left_after_mm: Float64[np.ndarray, "n 3"]
     compared: int
 
     @property
@@ -116,14 +122,14 @@ def discover(
     ground = ground_of(run, given)
     scene = Scene(run, at_pose(scene.seen, ground.base.pose))
     told(0.35)
-    search = Search(scene.seen, ground.base, ground.prior, families())
+    search = Search(scene.seen, ground.base, ground.prior, _looked_for(given))
     best = search.found()
     told(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.
         ground = renoised(ground, [o.candidate.effect for o in best.chosen])
         scene = Scene(run, at_pose(scene.seen, ground.base.pose))
-        search = Search(scene.seen, ground.base, ground.prior, families())
+        search = Search(scene.seen, ground.base, ground.prior, _looked_for(given))
         best = search.found(best.chosen)
     told(0.8)
     plain = search.explained([])
@@ -132,16 +138,25 @@ def discover(
     frame = beam_frame(scene.seen.tracker_mm) @ ground.base.pose.rotation
     along = np.einsum("nij,nj->ni", frame, scene.seen.direction)
     floor = floor_mm(scene.seen, ground.base.noise, along) * 1e3
+    before, after = (search.residual(e).left_mm for e in (plain, best))
     return Discovery(
         scene,
         ground,
+        plain,
         best,
         findings,
         Gap(floor * plain.foretold.ratio, floor * best.foretold.ratio, floor),
-        where(scene.seen, search.residual(plain).left_mm),
-        where(scene.seen, search.residual(best).left_mm),
+        where(scene.seen, before),
+        where(scene.seen, after),
+        before,
+        after,
         search.compared,
     )
+
+
+def _looked_for(given: GivenModel | None) -> tuple[Family, ...]:
+    """Return all families; what the rigid-body model always has is not missing."""
+    return tuple(f for f in families() if given is not None or f.name != "squareness")
 
 
 def _untold(share: float) -> None:

@@ -202,8 +202,8 @@ def write_analysis(analysis: Analysis, folder: str | Path) -> None:
 
 
 def load_result(file: str | Path) -> LoadedResult:
-    """Read a result file. Raises BundleError."""
-    return read_result(parse_json(_bytes(file), str(file)), file=str(file))
+    """Read a result or model file. Raises BundleError."""
+    return read_result(parse_json(read_file(file), str(file)), file=str(file))
 
 
 def predict_points(
@@ -214,13 +214,14 @@ def predict_points(
     Raises BundleError with the place; `Prediction.warnings` is for the user.
     """
     loaded = load_result(result)
-    asked = read_points(_bytes(points), loaded.machine, file=str(points))
+    asked = read_points(read_file(points), loaded.machine, file=str(points))
     predicted = predict(loaded, asked.position, asked.target)
     replace_file(Path(output), predicted_csv(asked, predicted).encode())
     return predicted
 
 
-def _bytes(file: str | Path) -> bytes:
+def read_file(file: str | Path) -> bytes:
+    """Return the bytes of a file of bounded size. Raises BundleError."""
     place = Path(file)
     try:
         if place.stat().st_size > _LARGEST:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +10,15 @@ from typing import Any
 
 from app.discovery.discover import Discovery, discover
 from app.discovery.discovery_json import discovery_json
-from app.jobs.analysis import Progress
+from app.discovery.model_file import NextModel, Parent, next_model
+from app.jobs.analysis import Progress, read_file
 from app.measurement.bundle_files import replace_file
+from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
+from app.reporting.result_json import read_result
 
-DISCOVERY = "discovery.json"
+DISCOVERY, MODEL = "discovery.json", "model.json"
+_FOUND = 0.95  # share of the work that is done with the search
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,27 +27,49 @@ class Discovered:
 
     found: Discovery
     content: dict[str, Any]
+    model: NextModel
 
 
-def discover_run(run: Run, progress: Progress | None = None) -> Discovered:
-    """Find what the rigid-body model fitted to a Run lacks.
+def read_parent(file: str | Path, source: str = "") -> Parent:
+    """Read a model or result file to hold Runs against. Raises BundleError.
 
-    progress : told the share done and the stage
-
-    Raises AlignmentError, EstimationError if the Run cannot be fitted.
+    source : what the model is called in what comes of it; its file if left out
     """
+    data = read_file(file)
+    loaded = read_result(parse_json(data, str(file)), file=str(file))
+    return Parent(loaded, source or str(file), hashlib.sha256(data).hexdigest())
 
-    def told(share: float) -> None:
-        if progress is not None:
-            progress(share, "discovering")
 
-    found = discover(run, progress=told)
-    return Discovered(found, discovery_json(found))
+def discover_run(
+    run: Run, parent: Parent | None = None, progress: Progress | None = None
+) -> Discovered:
+    """Find what a model of a Run lacks.
+
+    parent : the model; the rigid-body model fitted to the Run if None
+    progress : told the share done and the stage: discovering, reporting
+
+    Raises AlignmentError, EstimationError if the Run cannot be fitted, BundleError if
+    the model is not of its machine.
+    """
+    told = progress or (lambda share, stage: None)
+
+    def searched(share: float) -> None:
+        told(_FOUND * share, "discovering")
+
+    given = None if parent is None else parent.given(run)
+    found = discover(run, given, searched)
+    told(_FOUND, "reporting")
+    return Discovered(found, discovery_json(found), next_model(found, parent))
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     """Write the files of a discovery into a folder, each whole or not at all."""
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(discovered.content, ensure_ascii=False, allow_nan=False)
-    replace_file(place / DISCOVERY, f"{text}\n".encode())
+    # The discovery last: where it stands, the others stand as well.
+    for name, content in (
+        (MODEL, discovered.model.content),
+        (DISCOVERY, discovered.content),
+    ):
+        text = json.dumps(content, ensure_ascii=False, allow_nan=False)
+        replace_file(place / name, f"{text}\n".encode())

@@ -1,4 +1,4 @@
-"""The estimated model in `result.json`: knots, control values and their covariance.
+"""The estimated model in files: knots, control values and their covariance.
 
 Each effect states numbers that mean something without this program: the values of a
 spline at its knots, an angle. They are linear in the parameters, s = G θ, so their
@@ -17,12 +17,19 @@ from jaxtyping import Float64
 
 from app.kinematics.effects.axis_location import AxisLocation, axis_locations
 from app.kinematics.effects.base import Effect
+from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion_over
 from app.kinematics.effects.squareness import Squareness, squareness_between
 from app.kinematics.machine import Axis, Machine, RotaryAxis
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, unit
 from app.measurement.json_fields import Field, Fields
+from app.reporting.catalogued_json import (
+    CATALOGUED,
+    catalogued_from_json,
+    catalogued_json,
+    catalogued_rows,
+)
 from app.reporting.direction_tables import directional
 from app.reporting.error_tables import MICRO, MILLI
 from app.reporting.packing import ENCODING, pack_symmetric, unpack_symmetric
@@ -52,7 +59,7 @@ def model_to_json(
     out: to the map of one target it adds a shift, which is no machine error.
     """
     model, theta, covariance = _of_the_machine(model, theta, covariance)
-    G = _stated(model)
+    G = stated(model)
     values = G @ theta
     effects: list[dict[str, Any]] = []
     begin = 0
@@ -77,17 +84,17 @@ def model_from_json(field: Field, machine: Machine) -> SavedModel:
     content = field.mapping()
     content.child("schema").choice((SCHEMA,))
     effects: list[Effect] = []
-    stated: list[Float64[np.ndarray, " k"]] = []
+    numbers: list[Float64[np.ndarray, " k"]] = []
     for element in content.child("effects").elements():
         effect, values = _effect_from_json(element, machine)
         if effect.name in (e.name for e in effects):
             raise element.error(f"repeats {effect.name}", "state each effect once")
         effects.append(effect)
-        stated.append(values)
+        numbers.append(values)
     model = MachineModel(machine, tuple(effects))
-    G = _stated(model)
+    G = stated(model)
     back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
-    values = np.concatenate([*stated, np.empty(0)])
+    values = np.concatenate([*numbers, np.empty(0)])
     covariance = _covariance(content.child("covariance").mapping(), len(values))
     return SavedModel(model, back @ values, back @ covariance @ back.T)
 
@@ -110,7 +117,7 @@ def _of_the_machine(
     return machine_model, theta[kept], covariance[np.ix_(kept, kept)]
 
 
-def _stated(model: MachineModel) -> Float64[np.ndarray, "s p"]:
+def stated(model: MachineModel) -> Float64[np.ndarray, "s p"]:
     """Return G of all effects: their stated numbers per parameter."""
     blocks = [_rows(effect) for effect in model.effects]
     G = np.zeros((sum(len(b) for b in blocks), model.size))
@@ -128,6 +135,8 @@ def _rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
         return np.array([[MICRO]])
     if isinstance(effect, AxisLocation):
         return np.array([[MICRO if unit(effect.symbol) == "urad" else MILLI]])
+    if isinstance(effect, Catalogued):
+        return catalogued_rows(effect)
     raise TypeError(f"{effect.name} has no form in a result file")
 
 
@@ -146,6 +155,8 @@ def _effect_json(effect: Effect, values: Float64[np.ndarray, " s"]) -> dict[str,
             "symbol": effect.symbol,
             key: float(values[0]),
         }
+    if isinstance(effect, Catalogued):
+        return catalogued_json(effect, values)
     return {
         "effect": "squareness",
         "symbol": effect.name,
@@ -166,10 +177,12 @@ def _effect_from_json(
 ) -> tuple[Effect, Float64[np.ndarray, " s"]]:
     content = field.mapping()
     kind = content.child("effect").choice(
-        ("error-motion", "squareness", "axis-location")
+        ("error-motion", "squareness", "axis-location", CATALOGUED)
     )
     if kind == "error-motion":
         return _error_motion(content, machine)
+    if kind == CATALOGUED:
+        return catalogued_from_json(content, machine)
     if kind == "axis-location":
         return _axis_location(content, machine)
     known = {s.symbol: s for s in squareness_between(machine.axis_names)}

@@ -7,6 +7,7 @@ prediction needs, so that the file alone gives the map of the estimate.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -19,7 +20,7 @@ from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.measurement.json_fields import Field, Fields
 from app.measurement.machine_file import machine_from_json, machine_to_json
-from app.reporting.direction_tables import half_differences
+from app.reporting.direction_tables import HalfDifference, half_differences
 from app.reporting.error_tables import (
     MILLI,
     ErrorTable,
@@ -39,7 +40,7 @@ from app.reporting.run_json import (
 )
 from app.reporting.trials_json import trials_json
 
-SCHEMA = "result/1"
+SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 MODES = ("otf", "standstill")
 _MANDATORY = (
     "machine",
@@ -51,14 +52,16 @@ _MANDATORY = (
     "observability",
     "provenance",
 )
+_MANDATORY_IN_MODEL = ("machine", "mode", "observability", "provenance", "model")
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedResult:
-    """What a result file says about the machine.
+    """What a result or model file says about the machine.
 
     unobservable : statements in words; provenance : as the file states it
     measured : by axis, the range beyond which tables are extrapolated, if it is known
+    version : of the model; that of a result, which has no parent, is 1
     """
 
     machine: Machine
@@ -69,6 +72,7 @@ class LoadedResult:
     unobservable: tuple[str, ...]
     provenance: dict[str, Any]
     measured: Ranges = field(default_factory=dict[str, tuple[float, float]])
+    version: int = 1
 
     def tables(self) -> ErrorTables:
         """Return the error tables."""
@@ -82,14 +86,14 @@ def result_json(found: Findings) -> dict[str, Any]:
         "schema": SCHEMA,
         "machine": machine_to_json(estimate.model.machine),
         "mode": found.main.account.mode,
-        "error_tables": {t.symbol: _table_json(t) for t in found.tables.tables},
+        "error_tables": {t.symbol: table_json(t) for t in found.tables.tables},
         "squareness_urad": {
             s.symbol: {"value": s.value_urad, "uncertainty": s.uncertainty_urad}
             for s in found.tables.squareness
         },
         "direction": _direction_json(found),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
-        **_locations_json(found.tables),
+        **locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
         "alignment": alignment_json(found.main),
@@ -102,7 +106,9 @@ def result_json(found: Findings) -> dict[str, Any]:
             "unobservable": list(estimate.observability.unobservable),
             "weak": list(estimate.observability.weak),
         },
-        "measured_range": _measured_json(found),
+        "measured_range": ranges_json(
+            found.estimate.measured, found.estimate.model.machine
+        ),
         "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
         "model": model_to_json(estimate.model, estimate.theta, estimate.covariance),
@@ -110,15 +116,19 @@ def result_json(found: Findings) -> dict[str, Any]:
 
 
 def read_result(content: object, *, file: str = "result.json") -> LoadedResult:
-    """Return what the parsed JSON of a result file says.
+    """Return what the parsed JSON of a result file, or of a model file, says.
 
     Raises BundleError naming file and key if it is of another schema or incomplete.
     """
     top = Field(file, "", content).mapping()
     schema = top.child("schema")
-    if schema.value != SCHEMA:
-        raise schema.error("is not that of a result", f"give a file of {SCHEMA}")
-    for key in _MANDATORY:
+    if schema.value not in (SCHEMA, MODEL_SCHEMA):
+        raise schema.error(
+            "is not that of a result or model",
+            f"give a file of {SCHEMA} or {MODEL_SCHEMA}",
+        )
+    extended = schema.value == MODEL_SCHEMA
+    for key in _MANDATORY_IN_MODEL if extended else _MANDATORY:
         top.child(key)
     machine = machine_from_json(top.child("machine").value, file=file, key="machine")
     if "model" not in top:
@@ -137,7 +147,15 @@ def read_result(content: object, *, file: str = "result.json") -> LoadedResult:
         _unobservable(top),
         dict(top.child("provenance").mapping().values),
         _measured(top, machine),
+        _version(top.child("version")) if extended else 1,
     )
+
+
+def _version(stated: Field) -> int:
+    value = stated.number(lowest=1.0)
+    if value != int(value):
+        raise stated.error(f"is {value:g}", "write a whole number")
+    return int(value)
 
 
 def _unobservable(top: Fields) -> tuple[str, ...]:
@@ -161,7 +179,8 @@ def _measured(top: Fields, machine: Machine) -> Ranges:
     }
 
 
-def _table_json(table: ErrorTable) -> dict[str, Any]:
+def table_json(table: ErrorTable) -> dict[str, Any]:
+    """Return an error table."""
     return {
         f"position_{table.position_unit}": table.position_mm.tolist(),
         f"value_{table.unit}": table.value.tolist(),
@@ -170,15 +189,14 @@ def _table_json(table: ErrorTable) -> dict[str, Any]:
     }
 
 
-def _measured_json(found: Findings) -> dict[str, Any]:
+def ranges_json(ranges: Ranges, machine: Machine) -> dict[str, Any]:
     """Return the range of each axis beyond which its tables are extrapolated."""
-    ranges = found.estimate.measured
     return {
         axis.name: {
             f"from_{position_unit(axis)}": ranges[axis.name][0],
             f"to_{position_unit(axis)}": ranges[axis.name][1],
         }
-        for axis in found.estimate.model.machine.axes
+        for axis in machine.axes
         if axis.name in ranges
     }
 
@@ -186,20 +204,22 @@ def _measured_json(found: Findings) -> dict[str, Any]:
 def _direction_json(found: Findings) -> dict[str, Any]:
     estimate = found.estimate
     halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
+    return {"model": estimate.direction, "half_difference": halves_json(halves)}
+
+
+def halves_json(halves: Sequence[HalfDifference]) -> dict[str, Any]:
+    """Return half the difference of both directions, by symbol."""
     return {
-        "model": estimate.direction,
-        "half_difference": {
-            half.symbol: {
-                "position_mm": half.position_mm.tolist(),
-                f"value_{half.unit}": half.value.tolist(),
-                f"uncertainty_{half.unit}": half.uncertainty.tolist(),
-            }
-            for half in halves
-        },
+        half.symbol: {
+            "position_mm": half.position_mm.tolist(),
+            f"value_{half.unit}": half.value.tolist(),
+            f"uncertainty_{half.unit}": half.uncertainty.tolist(),
+        }
+        for half in halves
     }
 
 
-def _locations_json(tables: ErrorTables) -> dict[str, Any]:
+def locations_json(tables: ErrorTables) -> dict[str, Any]:
     """Return where rotary axes are; nothing for a machine that has none."""
     if not tables.locations:
         return {}

@@ -8,13 +8,14 @@ which lead, which time constant) fixed. What is scanned has a range and a step.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.machine import Machine
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
 
@@ -97,12 +98,14 @@ class Family(ABC):
     in_machine : part of the machine, and so of its volumetric error; else of the
         measurement
     is_smooth : in what is scanned; else every value is tried, for want of a slope
+    scanned : name of what is scanned, as files state it
     """
 
     name: str
     signature: Signature
     in_machine: bool = True
     is_smooth: bool = True
+    scanned: str = ""
 
     @abstractmethod
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
@@ -122,6 +125,26 @@ class Family(ABC):
         """Return the candidate with what is scanned at another value."""
         del at, value
         return candidate
+
+    def kept(self, candidate: Candidate) -> dict[str, float]:
+        """Return the numbers that make the effect again, beside its keys."""
+        return {} if candidate.value is None else {self.scanned: candidate.value}
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect | None:
+        """Return the effect as a model file states it; None if it ends with its Run.
+
+        Raises KeyError naming a key or axis that is not there.
+        """
+        del machine, keys, numbers
+        return None
+
+    def outlasts(self, candidate: Candidate, machine: Machine) -> bool:
+        """Tell whether the effect is in the next Run too, as in the machine's model."""
+        numbers = self.kept(candidate)
+        stays = self.restored(machine, candidate.keys, numbers) is not None
+        return self.in_machine and stays
 
     @abstractmethod
     def parameters(

@@ -9,7 +9,7 @@ that of a travelling load, (4u(1 − u))².
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from app.kinematics.effects.catalogue import (
     Measured,
     Signature,
 )
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
 
@@ -85,6 +85,14 @@ class ElasticSagFamily(Family):
             if by is not axis
             for direction in LINEAR
         ]
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        return ElasticSag(
+            machine.linear(keys["axis"]), machine.linear(keys["by"]), keys["direction"]
+        )
 
     def parameters(
         self,

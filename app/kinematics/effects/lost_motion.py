@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.approach import half_width
-from app.kinematics.effects.base import Conditions
+from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -16,6 +16,7 @@ from app.kinematics.effects.catalogue import (
     Measured,
     Signature,
 )
+from app.kinematics.machine import Machine
 from app.kinematics.symbols import error_motions, is_positioning, is_turn
 
 _USUAL_RAD = 1e-5
@@ -44,6 +45,13 @@ class BacklashFamily(Family):
             )
             for axis in at.machine.linear_axes
         ]
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        axis = machine.linear(keys["axis"])
+        return half_width(f"E{axis.name}{axis.name}", axis)
 
     def parameters(
         self,
@@ -83,6 +91,15 @@ class LateralBacklashFamily(Family):
             for symbol in error_motions(axis.name)
             if not is_positioning(symbol)
         ]
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        axis, symbol = machine.linear(keys["axis"]), keys["motion"]
+        if symbol not in error_motions(axis.name):
+            raise KeyError(symbol)
+        return half_width(symbol, axis)
 
     def parameters(
         self,

@@ -7,7 +7,7 @@ work).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -23,7 +23,7 @@ from app.kinematics.effects.catalogue import (
     Measured,
     Signature,
 )
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
 _DEGREE = 3
@@ -85,6 +85,13 @@ class PlaneErrorFamily(Family):
             for first, second in combinations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        first, second = (machine.linear(name) for name in keys["plane"])
+        return PlaneError(first, second, keys["direction"])
 
     def parameters(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from app.kinematics.effects.catalogue import (
     Signature,
 )
 from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 
 _DECAYS_MM = np.geomspace(3.0, 60.0, 10)
 
@@ -58,6 +58,7 @@ class ReversalSpikeFamily(Family):
     """Every axis in every direction, the decay scanned."""
 
     name = "reversal-spike"
+    scanned = "decay_mm"
     signature = Signature(
         cause="Friction holds an axis back for a moment when it reverses, or its guide "
         "tilts before it settles.",
@@ -102,6 +103,13 @@ class ReversalSpikeFamily(Family):
         axis = at.machine.linear(candidate.keys["axis"])
         effect = ReversalSpike(axis, candidate.keys["direction"], value)
         return replace(candidate, effect=effect, value=value)
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        axis = machine.linear(keys["axis"])
+        return ReversalSpike(axis, keys["direction"], numbers[self.scanned])
 
     def parameters(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from app.kinematics.effects.catalogue import (
     rate_of,
 )
 from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 
 _SHORTEST_MM, _LONGEST_MM = 2.5, 45.0
 
@@ -61,6 +61,7 @@ class ScrewCyclicFamily(Family):
     """Candidates of every straight axis, the lead scanned."""
 
     name = "screw-cyclic"
+    scanned = "lead_mm"
     signature = Signature(
         cause="A ball screw, its bearing or a scale that errs alike every turn.",
         looks_like="A wave along one axis, the same at every feed, with the period of "
@@ -103,6 +104,12 @@ class ScrewCyclicFamily(Family):
         """Return the candidate of another lead."""
         axis = at.machine.linear(candidate.keys["axis"])
         return replace(candidate, effect=ScrewCyclic(axis, value), value=value)
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        return ScrewCyclic(machine.linear(keys["axis"]), numbers[self.scanned])
 
     def parameters(
         self,

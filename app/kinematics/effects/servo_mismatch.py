@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from app.kinematics.effects.base import Conditions, Effect, Parameter
 from app.kinematics.effects.catalogue import Candidate, Family, Measured, Signature
 from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 
 _USUAL_S = 1e-4
 
@@ -67,6 +67,12 @@ class ServoMismatchFamily(Family):
             )
             for axis in at.machine.linear_axes
         ]
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        return ServoMismatch(machine.linear(keys["axis"]))
 
     def parameters(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +17,13 @@ from app.kinematics.effects.catalogue import (
     Signature,
 )
 from app.kinematics.effects.error_motion import arm_of, reference_position_mm
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 
 _USUAL_PER_K = 1e-5  # steel: 11 µm/m/K; glass scales: 8; a scale that follows it: 0
 _USUAL_GROWTH = 2e-5
 _FEWEST_KELVIN = 0.05
 _TAUS = 24
+_START = "start_degC"
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,12 @@ class ThermalGrowth(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the axis' direction times distance from its zero times the change."""
         around = at.around
+        name = self.axis.name
         if around is None or around.temperature_degc is None:
             return np.zeros((len(at), 3, 1))
-        celsius = around.temperature_degc[:, around.sensors.index(self.axis.name)]
+        if name not in around.sensors:
+            return np.zeros((len(at), 3, 1))
+        celsius = around.temperature_degc[:, around.sensors.index(name)]
         return _strained(self.axis, at, celsius - self.start_degc)
 
 
@@ -86,6 +90,7 @@ class ThermalGrowthFamily(Family):
     """Every straight axis: by its sensor where that has seen a change, else by time."""
 
     name = "thermal-growth"
+    scanned = "tau_s"
     signature = Signature(
         cause="Scale or screw of an axis warms during the measurement: by its own "
         "work, by coolant, by the hall.",
@@ -128,6 +133,20 @@ class ThermalGrowthFamily(Family):
         axis = at.machine.linear(candidate.keys["axis"])
         effect = WarmingUp(axis, value, float(at.time_s.min()))
         return replace(candidate, effect=effect, value=value)
+
+    def kept(self, candidate: Candidate) -> dict[str, float]:
+        """Return the temperature at which there is no growth, or the time constant."""
+        if isinstance(candidate.effect, ThermalGrowth):
+            return {_START: candidate.effect.start_degc}
+        return super().kept(candidate)
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect | None:
+        """Return growth by the sensor; what warms up with time ends with its Run."""
+        if _START not in numbers:
+            return None
+        return ThermalGrowth(machine.linear(keys["axis"]), numbers[_START])
 
     def parameters(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from app.kinematics.effects.catalogue import (
     averaged,
     rate_of,
 )
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
 _FASTEST_HZ = 1.0
@@ -144,6 +144,7 @@ class PositionWaveFamily(Family):
     """Every axis and direction across it, the period scanned."""
 
     name = "position-wave"
+    scanned = "period_mm"
     signature = Signature(
         cause="A guide, chain or rolling element that repeats with travel.",
         looks_like="The straightness of an axis waves with a steady period.",
@@ -188,6 +189,13 @@ class PositionWaveFamily(Family):
         axis = at.machine.linear(candidate.keys["axis"])
         effect = PositionWave(axis, candidate.keys["direction"], value)
         return replace(candidate, effect=effect, value=value)
+
+    def restored(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        axis = machine.linear(keys["axis"])
+        return PositionWave(axis, keys["direction"], numbers[self.scanned])
 
     def parameters(
         self,
