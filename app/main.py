@@ -174,6 +174,7 @@ def _simulated(settings: Settings, stack: ExitStack) -> tuple[Machine, CellConfi
             seed=settings.simulated_seed,
             speed=settings.simulated_speed,
             faults=settings.simulated_faults,
+            hidden=settings.simulated_hidden,
         )
     except ValueError as error:
         raise BadInput(f"simulated devices: {error}") from error

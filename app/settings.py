@@ -56,6 +56,8 @@ class Settings(BaseSettings):
     simulated_speed: float = Field(1.0, gt=0, le=100)
     simulated_seed: int = Field(1, ge=0)
     simulated_faults: tuple[str, ...] = ()
+    simulated_hidden: tuple[str, ...] = ()
+    """Effects that the model of the machine lacks, `name[*size_um]`, to be found."""
 
     machine_file: Path | None = None
     tracker_driver: str = "streaming"

@@ -20,7 +20,7 @@ import numpy as np
 from simulators.board import new_board
 from simulators.errors import SimulatorError
 from simulators.faults import parse_fault
-from simulators.hidden.drawing import as_json
+from simulators.hidden.drawing import as_json, parse_hidden
 from simulators.hidden.effect import HiddenEffect
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
@@ -42,7 +42,8 @@ class Bench:
     faults : see `simulators.faults`; `inject` adds more while it runs
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     tracker : link of the tracker, `pty` or `tcp`
-    hidden : effects that no rigid-body model knows; their time begins with the bench
+    hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
+        seed; their time begins with the bench
     """
 
     def __init__(
@@ -60,15 +61,17 @@ class Bench:
         error_scale: float = 1.0,
         limits: Limits | None = None,
         rtu: bool = True,
-        hidden: Sequence[HiddenEffect] = (),
+        hidden: Sequence[HiddenEffect | str] = (),
     ) -> None:
         if speed <= 0.0:
             raise SimulatorError(f"speed: {speed} is not above zero")
         self.machine = dict(machine) if machine is not None else load_machine("demo")
-        self.truth: TruthMachine = random_machine(
-            parse_machine(self.machine), seed, scale=error_scale
+        nominal = parse_machine(self.machine)
+        self.truth: TruthMachine = random_machine(nominal, seed, scale=error_scale)
+        self.hidden = tuple(
+            parse_hidden(one, seed, nominal) if isinstance(one, str) else one
+            for one in hidden
         )
-        self._hidden = tuple(hidden)
         self._clock = random_clock(seed)
         self._faults = [(parse_fault(text).device, text) for text in faults]
         self._workdir = workdir
@@ -82,7 +85,7 @@ class Bench:
             "speed": speed,
             "error_scale": error_scale,
             "limits": asdict(limits or Limits()),
-            "hidden": [as_json(effect) for effect in hidden],
+            "hidden": [as_json(effect) for effect in self.hidden],
         }
         self._children: dict[str, _Child] = {}
         self._addresses: dict[str, dict[str, Any]] = {}
@@ -153,7 +156,7 @@ class Bench:
 
     def hidden_truth(self) -> list[dict[str, Any]]:
         """Return the hidden effects in the form of `discovery.json`."""
-        return [effect.truth(self._clock) for effect in self._hidden]
+        return [effect.truth(self._clock) for effect in self.hidden]
 
     def close(self) -> None:
         """End both processes and wait for them. Idempotent."""

@@ -20,8 +20,7 @@ from typing import Any
 from simulators.bench import Bench
 from simulators.errors import SimulatorError
 from simulators.faults import KINDS, parse_fault
-from simulators.hidden.drawing import EFFECTS, parse_hidden
-from simulators.machine_file import parse_machine
+from simulators.hidden.drawing import EFFECTS
 from simulators.scenario import bundled_machines, load_machine
 
 _CHECK_S = 0.5
@@ -41,10 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _bench(options: argparse.Namespace) -> Bench:
-    content = load_machine(options.machine)
-    machine = parse_machine(content)
     return Bench(
-        content,
+        load_machine(options.machine),
         options.seed,
         options.speed,
         options.fault,
@@ -55,7 +52,7 @@ def _bench(options: argparse.Namespace) -> Bench:
         modbus_port=options.modbus_port,
         error_scale=options.error_scale,
         rtu=options.rtu,
-        hidden=[parse_hidden(text, options.seed, machine) for text in options.hide],
+        hidden=options.hide,
     )
 
 

@@ -339,6 +339,15 @@ def test_a_fault_of_the_bench_that_nobody_knows_is_bad_input(settings):
         pass
 
 
+def test_a_hidden_effect_of_the_bench_that_nobody_knows_is_bad_input(settings):
+    wrong = settings.model_copy(update={"simulated_hidden": ("poltergeist",)})
+    with (
+        pytest.raises(BadInput, match=r"simulated devices: .*poltergeist"),
+        open_service(wrong),
+    ):
+        pass
+
+
 def test_a_machine_of_iron_uses_the_drivers_of_the_settings(settings, tmp_path):
     file = tmp_path / "machine.json"
     file.write_text(json.dumps(load_machine("demo")))

@@ -300,7 +300,10 @@ def test_a_bundle_tells_the_truth_of_what_was_hidden(tmp_path: Path) -> None:
     assert synthetic.main([str(out), "--hide", "nothing-known"]) == 2
 
 
-def test_a_bench_knows_what_it_hides() -> None:
-    bench = Bench(seed=5, hidden=(Backlash("Y", 6.0), TableDrift((0.1, 0.0, 0.0))))
+def test_a_bench_knows_what_it_hides(machine: MachineFile) -> None:
+    bench = Bench(seed=5, hidden=(Backlash("Y", 6.0), "table-drift*3"))
     names = [e["name"] for e in bench.hidden_truth()]
     assert names == ["backlash", "table-drift"]
+    assert bench.hidden[1] == parse_hidden("table-drift*3", 5, machine)
+    with pytest.raises(SimulatorError, match="poltergeist"):
+        Bench(hidden=["poltergeist"])
