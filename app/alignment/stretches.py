@@ -200,7 +200,7 @@ def joined(
         line,
         np.concatenate([p.line_time_s for p in parts]),
         velocity,
-        _approach(run.commanded.position)[row],
+        approach_signs(run.commanded.position)[row],
         run.machine.tracker.stands_on,
         on_workpiece(run.machine, names, len(row)),
         mean_speed if run.machine.rotary_axes else None,
@@ -226,7 +226,9 @@ def _scatter(parts: list[Stretch]) -> Float64[np.ndarray, "2"]:
     return np.sqrt(square / np.maximum(freedom, 1.0))
 
 
-def _approach(position: Float64[np.ndarray, "w a"]) -> Float64[np.ndarray, "w a"]:
+def approach_signs(
+    position: Float64[np.ndarray, "w a"],
+) -> Float64[np.ndarray, "w a"]:
     """Return the sign of each axis' last motion on the way to each row."""
     step = np.sign(np.diff(position, axis=0, prepend=position[:1]))
     last = np.where(step != 0.0, np.arange(len(step))[:, None], 0)

@@ -1,4 +1,4 @@
-"""What a Run is held against: the rigid-body model fitted to it, or a given model."""
+"""What Runs are held against: the rigid-body model fitted to them, or a given one."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from app.estimation.prior import BendingPrior, first_guess, fitted
 from app.estimation.runs import Measured
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.of_run import OfRun
 from app.kinematics.effects.time_spline import time_splines
 from app.kinematics.model import MachineModel
+from app.measurement.one_machine import one_machine
 from app.measurement.run import Run
 
 _SPLINE_S = 6.0  # what is slower is structure to be explained, not noise
@@ -89,42 +91,64 @@ class GivenModel:
 
 @dataclass(frozen=True)
 class Ground:
-    """Base and prior, and the coarse cells that the noise is judged by."""
+    """Base and prior of a Run, and the coarse cells that its noise is judged by."""
 
     base: Base
     prior: BasePrior
     coarse: Observations
 
 
-def ground_of(run: Run, given: GivenModel | None) -> Ground:
-    """Return base, prior and noise of a Run.
+def grounds_of(runs: Sequence[Run], given: GivenModel | None) -> tuple[Ground, ...]:
+    """Return base, prior and noise of each Run; the machine is the same in all.
 
-    given : the model it is held against; the rigid-body model fitted to it if None
+    given : the model they are held against; the rigid-body model fitted to them if None
+
+    Raises BundleError if the Runs are not of one machine.
     """
-    coarse = with_surroundings(run, align(run))
-    noise = first_noise(coarse, perpendicular_only=False)
-    x, y, z = coarse.at.point_mm.mean(axis=0)
+    machine = one_machine([r.machine for r in runs], [r.name for r in runs])
+    coarse = [
+        with_surroundings(align(run), run.commanded, run.temperature, number)
+        for number, run in enumerate(runs)
+    ]
     if given is None:
-        model, _ = identifiable_model(run.machine, coarse.at.offset_mm)
+        model, _ = identifiable_model(machine, *(seen.at.offset_mm for seen in coarse))
         given = GivenModel(model, np.zeros(model.size), np.zeros((0, 0)))
         prior: BasePrior = Elastic(first_guess(model))
     else:
         prior = given.known()
+    return renoised(
+        [Ground(_first_base(seen, given, len(runs)), prior, seen) for seen in coarse]
+    )
+
+
+def _first_base(seen: Observations, given: GivenModel, runs: int) -> Base:
+    noise = first_noise(seen, perpendicular_only=False)
+    x, y, z = seen.at.point_mm.mean(axis=0)
     centre = (float(x), float(y), float(z))
-    base = Base(given.model, coarse.pose, centre, noise, given.theta)
-    return renoised(Ground(base, prior, coarse))
+    return Base(given.model, seen.pose, centre, noise, given.theta, runs)
 
 
-def renoised(ground: Ground, effects: Sequence[Effect] = ()) -> Ground:
-    """Return it with the pose and noise that are left beside effects and all slow."""
-    coarse, base = ground.coarse, ground.base
-    known = [e for e in base.model.effects if isinstance(e, Catalogued)]
-    beside = (*time_splines(coarse.at, _SPLINE_S), *known, *effects)
-    noise = first_noise(coarse, perpendicular_only=False)
-    runs = [Measured(coarse, base.pose, noise)]
-    (found,) = looked_at(coarse.at.machine, runs, beside)
-    return replace(
-        ground,
-        base=replace(base, pose=found.pose, noise=found.noise),
-        coarse=at_pose(coarse, found.pose),
+def renoised(
+    grounds: Sequence[Ground], effects: Sequence[Effect] = ()
+) -> tuple[Ground, ...]:
+    """Return them with the pose and noise left beside effects and all that is slow."""
+    model = grounds[0].base.model
+    slow = [
+        OfRun(spline, number)
+        for number, ground in enumerate(grounds)
+        for spline in time_splines(ground.coarse.at, _SPLINE_S)
+    ]
+    known = [e for e in model.effects if isinstance(e, Catalogued)]
+    runs = [
+        Measured(g.coarse, g.base.pose, first_noise(g.coarse, perpendicular_only=False))
+        for g in grounds
+    ]
+    better = looked_at(model.machine, runs, (*slow, *known, *effects))
+    return tuple(
+        replace(
+            ground,
+            base=replace(ground.base, pose=found.pose, noise=found.noise),
+            coarse=at_pose(ground.coarse, found.pose),
+        )
+        for ground, found in zip(grounds, better, strict=True)
     )

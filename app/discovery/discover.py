@@ -1,4 +1,4 @@
-"""The way from a Run to the effects that its model lacks.
+"""The way from Runs to the effects that their model lacks.
 
 Where measured and simulated differ, which effects explain it, none or unnamed where
 that is the answer, and how much of the gap is closed on lines not seen.
@@ -6,18 +6,19 @@ that is the answer, and how much of the gap is closed on lines not seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.reduction import beam_frame
-from app.discovery.base import GivenModel, Ground, ground_of, renoised
+from app.discovery.base import GivenModel, Ground, grounds_of, renoised
 from app.discovery.catalogue import DESCRIBED, families
 from app.discovery.scan import Offer
 from app.discovery.scene import Scene, at_pose, scene_of
 from app.discovery.search import Explanation, Search
+from app.discovery.sums import View
 from app.discovery.where import Where, where
 from app.estimation.noise import floor_mm
 from app.kinematics.effects.base import Conditions
@@ -43,14 +44,22 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect, how large it is, why it is believed, and what else it may be."""
+    """One effect, how large it is, why it is believed, and what else it may be.
+
+    rivals : effects that would explain the same as well
+    """
 
     offer: Offer
     parameters: dict[str, Measured]
     theta: Float64[np.ndarray, " p"]
     covariance: Float64[np.ndarray, "p p"]
     evidence: Evidence
-    alternatives: tuple[Candidate, ...]
+    rivals: tuple[Offer, ...]
+
+    @property
+    def alternatives(self) -> tuple[Candidate, ...]:
+        """What else it may be."""
+        return tuple(rival.candidate for rival in self.rivals)
 
     @property
     def family(self) -> Family:
@@ -79,16 +88,18 @@ class Gap:
 
 @dataclass(frozen=True)
 class Discovery:
-    """What the model lacks.
+    """What the model lacks. Where it errs is shown on the first Run.
 
-    plain : the Run explained by the base alone
+    scenes, grounds : of each Run; search : to ask for other explanations
+    plain : the Runs explained by the base alone
     findings : by evidence, greatest first; compared : effects that were looked for
     left_before_mm, left_after_mm : (n, 3) what base alone and explanation leave, where
         the tracker stands
     """
 
-    scene: Scene
-    ground: Ground
+    scenes: tuple[Scene, ...]
+    grounds: tuple[Ground, ...]
+    search: Search
     plain: Explanation
     explanation: Explanation
     findings: tuple[Finding, ...]
@@ -100,58 +111,91 @@ class Discovery:
     compared: int
 
     @property
+    def scene(self) -> Scene:
+        """The first Run."""
+        return self.scenes[0]
+
+    @property
+    def ground(self) -> Ground:
+        """What the first Run is held against."""
+        return self.grounds[0]
+
+    @property
     def at(self) -> Conditions:
-        """Conditions of the cells."""
+        """Conditions of the cells of the first Run."""
         return self.scene.at
 
 
 def discover(
-    run: Run,
+    runs: Sequence[Run],
     given: GivenModel | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Discovery:
     """Find what simulation lacks to be like the measurement.
 
-    given : the model that simulates; the rigid-body model fitted to the Run if None
+    runs : of one machine, each with its own tracker pose, timing and noise
+    given : the model that simulates; the rigid-body model fitted to the Runs if None
 
-    Raises AlignmentError, EstimationError if the Run cannot be fitted at all.
+    Raises AlignmentError, EstimationError if the Runs cannot be fitted at all,
+    BundleError if they are not of one machine.
     """
     told = progress or _untold
-    scene = scene_of(run)
+    scenes = tuple(scene_of(run, number) for number, run in enumerate(runs))
     told(0.05)
-    ground = ground_of(run, given)
-    scene = Scene(run, at_pose(scene.seen, ground.base.pose))
+    grounds = grounds_of(runs, given)
     told(0.35)
-    search = Search(scene.seen, ground.base, ground.prior, _looked_for(given))
+    scenes, search = _prepared(scenes, grounds, given)
     best = search.found()
     told(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.
-        ground = renoised(ground, [o.candidate.effect for o in best.chosen])
-        scene = Scene(run, at_pose(scene.seen, ground.base.pose))
-        search = Search(scene.seen, ground.base, ground.prior, _looked_for(given))
+        grounds = renoised(grounds, [o.effect for o in best.chosen])
+        scenes, search = _prepared(scenes, grounds, given)
         best = search.found(best.chosen)
     told(0.8)
     plain = search.explained([])
     findings = _findings(search, plain, best)
     told(0.95)
-    frame = beam_frame(scene.seen.tracker_mm) @ ground.base.pose.rotation
-    along = np.einsum("nij,nj->ni", frame, scene.seen.direction)
-    floor = floor_mm(scene.seen, ground.base.noise, along) * 1e3
-    before, after = (search.residual(e).left_mm for e in (plain, best))
+    floor = _floor_um(scenes, grounds)
+    before, after = (search.residuals(e)[0].left_mm for e in (plain, best))
     return Discovery(
-        scene,
-        ground,
+        scenes,
+        grounds,
+        search,
         plain,
         best,
         findings,
         Gap(floor * plain.foretold.ratio, floor * best.foretold.ratio, floor),
-        where(scene.seen, before),
-        where(scene.seen, after),
+        where(scenes[0].seen, before),
+        where(scenes[0].seen, after),
         before,
         after,
         search.compared,
     )
+
+
+def _prepared(
+    scenes: Sequence[Scene], grounds: Sequence[Ground], given: GivenModel | None
+) -> tuple[tuple[Scene, ...], Search]:
+    """Return the scenes where their trackers stand, and the search on them."""
+    placed = tuple(
+        Scene(scene.run, at_pose(scene.seen, ground.base.pose))
+        for scene, ground in zip(scenes, grounds, strict=True)
+    )
+    views = [View(s.seen, g.base) for s, g in zip(placed, grounds, strict=True)]
+    return placed, Search(views, grounds[0].prior, _looked_for(given))
+
+
+def _floor_um(scenes: Sequence[Scene], grounds: Sequence[Ground]) -> float:
+    """Return the root mean square that noise alone leaves in a cell of all Runs."""
+    square, cells = 0.0, 0
+    for scene, ground in zip(scenes, grounds, strict=True):
+        seen, base = scene.seen, ground.base
+        frame = beam_frame(seen.tracker_mm) @ base.pose.rotation
+        along = np.einsum("nij,nj->ni", frame, seen.direction)
+        square += len(seen) * floor_mm(seen, base.noise, along) ** 2
+        cells += len(seen)
+    return 1e3 * float(np.sqrt(square / cells))
 
 
 def _looked_for(given: GivenModel | None) -> tuple[Family, ...]:
@@ -189,19 +233,19 @@ def _finding(
         theta,
         covariance,
         Evidence(own.evidence, 0.5 * float(lost), float(lost / max(gap, 1e-12))),
-        _alternatives(search, without, offer, own.evidence),
+        _rivals(search, without, offer, own.evidence),
     )
 
 
-def _alternatives(
+def _rivals(
     search: Search, without: Explanation, offer: Offer, evidence: float
-) -> tuple[Candidate, ...]:
+) -> tuple[Offer, ...]:
     """Return the effects that would explain the same as well."""
     others, _ = search.ranked(without)
     return tuple(
-        r.offer.candidate
+        r.offer
         for r in others
-        if not r.offer.candidate.same_as(offer.candidate)
+        if r.offer.label != offer.label
         and r.evidence > evidence - _EQUIVALENT
         and r.offer.family.name not in DESCRIBED
     )

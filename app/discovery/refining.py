@@ -48,13 +48,13 @@ class ByValue(Effect):
 
 def refined(
     lines: Lines,
-    at: Conditions,
+    at: Sequence[Conditions],
     precision: Float64[np.ndarray, "b b"],
     offers: Sequence[Offer],
 ) -> tuple[Offer, ...]:
     """Return the offers with their scanned values at the best, and how well known.
 
-    precision : prior of machine and pose
+    at : conditions of each Run; precision : prior of machine and poses
     """
     found = _tried(lines, at, precision, tuple(offers))
     values = [k for k, o in enumerate(found) if _is_scanned(o) and o.family.is_smooth]
@@ -62,10 +62,10 @@ def refined(
         return found
     fit = _fit(lines, found, [], precision, np.empty(0))
     for _ in range(_ROUNDS):
-        spacing = np.array([_spacing(found[k], at) for k in values])
+        spacing = np.array([_spacing(found[k], _its(at, found[k])) for k in values])
         theta = np.split(fit.theta[len(precision) :], _ends(found))
         slopes = [
-            _by_value(found[k], at, theta[k], _STEP * h)
+            _by_value(found[k], _its(at, found[k]), theta[k], _STEP * h)
             for k, h in zip(values, spacing, strict=True)
         ]
         fit = _fit(lines, found, slopes, precision, spacing)
@@ -75,12 +75,17 @@ def refined(
         changed, bounds = list(found), np.append(0, _ends(found))
         for k, d, s in zip(values, step, sigma, strict=True):
             part = slice(*(len(precision) + bounds[k : k + 2]))
-            moved = _at(found[k], at, float(d), float(s))
+            moved = _at(found[k], _its(at, found[k]), float(d), float(s))
             changed[k] = replace(moved, covariance=fit.covariance[part, part])
         found = tuple(changed)
         if float(np.max(np.abs(step) / sigma)) < _SETTLED:
             break
     return found
+
+
+def _its(at: Sequence[Conditions], offer: Offer) -> Conditions:
+    """Return the conditions of the Run that an offer is scanned in."""
+    return at[offer.run or 0]
 
 
 def _is_scanned(offer: Offer) -> bool:
@@ -89,7 +94,7 @@ def _is_scanned(offer: Offer) -> bool:
 
 def _tried(
     lines: Lines,
-    at: Conditions,
+    at: Sequence[Conditions],
     precision: Float64[np.ndarray, "b b"],
     offers: tuple[Offer, ...],
 ) -> tuple[Offer, ...]:
@@ -98,10 +103,11 @@ def _tried(
     for k, offer in enumerate(offers):
         if not _is_scanned(offer) or offer.family.is_smooth:
             continue
-        reach = 2.0 * _spacing(offer, at)
+        here = _its(at, offer)
+        reach = 2.0 * _spacing(offer, here)
         others = tuple(o for j, o in enumerate(found) if j != k)
         for _ in range(_GRIDS):
-            offer = _best_of_grid(lines, at, precision, others, offer, reach)
+            offer = _best_of_grid(lines, here, precision, others, offer, reach)
             reach *= 4.0 / _GRID
         found[k] = offer
     return tuple(found)
@@ -121,9 +127,10 @@ def _best_of_grid(
     values = np.linspace(middle - reach, middle + reach, _GRID)
     if scan is not None:
         values = np.clip(values, scan.values[0], scan.values[-1])
-    tries = [offer.family.at_value(offer.candidate, at, float(v)) for v in values]
+    tries = [offer.at_value(at, float(v)) for v in values]
     chosen = tuple(o.candidate for o in others)
-    sums = lines.sums([c.effect for c in (*chosen, *tries)])
+    tried = [offer.effect_of(c) for c in tries]
+    sums = lines.sums([*(o.effect for o in others), *tried])
     columns = Columns(len(precision), chosen, tuple(tries))
     left = rest(sums.total(), columns, prior_precision(precision, chosen))
     gains = np.array([left.log_bayes(j, c.usual) for j, c in enumerate(tries)])
@@ -148,7 +155,7 @@ def _fit(
     precision: Float64[np.ndarray, "b b"],
     spacing: Float64[np.ndarray, " v"],
 ) -> Posterior:
-    sums = lines.sums([*(o.candidate.effect for o in offers), *slopes])
+    sums = lines.sums([*(o.effect for o in offers), *slopes])
     known = prior_precision(precision, [o.candidate for o in offers])
     size = len(known)
     total = np.zeros((size + len(spacing), size + len(spacing)))
@@ -162,8 +169,7 @@ def _at(offer: Offer, at: Conditions, change: float, sigma: float) -> Offer:
     value = (offer.candidate.value or 0.0) + change
     if scan is not None:
         value = float(np.clip(value, scan.values[0], scan.values[-1]))
-    candidate = offer.family.at_value(offer.candidate, at, value)
-    return replace(offer, candidate=candidate, value_sigma=sigma)
+    return replace(offer, candidate=offer.at_value(at, value), value_sigma=sigma)
 
 
 def _spacing(offer: Offer, at: Conditions) -> float:
@@ -180,7 +186,7 @@ def _by_value(
 ) -> ByValue:
     value = offer.candidate.value or 0.0
     before, after = (
-        offer.family.at_value(offer.candidate, at, value + side * 0.5 * step).effect
+        offer.effect_of(offer.at_value(at, value + side * 0.5 * step))
         for side in (-1.0, 1.0)
     )
     return ByValue(before, after, step, tuple(float(t) for t in theta))

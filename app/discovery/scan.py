@@ -7,7 +7,7 @@ good enough to find where a scan peaks. What counts is then computed exactly.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
-from app.alignment.observations import Observations
 from app.discovery.evidence import log_bayes
-from app.discovery.sums import TIMING, Base, line_rows, stretches
+from app.discovery.sums import TIMING, View, line_rows, stretches
 from app.estimation.noise import whiten
-from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.effects.base import Conditions, Effect, in_run
 from app.kinematics.effects.catalogue import Candidate, Family, Wave, averaged
+from app.kinematics.effects.of_run import OfRun
 
 _RATES = 8  # groups of cells of like rate
 _FINE, _PADDED = 6, 4  # grid points to the shortest wave, and its length over the data
@@ -30,6 +30,7 @@ _FINE, _PADDED = 6, 4  # grid points to the shortest wave, and its length over t
 class Offer:
     """A candidate with its family, and what looking for it costs.
 
+    run : that it ends with; None for what the machine takes to all Runs
     price : log of how many values were looked at besides
     value_sigma : standard uncertainty of the scanned value
     covariance : of the effect's parameters where the scanned value is not known better
@@ -38,14 +39,35 @@ class Offer:
 
     family: Family
     candidate: Candidate
+    run: int | None = None
     price: float = 0.0
     value_sigma: float = 0.0
     covariance: Float64[np.ndarray, "p p"] | None = None
 
+    @property
+    def effect(self) -> Effect:
+        """The candidate's effect, where it shows."""
+        return self.effect_of(self.candidate)
+
+    @property
+    def label(self) -> str:
+        """Name and keys, and the Run beyond the first."""
+        return in_run(self.candidate.label, self.run or 0)
+
+    def effect_of(self, candidate: Candidate) -> Effect:
+        """Return the effect of the candidate at another value."""
+        if self.run is None:
+            return candidate.effect
+        return OfRun(candidate.effect, self.run)
+
+    def at_value(self, at: Conditions, value: float) -> Candidate:
+        """Return the candidate with what is scanned at another value."""
+        return self.family.at_value(self.candidate, at, value)
+
 
 @dataclass(frozen=True)
 class Residual:
-    """What is left of the data where the tracker stands, and weighted: V⁻¹ r.
+    """What is left of a Run's data where the tracker stands, and weighted: V⁻¹ r.
 
     left_mm : (n, 3), phase and speed of each line taken out; weighted : (n, 3)
     precision : (n, 3, 3) of the white noise, in the frame the tracker stands on
@@ -53,6 +75,7 @@ class Residual:
         and its correlation time
     """
 
+    at: Conditions
     left_mm: Float64[np.ndarray, "n 3"]
     weighted: Float64[np.ndarray, "n 3"]
     precision: Float64[np.ndarray, "n 3 3"]
@@ -68,12 +91,10 @@ class Residual:
 
 
 def weighted_residual(
-    seen: Observations,
-    base: Base,
-    effects: Sequence[Effect],
-    theta: Float64[np.ndarray, " p"],
+    view: View, effects: Sequence[Effect], theta: Float64[np.ndarray, " p"]
 ) -> Residual:
     """Return what base and effects leave, phase and speed of each line taken out."""
+    seen, base = view.seen, view.base
     left_mm, weighted = np.zeros((2, len(seen), 3))
     precision = np.zeros((len(seen), 3, 3))
     for first, last in stretches(seen):
@@ -95,54 +116,80 @@ def weighted_residual(
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
     ratio = np.mean(np.square(noise.slow)) / np.mean(np.square(noise.white))
     slow = float(ratio) * 2.0 * noise.slow_time_s * rate_hz
-    return Residual(left_mm, weighted, precision, slow, noise.slow_time_s)
+    return Residual(seen.at, left_mm, weighted, precision, slow, noise.slow_time_s)
 
 
-def scanned(offer: Offer, at: Conditions, left: Residual) -> Offer:
-    """Return the offer at the value of its scan that promises most."""
+def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
+    """Return the offer at the value of its scan that promises most.
+
+    left : of all Runs, in their order
+    """
+    left = left if offer.run is None else left[offer.run : offer.run + 1]
+    at = left[0].at
     scan = offer.family.scan(offer.candidate, at)
     if scan is None:
         return offer
     wave = offer.family.wave(offer.candidate, at)
     if wave is not None:
-        gains = _wave_gains(wave, at, left, offer.candidate.usual)
+        gains = _wave_gains(offer, wave.waves, left)
     else:
-        gains = np.array([_gain(offer, at, left, float(v)) for v in scan.values])
+        gains = np.array([_gain(offer, left, float(v)) for v in scan.values])
     best = int(np.argmax(gains))
     low, high = (
         scan.values[max(best - 1, 0)],
         scan.values[min(best + 1, len(gains) - 1)],
     )
     found = minimize_scalar(
-        lambda v: -_gain(offer, at, left, float(v)),
+        lambda v: -_gain(offer, left, float(v)),
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-4 * (high - low), "maxiter": 20},
     )
     value = float(found.x) if -found.fun >= gains[best] else float(scan.values[best])
-    candidate = offer.family.at_value(offer.candidate, at, value)
-    return Offer(offer.family, candidate, float(np.log(max(len(gains) / 4.0, 1.0))))
+    price = float(np.log(max(len(gains) / 4.0, 1.0)))
+    return Offer(offer.family, offer.at_value(at, value), offer.run, price)
 
 
-def _gain(offer: Offer, at: Conditions, left: Residual, value: float) -> float:
-    candidate = offer.family.at_value(offer.candidate, at, value)
-    J = candidate.effect.jacobian(at)
-    r = np.einsum("nip,ni->p", J, left.weighted)
-    S = np.einsum("nip,niq->pq", J, left.precision @ J)
-    return log_bayes(S, r, candidate.usual)
+def _gain(offer: Offer, left: Sequence[Residual], value: float) -> float:
+    candidate = offer.at_value(left[0].at, value)
+    size = len(candidate.usual)
+    data, information = np.zeros(size), np.zeros((size, size))
+    for one in left:
+        J = candidate.effect.jacobian(one.at)
+        data += np.einsum("nip,ni->p", J, one.weighted)
+        information += np.einsum("nip,niq->pq", J, one.precision @ J)
+    return log_bayes(information, data, candidate.usual)
 
 
 def _wave_gains(
-    wave: Wave, at: Conditions, left: Residual, usual: Float64[np.ndarray, " p"]
+    offer: Offer, waves: Float64[np.ndarray, " v"], left: Sequence[Residual]
 ) -> Float64[np.ndarray, " v"]:
-    """Return the quick gain of all values of a wave at once.
+    """Return the quick gain of all values of a wave at once."""
+    total, told = np.zeros(len(waves), complex), np.zeros(len(waves))
+    for one in left:
+        wave = offer.family.wave(offer.candidate, one.at)
+        if wave is not None:
+            pulled, weight = _wave_sums(replace(wave, waves=waves), one)
+            total += pulled
+            told += weight
+    usual = float(offer.candidate.usual[0])
+    told *= usual**2
+    power = 0.5 * np.abs(total) ** 2 * usual**2
+    return power / (1.0 + told) - np.log1p(told)
+
+
+def _wave_sums(
+    wave: Wave, left: Residual
+) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
+    """Return what a Run holds of each wave, and with which weight.
 
     Cells of like rate average a wave alike, and see it at a like frequency in time,
     where the slow noise has its share.
     """
     data = np.einsum("ni,ni->n", wave.arm, left.weighted)
     weight = np.einsum("ni,nij,nj->n", wave.arm, left.precision, wave.arm)
-    span = np.zeros(len(data)) if at.around is None else at.around.span_s
+    around = left.at.around
+    span = np.zeros(len(data)) if around is None else around.span_s
     total, told = np.zeros(len(wave.waves), complex), np.zeros(len(wave.waves))
     for cells in _of_like_rate(wave.rate):
         rate = float(np.mean(wave.rate[cells]))
@@ -151,9 +198,7 @@ def _wave_gains(
         total += kept * _transform(wave.coordinate[cells], data[cells], wave.waves)
         share = 1.0 / (1.0 + left.slow_power(wave.waves * rate))
         told += 0.5 * kept**2 * share * float(weight[cells].sum())
-    told *= float(usual[0]) ** 2
-    power = 0.5 * np.abs(total) ** 2 * float(usual[0]) ** 2
-    return power / (1.0 + told) - np.log1p(told)
+    return total, told
 
 
 def _of_like_rate(rate: Float64[np.ndarray, " n"]) -> list[Int64[np.ndarray, " m"]]:

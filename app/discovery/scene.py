@@ -12,6 +12,8 @@ from app.alignment.observations import Observations
 from app.kinematics.effects.base import Conditions, Surroundings
 from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path, TemperatureSamples
 
 CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
 
@@ -29,25 +31,37 @@ class Scene:
         return self.seen.at
 
 
-def scene_of(run: Run) -> Scene:
+def scene_of(run: Run, number: int = 0) -> Scene:
     """Align a Run in cells short enough to show what repeats with a screw.
+
+    number : which of several Runs it is
 
     Raises AlignmentError if stream and path do not belong together.
     """
-    return Scene(run, with_surroundings(run, align(run, cell_mm=CELL_MM)))
+    seen = align(run, cell_mm=CELL_MM)
+    seen = with_surroundings(seen, run.commanded, run.temperature, number)
+    return Scene(run, seen)
 
 
-def with_surroundings(run: Run, seen: Observations) -> Observations:
-    """Return the observations, their conditions knowing their surroundings."""
+def with_surroundings(
+    seen: Observations,
+    commanded: Path | Configurations,
+    temperature: TemperatureSamples | None,
+    number: int,
+) -> Observations:
+    """Return the observations, their conditions knowing Run and surroundings.
+
+    number : which of several Runs it is
+    """
     around = Surroundings(
         _rates(seen),
         seen.count / seen.at.machine.tracker.rate_hz,
-        _since_reversal(run.commanded.position, seen),
+        _since_reversal(commanded.position, seen),
         seen.tracker_mm,
         seen.pose.rotation,
-        *_temperatures(run, seen.at.time_s),
+        *_temperatures(temperature, seen.at.time_s),
     )
-    return replace(seen, at=replace(seen.at, around=around))
+    return replace(seen, at=replace(seen.at, run=number, around=around))
 
 
 def at_pose(seen: Observations, pose: RigidTransform) -> Observations:
@@ -99,9 +113,8 @@ def _since_reversal(
 
 
 def _temperatures(
-    run: Run, time_s: Float64[np.ndarray, " n"]
+    told: TemperatureSamples | None, time_s: Float64[np.ndarray, " n"]
 ) -> tuple[tuple[str, ...], Float64[np.ndarray, "n s"] | None]:
-    told = run.temperature
     if told is None or not len(told.time_s):
         return (), None
     celsius = np.zeros((len(time_s), len(told.names)))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
 from app.discovery.base import BasePrior
 from app.discovery.evidence import (
     Columns,
@@ -20,9 +19,9 @@ from app.discovery.evidence import (
 )
 from app.discovery.refining import refined
 from app.discovery.scan import Offer, Residual, scanned, weighted_residual
-from app.discovery.sums import Base, Lines
+from app.discovery.sums import Lines, View
 from app.estimation.information import Information, Posterior
-from app.kinematics.effects.base import Effect
+from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import Candidate, Family
 
 FOLDS = 8
@@ -34,7 +33,7 @@ _EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 
 @dataclass(frozen=True)
 class Explanation:
-    """The Run explained by base and chosen effects."""
+    """The Runs explained by base and chosen effects."""
 
     chosen: tuple[Offer, ...]
     base_size: int
@@ -65,22 +64,17 @@ class Ranked:
 
 
 class Search:
-    """One Run, one base, a catalogue."""
+    """Runs of one machine, each held against its base, and a catalogue."""
 
     def __init__(
-        self,
-        seen: Observations,
-        base: Base,
-        prior: BasePrior,
-        families: Sequence[Family],
+        self, views: Sequence[View], prior: BasePrior, families: Sequence[Family]
     ) -> None:
-        self._seen = seen
-        self._base = base
+        self._views = tuple(views)
+        self._at = tuple(view.seen.at for view in views)
+        self._size = views[0].base.size
         self._prior = prior
-        self._lines = Lines(seen, base, FOLDS)
-        self._offers = tuple(
-            Offer(f, c) for f in families for c in f.candidates(seen.at)
-        )
+        self._lines = Lines(views, FOLDS)
+        self._offers = tuple(_offered(families, self._at))
 
     @property
     def compared(self) -> int:
@@ -99,10 +93,8 @@ class Search:
 
     def explained(self, chosen: Sequence[Offer]) -> Explanation:
         """Return the Run explained by base and given effects, their values refined."""
-        size = self._base.size
-        chosen = refined(
-            self._lines, self._seen.at, self._prior.precision(size), chosen
-        )
+        size = self._size
+        chosen = refined(self._lines, self._at, self._prior.precision(size), chosen)
         columns = np.arange(size + sum(len(o.candidate.usual) for o in chosen))
         sums = self._lines.sums(_effects(chosen))
         data = _with_prior(sums.information(columns), size, chosen)
@@ -123,7 +115,7 @@ class Search:
         if offers is None:
             offers = self._scanned(explanation)
         sums = self._lines.sums(_effects((*chosen, *offers)))
-        columns = Columns(self._base.size, _candidates(chosen), _candidates(offers))
+        columns = Columns(self._size, _candidates(chosen), _candidates(offers))
         precision = self._precision(explanation.prior, chosen)
         left = rest(sums.total(), columns, precision)
         listed = float(np.log(len(self._offers)))
@@ -136,18 +128,17 @@ class Search:
     def _scanned(self, explanation: Explanation) -> list[Offer]:
         """Return all offers but the chosen ones, at their best values."""
         chosen = explanation.chosen
-        left = self.residual(explanation)
-        taken = {o.candidate.label for o in chosen}
+        left = self.residuals(explanation)
+        taken = {o.label for o in chosen}
         return [
-            scanned(offer, self._seen.at, left)
-            for offer in self._offers
-            if offer.candidate.label not in taken
+            scanned(offer, left) for offer in self._offers if offer.label not in taken
         ]
 
-    def residual(self, explanation: Explanation) -> Residual:
-        """Return what an explanation leaves in every cell."""
+    def residuals(self, explanation: Explanation) -> list[Residual]:
+        """Return what an explanation leaves in every cell of each Run."""
         effects = _effects(explanation.chosen)
-        return weighted_residual(self._seen, self._base, effects, explanation.fit.theta)
+        theta = explanation.fit.theta
+        return [weighted_residual(view, effects, theta) for view in self._views]
 
     def _larger(self, best: Explanation) -> Explanation | None:
         """Return the explanation with one effect more, if evidence asks for it."""
@@ -176,7 +167,7 @@ class Search:
     def _precision(
         self, prior: BasePrior, chosen: Sequence[Offer]
     ) -> Float64[np.ndarray, "p p"]:
-        return prior_precision(prior.precision(self._base.size), _candidates(chosen))
+        return prior_precision(prior.precision(self._size), _candidates(chosen))
 
 
 def _with_prior(data: Information, size: int, chosen: Sequence[Offer]) -> Information:
@@ -186,7 +177,20 @@ def _with_prior(data: Information, size: int, chosen: Sequence[Offer]) -> Inform
 
 
 def _effects(offers: Sequence[Offer]) -> list[Effect]:
-    return [o.candidate.effect for o in offers]
+    return [o.effect for o in offers]
+
+
+def _offered(families: Sequence[Family], at: Sequence[Conditions]) -> Iterator[Offer]:
+    """Yield what may be missing: of the machine once, of each Run what ends with it."""
+    of_machine: set[str] = set()
+    for run, here in enumerate(at):
+        for family in families:
+            for candidate in family.candidates(here):
+                if not family.outlasts(candidate, here.machine):
+                    yield Offer(family, candidate, run)
+                elif candidate.label not in of_machine:
+                    of_machine.add(candidate.label)
+                    yield Offer(family, candidate)
 
 
 def _candidates(offers: Sequence[Offer]) -> tuple[Candidate, ...]:

@@ -18,6 +18,7 @@ from app.alignment.reduction import beam_frame
 from app.estimation.information import Information
 from app.estimation.noise import NoiseModel, whiten
 from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.effects.of_run import OfRun
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
@@ -30,9 +31,10 @@ _NOTHING = 1e-12
 
 @dataclass(frozen=True)
 class Base:
-    """What all explanations share: machine, pose, noise; linear about the pose.
+    """What all explanations of a Run share: machine, pose, noise; linear about them.
 
     theta : (p,) of the model, about which the machine is linear: 0 where it is fitted
+    runs : how many Runs are explained together, each with a pose of its own
     """
 
     model: MachineModel
@@ -40,16 +42,30 @@ class Base:
     centre_mm: tuple[float, float, float]
     noise: NoiseModel
     theta: Float64[np.ndarray, " p"]
+    runs: int = 1
 
     @property
     def size(self) -> int:
-        """Number of parameters of machine and pose."""
-        return self.model.size + 6
+        """Number of parameters of machine and poses."""
+        return self.model.size + 6 * self.runs
+
+    @property
+    def poses(self) -> tuple[Effect, ...]:
+        """Where the tracker stands, in each Run."""
+        return tuple(OfRun(TrackerPose(self.centre_mm), k) for k in range(self.runs))
+
+
+@dataclass(frozen=True)
+class View:
+    """What one Run shows, and what it is held against."""
+
+    seen: Observations
+    base: Base
 
 
 @dataclass(frozen=True)
 class FoldedSums:
-    """Sums over each fold of lines; columns are machine, pose, effects, data.
+    """Sums over each fold of lines; columns are machine, poses, effects, data.
 
     fold : (k, q, q); freedom : (k,) observations less phases and speeds
     log_determinant : (k,) of the noise
@@ -98,22 +114,23 @@ class Line:
 
 
 class Lines:
-    """All lines of a Run with their base; effects are added to them.
+    """All lines of all Runs with their base; effects are added to them.
 
     Line k belongs to fold k modulo the number of folds: neighbours in time, which the
     same moment made alike, are held out by different folds.
     """
 
-    def __init__(self, seen: Observations, base: Base, folds: int) -> None:
+    def __init__(self, views: Sequence[View], folds: int) -> None:
         self._folds = folds
-        self._size = base.size
+        self._size = views[0].base.size
         self._lines = [
-            _line(seen.taken(np.arange(first, last)), base)
-            for first, last in stretches(seen)
+            _line(view.seen.taken(np.arange(first, last)), view.base)
+            for view in views
+            for first, last in stretches(view.seen)
         ]
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
-        """Return the sums of all lines on machine, pose, effects and data."""
+        """Return the sums of all lines on machine, poses, effects and data."""
         count = sum(len(e.parameters) for e in effects)
         size = self._size + count + 1
         total = np.zeros((self._folds, size, size))
@@ -175,13 +192,14 @@ def stretches(seen: Observations) -> list[tuple[int, int]]:
 def line_rows(
     seen: Observations, base: Base, effects: Sequence[Effect]
 ) -> tuple[Float64[np.ndarray, "n 3 q"], Float64[np.ndarray, "n 3 3"]]:
-    """Return rows over timing, machine, pose, effects and data; and the beam frame."""
-    model = base.model.with_effects(TrackerPose(base.centre_mm), *effects)
-    local = np.zeros((len(seen), 3, TIMING + model.size + 1))
+    """Return rows over timing, machine, poses, effects and data; and the beam frame."""
+    more = [e.jacobian(seen.at) for e in (*base.poses, *effects)]
+    columns = np.concatenate([base.model.jacobian(seen.at), *more], axis=2)
+    local = np.zeros((len(seen), 3, TIMING + columns.shape[2] + 1))
     line = int(seen.at.line[0])
     if line >= 0:
         local[:, :, :TIMING] = TimingLaw((line,)).jacobian(seen.at)
-    local[:, :, TIMING:-1] = model.jacobian(seen.at)
+    local[:, :, TIMING:-1] = columns
     local[:, :, -1] = base.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
     machine = slice(TIMING, TIMING + base.model.size)
     local[:, :, -1] -= local[:, :, machine] @ base.theta

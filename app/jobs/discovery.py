@@ -11,7 +11,8 @@ from typing import Any
 from app.discovery.discover import Discovery, discover
 from app.discovery.discovery_json import discovery_json
 from app.discovery.model_file import NextModel, Parent, next_model
-from app.jobs.analysis import Progress, read_file
+from app.discovery.report_html import report_html
+from app.jobs.analysis import REPORT, Progress, read_file
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
@@ -28,6 +29,7 @@ class Discovered:
     found: Discovery
     content: dict[str, Any]
     model: NextModel
+    report_html: str
 
 
 def read_parent(file: str | Path, source: str = "") -> Parent:
@@ -57,15 +59,17 @@ def discover_run(
         told(_FOUND * share, "discovering")
 
     given = None if parent is None else parent.given(run)
-    found = discover(run, given, searched)
+    found = discover([run], given, searched)
     told(_FOUND, "reporting")
-    return Discovered(found, discovery_json(found), next_model(found, parent))
+    model = next_model(found, parent)
+    return Discovered(found, discovery_json(found), model, report_html(found, model))
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     """Write the files of a discovery into a folder, each whole or not at all."""
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
+    replace_file(place / REPORT, discovered.report_html.encode())
     # The discovery last: where it stands, the others stand as well.
     for name, content in (
         (MODEL, discovered.model.content),

@@ -12,12 +12,12 @@ from simulators.synthetic import Setting
 def knocked(record):
     """A Run in the middle of which the tracker's mount is knocked by 5 µm."""
     setting = Setting(hidden=(SetupStep(40.0, (4.0, -3.0, 0.0)),))
-    return discover(record(11, rows=60, setting=setting)[0])
+    return discover([record(11, rows=60, setting=setting)[0]])
 
 
 @pytest.fixture(scope="module")
 def clean(record):
-    return discover(record(11, rows=60)[0])
+    return discover([record(11, rows=60)[0]])
 
 
 def test_nothing_is_found_where_nothing_is_missing(clean):

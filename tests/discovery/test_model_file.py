@@ -26,7 +26,7 @@ def sagging(record):
 
 @pytest.fixture(scope="module")
 def found(sagging):
-    return discover(sagging[0])
+    return discover([sagging[0]])
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,8 @@ def loaded(content) -> LoadedResult:
 
 @pytest.fixture(scope="module")
 def again(sagging, loaded):
-    return discover(sagging[0], Parent(loaded, "model.json", "0").given(sagging[0]))
+    given = Parent(loaded, "model.json", "0").given(sagging[0])
+    return discover([sagging[0]], given)
 
 
 def test_the_model_states_version_parent_and_difference(content):
@@ -122,7 +123,7 @@ def test_a_model_that_lost_a_squareness_gets_it_back(sagging, loaded):
     theta = loaded.theta.copy()
     theta[square] -= 60e-6
     bent = LoadedResult(**{**fields(loaded), "theta": theta})
-    found = discover(run, Parent(bent, "model.json", "0").given(run))
+    found = discover([run], Parent(bent, "model.json", "0").given(run))
     (first, *_) = found.findings
     assert first.candidate.label == "squareness B0Z"
     said = first.parameters["value_urad"]

@@ -83,10 +83,6 @@ class Candidate:
         """Return name and keys in one line."""
         return " ".join([self.family, *self.keys.values()])
 
-    def same_as(self, other: Candidate) -> bool:
-        """Tell whether it is the same effect, whatever was scanned."""
-        return self.label == other.label
-
     def with_found(self, found: dict[str, Measured]) -> Candidate:
         """Return it with its parameters as files state them."""
         return replace(self, found=found)

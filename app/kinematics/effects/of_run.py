@@ -1,0 +1,38 @@
+"""An effect that belongs to one of several Runs: where the tracker stood, a knock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter, in_run
+
+
+@dataclass(frozen=True)
+class OfRun(Effect):
+    """An effect in the Run of its number; nothing in all others."""
+
+    effect: Effect
+    run: int
+
+    @property
+    def name(self) -> str:
+        """Name of the effect, with the number of its Run beyond the first."""
+        return in_run(self.effect.name, self.run)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of the effect."""
+        return self.effect.parameters
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return that of the effect in its own Run."""
+        if at.run != self.run:
+            return np.zeros((len(at), 3, len(self.parameters)))
+        return self.effect.jacobian(at)
+
+    def charge(self) -> Charge | None:
+        """Return that of the effect."""
+        return self.effect.charge()
