@@ -7,6 +7,7 @@ groups hold: an effect that follows the line's number shows there and not elsewh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -14,7 +15,7 @@ from jaxtyping import Float64, Int64
 from app.alignment.observations import Observations
 from app.discovery.sums import stretches
 
-_BINS = 8
+_BINS, _SIDE = 8, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +95,11 @@ def _groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
         groups[f"position of {name}"] = _binned(at.position_mm[:, column])
         sign = np.sign(at.approach[:, column]).astype(np.int64)
         groups[f"direction of {name}"] = sign
+    for one, two in combinations(at.machine.linear_axes, 2):
+        row, column = (_binned(at.axis_mm(a.name), _SIDE) for a in (one, two))
+        groups[f"region of {one.name} and {two.name}"] = _SIDE * row + column
+    if at.around is not None:
+        groups["moving axis"] = _moving(at.around.rate)
     if at.around is not None and at.around.temperature_degc is not None:
         celsius = at.around.temperature_degc.T
         for name, column in zip(at.around.sensors, celsius, strict=True):
@@ -101,8 +107,16 @@ def _groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
     return groups
 
 
-def _binned(values: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    edges = np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])
+def _moving(rate: Float64[np.ndarray, "n a"]) -> Int64[np.ndarray, " n"]:
+    """Return which axis moves most in each cell, −1 where none does."""
+    main = np.argmax(np.abs(rate), axis=1)
+    return np.where(np.abs(rate).max(axis=1) > 0.0, main, -1)
+
+
+def _binned(
+    values: Float64[np.ndarray, " n"], bins: int = _BINS
+) -> Int64[np.ndarray, " n"]:
+    edges = np.quantile(values, np.linspace(0.0, 1.0, bins + 1)[1:-1])
     return np.asarray(np.searchsorted(edges, values, side="right"), np.int64)
 
 

@@ -1,0 +1,290 @@
+"""The report of a discovery: one HTML page that needs nothing else.
+
+Where simulation and measurement disagree, which effects explain it, what it may be
+instead, and the gap before and after on lines that the fit did not see. Uncertainties
+are expanded ones (k = 2).
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from app.discovery.discover import Discovery, Finding
+from app.discovery.discovery_json import described
+from app.discovery.figures import (
+    along_run_figure,
+    by_line_figure,
+    gap_figure,
+    profiles_figure,
+    shares_figure,
+)
+from app.discovery.model_file import NextModel
+from app.discovery.where import Segment
+from app.discovery.wording import others, title
+from app.reporting.html_parts import (
+    callout,
+    drawing,
+    escape,
+    facts,
+    plain,
+    section,
+    table,
+    tile,
+)
+from app.reporting.model_difference import in_words
+from app.reporting.report_style import STYLE
+
+CLOSED = 1.05  # gap over noise up to which nothing is left to explain
+_WORST = 8
+_OWN_STYLE = (
+    ".finding{border-top:1px solid var(--rule);padding-top:6px;margin-top:16px}"
+    ".finding h3{font-size:17px;margin-top:8px}"
+    ".finding:first-of-type{border-top:0}"
+    ".numbers{font-size:15px;font-variant-numeric:tabular-nums}"
+)
+
+
+def report_html(found: Discovery, model: NextModel) -> str:
+    """Return the report."""
+    name = escape(found.at.machine.name)
+    parts = (
+        _findings(found, model),
+        _gap(found),
+        _where(found),
+        _unnamed(found),
+        _model(model),
+        _documentation(found, model),
+    )
+    body = "".join(
+        section(number, heading, *content)
+        for number, (heading, *content) in enumerate(parts, start=1)
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{name}: discovery report</title>\n<style>{STYLE}{_OWN_STYLE}</style>\n"
+        f"</head>\n<body><main>\n{_header(found, model, name)}{_tiles(found)}{body}"
+        f"{_footer(model)}</main></body>\n</html>\n"
+    )
+
+
+def _header(found: Discovery, model: NextModel, name: str) -> str:
+    created = datetime.fromisoformat(model.content["provenance"]["created"])
+    return (
+        f"<header><p class=kind>Discovery report</p><h1>{name}</h1>"
+        f"<p>What the model of {escape(found.scene.run.name)} lacks, held against "
+        f"{escape(model.content['parent']['source'])}, {created:%Y-%m-%d %H:%M} UTC"
+        "</p></header>\n"
+    )
+
+
+def _tiles(found: Discovery) -> str:
+    gap = found.gap
+    named, described_ = _split(found)
+    closed = gap.after_um <= CLOSED * gap.noise_floor_um
+    texts = [title(f.candidate) for f in named]
+    tiles = (
+        tile(
+            str(len(named)),
+            "named" if named or not described_ else "named, 1 described",
+            "Missing effects",
+            escape("; ".join(texts) or "nothing that has a name is missing"),
+        ),
+        tile(plain(gap.before_um, 2), "µm", "Gap before", "on lines not seen"),
+        tile(
+            plain(gap.after_um, 2),
+            "µm",
+            "Gap after",
+            "down to the noise" if closed else "something is left to explain",
+            "good" if closed else "warn",
+        ),
+        tile(
+            plain(gap.noise_floor_um, 2),
+            "µm",
+            "Noise floor",
+            "what noise alone would leave",
+        ),
+    )
+    return f'<div class="tiles">{"".join(tiles)}</div>\n'
+
+
+def _split(found: Discovery) -> tuple[list[Finding], list[Finding]]:
+    named = [f for f in found.findings if not f.is_described]
+    return named, [f for f in found.findings if f.is_described]
+
+
+def _findings(found: Discovery, model: NextModel) -> tuple[str, ...]:
+    named, _ = _split(found)
+    if not named:
+        text = (
+            f"None of the {found.compared} effects that were looked for explains this "
+            "measurement better than noise does."
+        )
+        return ("Which effects are missing", callout(text))
+    return (
+        "Which effects are missing",
+        *(_finding(f, found, model) for f in named),
+    )
+
+
+def _finding(finding: Finding, found: Discovery, model: NextModel) -> str:
+    words, evidence = finding.family.signature, finding.evidence
+    numbers = [
+        in_words(name, m.value, m.uncertainty) for name, m in finding.parameters.items()
+    ]
+    part = (
+        "becomes part of the machine's model"
+        if model.extended.holds(finding)
+        else "belongs to this measurement: taken out of the machine's numbers"
+    )
+    pairs = [
+        ("Cause", escape(words.cause)),
+        ("Looks like", escape(words.looks_like)),
+        ("What to do", escape(words.remedy)),
+        (
+            "Evidence",
+            f"closes {100 * evidence.share:.0f} % of the gap; log Bayes factor "
+            f"{plain(evidence.log_bayes)} after the price of looking at "
+            f"{found.compared} effects; lines not seen are foretold better by "
+            f"{plain(evidence.held_out)} (log score)",
+        ),
+        ("May also be", escape(others(finding))),
+        ("In the model", part),
+    ]
+    return (
+        f'<div class="finding"><h3>{escape(title(finding.candidate))}</h3>'
+        f'<p class="numbers">{escape("; ".join(numbers))} (k = 2)</p>'
+        f"{facts(pairs)}</div>"
+    )
+
+
+def _gap(found: Discovery) -> tuple[str, ...]:
+    gap = found.gap
+    left = max(gap.after_um / max(gap.noise_floor_um, 1e-12) - 1.0, 0.0)
+    text = (
+        f"Measured minus simulated on lines that the fit did not see falls from "
+        f"{gap.before_um:.2f} µm to {gap.after_um:.2f} µm; noise alone would leave "
+        f"{gap.noise_floor_um:.2f} µm."
+    )
+    if left > CLOSED - 1.0:
+        text += f" It stays {100 * left:.0f} % above the noise: something is left."
+    return (
+        "The gap, before and after",
+        callout(text, warn=left > CLOSED - 1.0),
+        drawing(
+            gap_figure(gap),
+            "Weighted root mean square of one component, on whole lines held out.",
+        ),
+        drawing(
+            along_run_figure(found),
+            "What is left along the run in X, Y and Z where the tracker stands, on one "
+            "scale. Phase and speed of each line are taken out.",
+        ),
+    )
+
+
+def _where(found: Discovery) -> tuple[str, ...]:
+    shares = found.before.shares
+    worst = found.before.segments[:_WORST]
+    return (
+        "Where they disagree",
+        "<p>The share of the squared disagreement that the means of each grouping "
+        "hold: what depends on time shows by time and by line and nowhere else.</p>",
+        drawing(
+            shares_figure(shares, found.after.shares),
+            "Grey: before; coloured: after. Noise gives every grouping a small share; "
+            "many groups, such as lines, hold more of it.",
+        ),
+        drawing(
+            by_line_figure(found.before.segments, found.after.segments),
+            "Root mean square on every line.",
+        ),
+        drawing(
+            profiles_figure(found, list(shares)),
+            "Mean disagreement before, in X, Y and Z, against what explains most.",
+        ),
+        "<details><summary>The worst lines</summary>"
+        + table(
+            ("Row", "Axis", "Region", "Time, s", "Feed, mm/min", "rms, µm"),
+            (_segment(s) for s in worst),
+            numbers=3,
+        )
+        + "</details>",
+    )
+
+
+def _segment(segment: Segment) -> tuple[str, ...]:
+    return (
+        str(segment.row),
+        f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
+        escape(segment.region),
+        plain(segment.time_s),
+        plain(segment.feed_mm_min, 0),
+        plain(segment.rms_um, 2),
+    )
+
+
+def _unnamed(found: Discovery) -> tuple[str, ...]:
+    _, unnamed = _split(found)
+    if not unnamed:
+        return (
+            "Structure without a name",
+            "<p>None: what is left does not depend on time, on an axis or on two axes "
+            "together more than noise would.</p>",
+        )
+    items = "".join(f"<li>{_described(f)}</li>" for f in unnamed)
+    return (
+        "Structure without a name",
+        "<p>No effect of the catalogue explains it, and none is forced on it.</p>"
+        f"<ul>{items}</ul>",
+    )
+
+
+def _described(finding: Finding) -> str:
+    text, words = described(finding), finding.family.signature
+    return escape(
+        f"{text[0].upper()}{text[1:]}; it closes {100 * finding.evidence.share:.0f} % "
+        f"of the gap. {words.cause} {words.remedy}"
+    )
+
+
+def _model(model: NextModel) -> tuple[str, ...]:
+    content = model.content
+    items = "".join(f"<li>{_change(c)}</li>" for c in content["difference"])
+    parent = content["parent"]
+    return (
+        "The next model",
+        f"<p>Version {content['version']} follows version {parent['version']} "
+        f"({escape(parent['source'])}). Prediction, tables and compensation from "
+        "<code>model.json</code> have in them what belongs to the machine.</p>",
+        f"<ul>{items}</ul>"
+        if items
+        else "<p>No number changed by more than its U.</p>",
+        "<p class=note>A number is listed where it changed by more than its expanded "
+        "uncertainty.</p>",
+    )
+
+
+def _change(change: dict[str, Any]) -> str:
+    return f"{escape(change['kind'])}: {escape(change['text'])}"
+
+
+def _documentation(found: Discovery, model: NextModel) -> tuple[str, ...]:
+    provenance = model.content["provenance"]
+    pairs = [
+        ("Software", f"truepath {escape(provenance['software_version'])}"),
+        ("Run", escape(found.scene.run.name)),
+        ("Input", f"<code>{escape(provenance['input_sha256'])}</code>"),
+        ("Cells", f"{len(found.scene.seen)} of {found.scene.seen.used} samples"),
+        ("Looked for", f"{found.compared} effects of the installed catalogue"),
+    ]
+    return ("Documentation", facts(pairs))
+
+
+def _footer(model: NextModel) -> str:
+    software = escape(model.content["provenance"]["software_version"])
+    return (
+        f"<footer>truepath {software} · uncertainties in this report are expanded, "
+        "k = 2 (about 95 %); those in the files are standard, k = 1</footer>\n"
+    )
