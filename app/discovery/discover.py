@@ -20,6 +20,7 @@ from app.discovery.scene import Scene, at_pose, scene_of
 from app.discovery.search import Explanation, Search
 from app.discovery.sums import View
 from app.discovery.where import Where, where
+from app.discovery.within import within_cells
 from app.estimation.noise import floor_mm
 from app.kinematics.effects.base import Conditions
 from app.kinematics.effects.catalogue import Candidate, Family, Measured
@@ -144,13 +145,23 @@ def discover(
     told(0.05)
     grounds = grounds_of(runs, given)
     told(0.35)
+<<<<<<< Updated upstream
     scenes, search = _prepared(scenes, grounds, given)
+=======
+    search = _search(scene, ground, _looked_for(given))
+>>>>>>> Stashed changes
     best = search.found()
     told(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.
+<<<<<<< Updated upstream
         grounds = renoised(grounds, [o.effect for o in best.chosen])
         scenes, search = _prepared(scenes, grounds, given)
+=======
+        ground = renoised(ground, [o.candidate.effect for o in best.chosen])
+        scene = Scene(run, at_pose(scene.seen, ground.base.pose))
+        search = _search(scene, ground, _looked_for(given))
+>>>>>>> Stashed changes
         best = search.found(best.chosen)
     told(0.8)
     plain = search.explained([])
@@ -165,9 +176,15 @@ def discover(
         plain,
         best,
         findings,
+<<<<<<< Updated upstream
         Gap(floor * plain.foretold.ratio, floor * best.foretold.ratio, floor),
         where(scenes[0].seen, before),
         where(scenes[0].seen, after),
+=======
+        _gap(floor, plain, best),
+        where(scene.seen, before),
+        where(scene.seen, after),
+>>>>>>> Stashed changes
         before,
         after,
         search.compared,
@@ -203,8 +220,24 @@ def _looked_for(given: GivenModel | None) -> tuple[Family, ...]:
     return tuple(f for f in families() if given is not None or f.name != "squareness")
 
 
+def _search(scene: Scene, ground: Ground, looked_for: tuple[Family, ...]) -> Search:
+    within = within_cells(scene.run, scene.seen, ground.base)
+    return Search(scene.seen, ground.base, ground.prior, looked_for, within)
+
+
 def _untold(share: float) -> None:
     """Tell nobody."""
+
+
+def _gap(floor_um: float, plain: Explanation, best: Explanation) -> Gap:
+    """Return the gap; a fast effect shows in the samples within cells as well."""
+    once = np.zeros(1)
+    fast = any(o.candidate.effect.in_time(once) is not None for o in best.chosen)
+    return Gap(
+        floor_um * plain.foretold.ratio(fast=fast),
+        floor_um * best.foretold.ratio(fast=fast),
+        floor_um,
+    )
 
 
 def _findings(

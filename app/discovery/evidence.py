@@ -22,6 +22,8 @@ from app.discovery.sums import FoldedSums, information_of
 from app.estimation.information import posterior
 from app.kinematics.effects.catalogue import Candidate
 
+_KNOWN = 100.0  # times the usual size: no prior to speak of
+
 
 @dataclass(frozen=True)
 class Columns:
@@ -46,8 +48,11 @@ class Columns:
 def prior_precision(
     base_precision: Float64[np.ndarray, "b b"], effects: Sequence[Candidate]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the prior precision of base and effects together."""
-    usual = np.concatenate([np.zeros(0), *(c.usual for c in effects)])
+    """Return the prior precision of base and known effects together.
+
+    What is usual weighs whether an effect is there; how large it is, the data say.
+    """
+    usual = _KNOWN * np.concatenate([np.zeros(0), *(c.usual for c in effects)])
     size = len(base_precision)
     total = np.zeros((size + len(usual), size + len(usual)))
     total[:size, :size] = base_precision
@@ -123,15 +128,25 @@ class HeldOut:
 
     square : (k,) squared misfit of each fold in units of the noise
     freedom : (k,) what noise alone would make it, on average
+    fast_square, fast_freedom : (k,) of the samples within their cells; `square` has
+        only what fast effects take from them
     """
 
     square: Float64[np.ndarray, " k"]
     freedom: Float64[np.ndarray, " k"]
+    fast_square: Float64[np.ndarray, " k"]
+    fast_freedom: Float64[np.ndarray, " k"]
 
-    @property
-    def ratio(self) -> float:
-        """Weighted root mean square misfit over that of noise."""
-        return float(np.sqrt(self.square.sum() / self.freedom.sum()))
+    def ratio(self, *, fast: bool = False) -> float:
+        """Return the weighted root mean square misfit over that of noise.
+
+        fast : of the samples within their cells as well
+        """
+        square, freedom = self.square.sum(), self.freedom.sum()
+        if fast:
+            square += self.fast_square.sum()
+            freedom += self.fast_freedom.sum()
+        return float(np.sqrt(square / freedom))
 
 
 def held_out(
@@ -147,4 +162,4 @@ def held_out(
         theta = posterior(train, precision).theta
         ask = fold[np.ix_(columns, columns)]
         square[k] = fold[-1, -1] - 2.0 * theta @ fold[columns, -1] + theta @ ask @ theta
-    return HeldOut(square, sums.freedom)
+    return HeldOut(square, sums.freedom, sums.fast_square, sums.fast_freedom)

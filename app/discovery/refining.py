@@ -41,9 +41,17 @@ class ByValue(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the central difference of the displacement."""
-        theta = np.array(self.theta)
         change = self.after.jacobian(at) - self.before.jacobian(at)
-        return (change @ theta)[:, :, None] / self.step
+        return (change @ np.array(self.theta))[:, :, None] / self.step
+
+    def in_time(
+        self, time_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3 1"] | None:
+        """Return the same at single moments."""
+        before, after = self.before.in_time(time_s), self.after.in_time(time_s)
+        if before is None or after is None:
+            return None
+        return ((after - before) @ np.array(self.theta))[:, :, None] / self.step
 
 
 def refined(

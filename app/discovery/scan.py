@@ -16,7 +16,12 @@ from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from app.discovery.evidence import log_bayes
+<<<<<<< Updated upstream
 from app.discovery.sums import TIMING, View, line_rows, stretches
+=======
+from app.discovery.sums import TIMING, Base, line_rows, stretches
+from app.discovery.within import Within
+>>>>>>> Stashed changes
 from app.estimation.noise import whiten
 from app.kinematics.effects.base import Conditions, Effect, in_run
 from app.kinematics.effects.catalogue import Candidate, Family, Wave, averaged
@@ -119,6 +124,7 @@ def weighted_residual(
     return Residual(seen.at, left_mm, weighted, precision, slow, noise.slow_time_s)
 
 
+<<<<<<< Updated upstream
 def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
     """Return the offer at the value of its scan that promises most.
 
@@ -126,12 +132,27 @@ def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
     """
     left = left if offer.run is None else left[offer.run : offer.run + 1]
     at = left[0].at
+=======
+def scanned(
+    offer: Offer, at: Conditions, left: Residual, within: Within | None = None
+) -> Offer:
+    """Return the offer at the value of its scan that promises most.
+
+    within : samples within their cells, where fast effects show as well
+    """
+>>>>>>> Stashed changes
     scan = offer.family.scan(offer.candidate, at)
     if scan is None:
         return offer
+    if not _is_fast(offer):
+        within = None
     wave = offer.family.wave(offer.candidate, at)
     if wave is not None:
+<<<<<<< Updated upstream
         gains = _wave_gains(offer, wave.waves, left)
+=======
+        gains = _wave_gains(wave, at, left, offer.candidate.usual, within)
+>>>>>>> Stashed changes
     else:
         gains = np.array([_gain(offer, left, float(v)) for v in scan.values])
     best = int(np.argmax(gains))
@@ -140,7 +161,11 @@ def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
         scan.values[min(best + 1, len(gains) - 1)],
     )
     found = minimize_scalar(
+<<<<<<< Updated upstream
         lambda v: -_gain(offer, left, float(v)),
+=======
+        lambda v: -_gain(offer, at, left, float(v), within),
+>>>>>>> Stashed changes
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-4 * (high - low), "maxiter": 20},
@@ -150,6 +175,7 @@ def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
     return Offer(offer.family, offer.at_value(at, value), offer.run, price)
 
 
+<<<<<<< Updated upstream
 def _gain(offer: Offer, left: Sequence[Residual], value: float) -> float:
     candidate = offer.at_value(left[0].at, value)
     size = len(candidate.usual)
@@ -163,6 +189,35 @@ def _gain(offer: Offer, left: Sequence[Residual], value: float) -> float:
 
 def _wave_gains(
     offer: Offer, waves: Float64[np.ndarray, " v"], left: Sequence[Residual]
+=======
+def _is_fast(offer: Offer) -> bool:
+    return offer.candidate.effect.in_time(np.zeros(1)) is not None
+
+
+def _gain(
+    offer: Offer,
+    at: Conditions,
+    left: Residual,
+    value: float,
+    within: Within | None = None,
+) -> float:
+    candidate = offer.family.at_value(offer.candidate, at, value)
+    J = candidate.effect.jacobian(at)
+    r = np.einsum("nip,ni->p", J, left.weighted)
+    told = np.einsum("nip,niq->pq", J, left.precision @ J)
+    if within is not None:
+        fast, _ = within.sums([candidate.effect], 1)
+        told, r = told + fast[0, :-1, :-1], r + fast[0, :-1, -1]
+    return log_bayes(told, r, candidate.usual)
+
+
+def _wave_gains(
+    wave: Wave,
+    at: Conditions,
+    left: Residual,
+    usual: Float64[np.ndarray, " p"],
+    within: Within | None,
+>>>>>>> Stashed changes
 ) -> Float64[np.ndarray, " v"]:
     """Return the quick gain of all values of a wave at once."""
     total, told = np.zeros(len(waves), complex), np.zeros(len(waves))
@@ -198,7 +253,37 @@ def _wave_sums(
         total += kept * _transform(wave.coordinate[cells], data[cells], wave.waves)
         share = 1.0 / (1.0 + left.slow_power(wave.waves * rate))
         told += 0.5 * kept**2 * share * float(weight[cells].sum())
+<<<<<<< Updated upstream
     return total, told
+=======
+    if within is not None:
+        fast, weight = _within_wave(wave, within)
+        total += fast
+        told += weight
+    told *= float(usual[0]) ** 2
+    power = 0.5 * np.abs(total) ** 2 * float(usual[0]) ** 2
+    return power / (1.0 + told) - np.log1p(told)
+>>>>>>> Stashed changes
+
+
+def _within_wave(
+    wave: Wave, within: Within
+) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
+    """Return data and weight of a wave in time from the samples within cells.
+
+    Mean and slope of each cell are taken off the wave: of a long cell they hold little.
+    """
+    arm = wave.arm[0]
+    data = within.weighted @ arm
+    count = np.bincount(within.cell)
+    weight = np.einsum("i,cij,j->c", arm, within.precision, arm) * count
+    span = float(np.median(count)) / within.rate_hz
+    x = np.pi * wave.waves * span
+    mean = np.sinc(x / np.pi)
+    slope = np.sqrt(3.0) * (mean - np.cos(x)) / np.maximum(x, 1e-9)
+    left = np.maximum(1.0 - mean**2 - slope**2, 0.0)
+    found = _transform(within.time_s, data, wave.waves)
+    return found, 0.5 * left * float(weight.sum())
 
 
 def _of_like_rate(rate: Float64[np.ndarray, " n"]) -> list[Int64[np.ndarray, " m"]]:

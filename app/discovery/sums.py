@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -69,11 +70,15 @@ class FoldedSums:
 
     fold : (k, q, q); freedom : (k,) observations less phases and speeds
     log_determinant : (k,) of the noise
+    fast_square, fast_freedom : (k,) of the samples within cells; fast effects have
+        their share of them in the sums, the squared data have not
     """
 
     fold: Float64[np.ndarray, "k q q"]
     freedom: Float64[np.ndarray, " k"]
     log_determinant: Float64[np.ndarray, " k"]
+    fast_square: Float64[np.ndarray, " k"]
+    fast_freedom: Float64[np.ndarray, " k"]
 
     def total(self) -> Float64[np.ndarray, "q q"]:
         """Return the sums over all lines."""
@@ -113,6 +118,24 @@ class Line:
     freedom: float
 
 
+class FastSums(Protocol):
+    """What samples tell within their cells."""
+
+    def sums(
+        self, effects: Sequence[Effect], folds: int
+    ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
+        """Return the sums on fast effects and data, and which columns they are."""
+        ...
+
+    def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Return the weighted squares of the data."""
+        ...
+
+    def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Return their degrees of freedom."""
+        ...
+
+
 class Lines:
     """All lines of all Runs with their base; effects are added to them.
 
@@ -120,9 +143,18 @@ class Lines:
     same moment made alike, are held out by different folds.
     """
 
+<<<<<<< Updated upstream
     def __init__(self, views: Sequence[View], folds: int) -> None:
         self._folds = folds
         self._size = views[0].base.size
+=======
+    def __init__(
+        self, seen: Observations, base: Base, folds: int, within: FastSums | None = None
+    ) -> None:
+        self._folds = folds
+        self._within = within
+        self._size = base.size
+>>>>>>> Stashed changes
         self._lines = [
             _line(view.seen.taken(np.arange(first, last)), view.base)
             for view in views
@@ -141,7 +173,24 @@ class Lines:
             total[fold] += one
             freedom[fold] += line.freedom - told
             log_determinant[fold] += line.whitener.log_determinant + log_timing
-        return FoldedSums(total, freedom, log_determinant)
+        square, fast_freedom = self._with_fast(total, effects)
+        return FoldedSums(total, freedom, log_determinant, square, fast_freedom)
+
+    def _with_fast(
+        self, total: Float64[np.ndarray, "k q q"], effects: Sequence[Effect]
+    ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+        """Add what fast effects have within cells; return its squares and freedom."""
+        none = np.zeros(self._folds)
+        if self._within is None:
+            return none, none
+        sizes = [len(e.parameters) for e in effects]
+        begin = self._size + np.cumsum([0, *sizes])
+        fast, columns = self._within.sums(effects, self._folds)
+        if len(columns):
+            own = [*(begin[k] + p for k, p in columns), total.shape[1] - 1]
+            fast[:, -1, -1] = 0.0
+            total[np.ix_(range(self._folds), own, own)] += fast
+        return self._within.squares(self._folds), self._within.freedom(self._folds)
 
 
 def _line(seen: Observations, base: Base) -> Line:

@@ -219,3 +219,13 @@ class Effect(ABC):
     def charge(self) -> Charge | None:
         """Return what the prior charges for, or None for no prior."""
         return None
+
+    def in_time(
+        self, time_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3 p"] | None:
+        """Return its columns at single moments if it is a fast function of time alone.
+
+        Such an effect shows between the samples of a cell; others are None.
+        """
+        del time_s
+        return None

@@ -17,7 +17,7 @@ from app.kinematics.effects.catalogue import (
     amplitude_and_phase,
 )
 
-_USUAL_RAD = 5e-6
+_USUAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")
 
 

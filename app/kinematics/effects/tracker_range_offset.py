@@ -59,7 +59,7 @@ class TrackerRangeOffsetFamily(Family):
         """Return the offset."""
         if at.around is None:
             return []
-        usual = np.array([2.0 * USUAL_MM])
+        usual = np.array([4.0 * USUAL_MM])
         return [Candidate(self.name, {}, TrackerRangeOffset(), usual)]
 
     def parameters(

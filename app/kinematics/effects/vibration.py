@@ -23,6 +23,7 @@ from app.kinematics.effects.catalogue import (
 from app.kinematics.symbols import DIRECTION, LINEAR
 
 _SLOWEST_HZ = 1.0
+_FASTEST = 0.45  # of the tracker's rate
 
 
 @dataclass(frozen=True)
@@ -46,17 +47,25 @@ class Vibration(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves, averaged over each cell."""
-        turn = 2.0 * np.pi * self.frequency_hz
-        wave = np.stack([np.sin(turn * at.time_s), np.cos(turn * at.time_s)], axis=1)
+        columns = self.in_time(at.time_s)
         if at.around is not None:
+            turn = 2.0 * np.pi * self.frequency_hz
             span = at.around.span_s
-            wave *= averaged(np.full(len(span), turn), span)[:, None]
+            columns *= averaged(np.full(len(span), turn), span)[:, None, None]
+        return columns
+
+    def in_time(
+        self, time_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the direction times the waves."""
+        angle = 2.0 * np.pi * self.frequency_hz * time_s
+        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         unit = np.eye(3)[DIRECTION[self.direction]]
         return unit[None, :, None] * wave[:, None, :]
 
 
 class VibrationFamily(Family):
-    """Every direction, the frequency scanned as far as the cells can follow."""
+    """Every direction, the frequency scanned as far as the samples can follow."""
 
     name = "vibration"
     in_machine = False
@@ -84,10 +93,9 @@ class VibrationFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return frequencies, two to a period over the run."""
-        around = at.around
-        if around is None:
+        if at.around is None:
             return None
-        fastest = 0.75 / float(np.median(around.span_s))
+        fastest = _FASTEST * at.machine.tracker.rate_hz
         step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
         return Scan("frequency_hz", np.arange(_SLOWEST_HZ, fastest, step))
 

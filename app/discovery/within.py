@@ -1,0 +1,180 @@
+"""What samples tell within their cells: motion faster than cells can follow.
+
+The mean of a cell and the deviations of its samples from a straight line in time are
+independent where the noise is white, so what both tell of an effect adds up. Machine
+errors are as good as straight within a cell; only what is fast in time shows here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.alignment.cleaning import valid_samples
+from app.alignment.observations import Observations
+from app.alignment.reduction import beam_frame
+from app.discovery.sums import Base, stretches
+from app.kinematics.effects.base import Effect
+from app.measurement.run import Run
+
+_OUTLIER = 5.0
+
+
+@dataclass(frozen=True)
+class Within:
+    """Deviations of all samples on lines from their cells' straight lines.
+
+    time_s : (n,); deviation_mm : (n, 3) where the tracker stands; cell : (n,)
+    lag : (n,) time from the middle of the cell, its sum of squares 1 in each cell
+    precision : (c, 3, 3) of one sample, for each cell; line : (c,) number of the line
+    """
+
+    time_s: Float64[np.ndarray, " n"]
+    deviation_mm: Float64[np.ndarray, "n 3"]
+    cell: Int64[np.ndarray, " n"]
+    lag: Float64[np.ndarray, " n"]
+    precision: Float64[np.ndarray, "c 3 3"]
+    line: Int64[np.ndarray, " c"]
+    rate_hz: float
+
+    @cached_property
+    def weighted(self) -> Float64[np.ndarray, "n 3"]:
+        """Return precision times deviation."""
+        return np.einsum("nij,nj->ni", self.precision[self.cell], self.deviation_mm)
+
+    def straightened(
+        self, columns: Float64[np.ndarray, "n p"]
+    ) -> Float64[np.ndarray, "n p"]:
+        """Return columns without mean and slope in each cell."""
+        return _straightened(columns, self.cell, self.lag, len(self.line))
+
+    def sums(
+        self, effects: Sequence[Effect], folds: int
+    ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
+        """Return the sums on fast effects and data last, in folds of lines.
+
+        And their columns: number of the effect, number of its parameter.
+        """
+        found = [(k, e.in_time(self.time_s)) for k, e in enumerate(effects)]
+        fast = [(k, J) for k, J in found if J is not None]
+        columns = [(k, p) for k, J in fast for p in range(J.shape[2])]
+        size = len(columns) + 1
+        total = np.zeros((folds, size, size))
+        if not columns:
+            return total, columns
+        blocks = [*(J for _, J in fast), self.deviation_mm[:, :, None]]
+        rows = np.concatenate(blocks, axis=2)
+        flat = self.straightened(rows.reshape(len(rows), -1)).reshape(rows.shape)
+        weighted = self.precision[self.cell] @ flat
+        fold = self.line[self.cell] % folds
+        for k in range(folds):
+            mine = np.flatnonzero(fold == k)
+            total[k] = np.tensordot(flat[mine], weighted[mine], axes=((0, 1), (0, 1)))
+        return total, columns
+
+    def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Return the weighted squares of the deviations of each fold."""
+        square = np.einsum("ni,ni->n", self.deviation_mm, self.weighted)
+        return np.bincount(self.line[self.cell] % folds, square, folds)
+
+    def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Return the degrees of freedom of each fold."""
+        count = np.bincount(self.cell, minlength=len(self.line))
+        free = 3.0 * np.maximum(count - 2, 0)
+        return np.bincount(self.line % folds, free, folds)
+
+
+def within_cells(run: Run, seen: Observations, base: Base) -> Within | None:
+    """Return the deviations of a Run's samples on lines; None where there are none."""
+    valid = np.zeros(len(run.tracker), bool)
+    valid[valid_samples(run.tracker)] = True
+    parts: list[Within] = []
+    for number, (first, last) in enumerate(stretches(seen)):
+        line = int(seen.at.line[first])
+        if line < 0:
+            continue
+        each = seen.passes[line]
+        samples = each.first + np.flatnonzero(valid[each.first : each.last])
+        if len(samples) > 3 * (last - first):
+            parts.append(_part(run, seen, base, samples, slice(first, last), number))
+    return _joined(parts) if parts else None
+
+
+def _part(
+    run: Run,
+    seen: Observations,
+    base: Base,
+    samples: Int64[np.ndarray, " n"],
+    cells: slice,
+    number: int,
+) -> Within:
+    time_s = run.tracker.device_time_s[samples]
+    count = cells.stop - cells.start
+    span = float(time_s[-1] - time_s[0]) + 1e-9
+    cell = ((time_s - time_s[0]) / span * count).astype(np.int64)
+    lag = _lag(time_s, cell, count)
+    local = run.tracker.position_mm[samples] @ base.pose.rotation
+    off = _straightened(local - local[0], cell, lag, count)
+    precision = _precision(seen, base, cells)
+    size = np.sqrt(np.einsum("ni,nij,nj->n", off, precision[cell], off))
+    good = size < _OUTLIER * max(1.0, float(np.median(size)))
+    lag = _lag(time_s[good], cell[good], count)
+    off = _straightened((local - local[0])[good], cell[good], lag, count)
+    line = np.full(count, number)
+    rate_hz = run.machine.tracker.rate_hz
+    return Within(time_s[good], off, cell[good], lag, precision, line, rate_hz)
+
+
+def _joined(blocks: list[Within]) -> Within:
+    begin = np.cumsum([0, *(len(b.line) for b in blocks[:-1])])
+    return Within(
+        np.concatenate([b.time_s for b in blocks]),
+        np.concatenate([b.deviation_mm for b in blocks]),
+        np.concatenate([b.cell + f for b, f in zip(blocks, begin, strict=True)]),
+        np.concatenate([b.lag for b in blocks]),
+        np.concatenate([b.precision for b in blocks]),
+        np.concatenate([b.line for b in blocks]),
+        blocks[0].rate_hz,
+    )
+
+
+def _lag(
+    time_s: Float64[np.ndarray, " n"], cell: Int64[np.ndarray, " n"], count: int
+) -> Float64[np.ndarray, " n"]:
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    origin = time_s - time_s[0]
+    lag = origin - (np.bincount(cell, origin, count) / number)[cell]
+    square = np.bincount(cell, lag**2, count)
+    return lag / np.sqrt(np.maximum(square, 1e-300))[cell]
+
+
+def _straightened(
+    columns: Float64[np.ndarray, "n p"],
+    cell: Int64[np.ndarray, " n"],
+    lag: Float64[np.ndarray, " n"],
+    count: int,
+) -> Float64[np.ndarray, "n p"]:
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    left = np.empty_like(columns)
+    for k, column in enumerate(columns.T):
+        mean = np.bincount(cell, column, count) / number
+        slope = np.bincount(cell, column * lag, count)
+        left[:, k] = column - mean[cell] - slope[cell] * lag
+    return left
+
+
+def _precision(
+    seen: Observations, base: Base, cells: slice
+) -> Float64[np.ndarray, "c 3 3"]:
+    """Return the precision of one sample's white noise, where the tracker stands."""
+    tracker_mm = seen.tracker_mm[cells]
+    distance = np.linalg.norm(tracker_mm, axis=1)
+    sigma = seen.at.machine.tracker.sigma_mm(distance)[:, [0, 1, 1]]
+    beam, across = base.noise.white
+    sigma = sigma * np.array([beam, across, across])
+    frame = beam_frame(tracker_mm) @ base.pose.rotation
+    return np.einsum("nki,nk,nkj->nij", frame, sigma**-2, frame)
