@@ -145,23 +145,13 @@ def discover(
     told(0.05)
     grounds = grounds_of(runs, given)
     told(0.35)
-<<<<<<< Updated upstream
     scenes, search = _prepared(scenes, grounds, given)
-=======
-    search = _search(scene, ground, _looked_for(given))
->>>>>>> Stashed changes
     best = search.found()
     told(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.
-<<<<<<< Updated upstream
         grounds = renoised(grounds, [o.effect for o in best.chosen])
         scenes, search = _prepared(scenes, grounds, given)
-=======
-        ground = renoised(ground, [o.candidate.effect for o in best.chosen])
-        scene = Scene(run, at_pose(scene.seen, ground.base.pose))
-        search = _search(scene, ground, _looked_for(given))
->>>>>>> Stashed changes
         best = search.found(best.chosen)
     told(0.8)
     plain = search.explained([])
@@ -176,15 +166,9 @@ def discover(
         plain,
         best,
         findings,
-<<<<<<< Updated upstream
-        Gap(floor * plain.foretold.ratio, floor * best.foretold.ratio, floor),
+        _gap(floor, plain, best),
         where(scenes[0].seen, before),
         where(scenes[0].seen, after),
-=======
-        _gap(floor, plain, best),
-        where(scene.seen, before),
-        where(scene.seen, after),
->>>>>>> Stashed changes
         before,
         after,
         search.compared,
@@ -199,7 +183,10 @@ def _prepared(
         Scene(scene.run, at_pose(scene.seen, ground.base.pose))
         for scene, ground in zip(scenes, grounds, strict=True)
     )
-    views = [View(s.seen, g.base) for s, g in zip(placed, grounds, strict=True)]
+    views = [
+        View(s.seen, g.base, within_cells(s.run, s.seen, g.base))
+        for s, g in zip(placed, grounds, strict=True)
+    ]
     return placed, Search(views, grounds[0].prior, _looked_for(given))
 
 
@@ -218,11 +205,6 @@ def _floor_um(scenes: Sequence[Scene], grounds: Sequence[Ground]) -> float:
 def _looked_for(given: GivenModel | None) -> tuple[Family, ...]:
     """Return all families; what the rigid-body model always has is not missing."""
     return tuple(f for f in families() if given is not None or f.name != "squareness")
-
-
-def _search(scene: Scene, ground: Ground, looked_for: tuple[Family, ...]) -> Search:
-    within = within_cells(scene.run, scene.seen, ground.base)
-    return Search(scene.seen, ground.base, ground.prior, looked_for, within)
 
 
 def _untold(share: float) -> None:

@@ -12,23 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from app.discovery.evidence import log_bayes
-<<<<<<< Updated upstream
-from app.discovery.sums import TIMING, View, line_rows, stretches
-=======
-from app.discovery.sums import TIMING, Base, line_rows, stretches
-from app.discovery.within import Within
->>>>>>> Stashed changes
+from app.discovery.spectrum import transform
+from app.discovery.sums import TIMING, FastSums, View, line_rows, stretches
 from app.estimation.noise import whiten
 from app.kinematics.effects.base import Conditions, Effect, in_run
 from app.kinematics.effects.catalogue import Candidate, Family, Wave, averaged
 from app.kinematics.effects.of_run import OfRun
 
 _RATES = 8  # groups of cells of like rate
-_FINE, _PADDED = 6, 4  # grid points to the shortest wave, and its length over the data
 
 
 @dataclass(frozen=True)
@@ -78,6 +72,7 @@ class Residual:
     precision : (n, 3, 3) of the white noise, in the frame the tracker stands on
     slow, slow_time_s : density of the slow noise over that of the white at frequency 0,
         and its correlation time
+    within : samples within their cells, where fast effects show as well
     """
 
     at: Conditions
@@ -86,6 +81,7 @@ class Residual:
     precision: Float64[np.ndarray, "n 3 3"]
     slow: float
     slow_time_s: float
+    within: FastSums | None = None
 
     def slow_power(
         self, frequency_hz: Float64[np.ndarray, " f"]
@@ -121,10 +117,17 @@ def weighted_residual(
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
     ratio = np.mean(np.square(noise.slow)) / np.mean(np.square(noise.white))
     slow = float(ratio) * 2.0 * noise.slow_time_s * rate_hz
-    return Residual(seen.at, left_mm, weighted, precision, slow, noise.slow_time_s)
+    return Residual(
+        seen.at,
+        left_mm,
+        weighted,
+        precision,
+        slow,
+        noise.slow_time_s,
+        view.within,
+    )
 
 
-<<<<<<< Updated upstream
 def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
     """Return the offer at the value of its scan that promises most.
 
@@ -132,27 +135,12 @@ def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
     """
     left = left if offer.run is None else left[offer.run : offer.run + 1]
     at = left[0].at
-=======
-def scanned(
-    offer: Offer, at: Conditions, left: Residual, within: Within | None = None
-) -> Offer:
-    """Return the offer at the value of its scan that promises most.
-
-    within : samples within their cells, where fast effects show as well
-    """
->>>>>>> Stashed changes
     scan = offer.family.scan(offer.candidate, at)
     if scan is None:
         return offer
-    if not _is_fast(offer):
-        within = None
     wave = offer.family.wave(offer.candidate, at)
     if wave is not None:
-<<<<<<< Updated upstream
         gains = _wave_gains(offer, wave.waves, left)
-=======
-        gains = _wave_gains(wave, at, left, offer.candidate.usual, within)
->>>>>>> Stashed changes
     else:
         gains = np.array([_gain(offer, left, float(v)) for v in scan.values])
     best = int(np.argmax(gains))
@@ -161,11 +149,7 @@ def scanned(
         scan.values[min(best + 1, len(gains) - 1)],
     )
     found = minimize_scalar(
-<<<<<<< Updated upstream
         lambda v: -_gain(offer, left, float(v)),
-=======
-        lambda v: -_gain(offer, at, left, float(v), within),
->>>>>>> Stashed changes
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-4 * (high - low), "maxiter": 20},
@@ -175,7 +159,10 @@ def scanned(
     return Offer(offer.family, offer.at_value(at, value), offer.run, price)
 
 
-<<<<<<< Updated upstream
+def _is_fast(offer: Offer) -> bool:
+    return offer.candidate.effect.in_time(np.zeros(1)) is not None
+
+
 def _gain(offer: Offer, left: Sequence[Residual], value: float) -> float:
     candidate = offer.at_value(left[0].at, value)
     size = len(candidate.usual)
@@ -184,49 +171,29 @@ def _gain(offer: Offer, left: Sequence[Residual], value: float) -> float:
         J = candidate.effect.jacobian(one.at)
         data += np.einsum("nip,ni->p", J, one.weighted)
         information += np.einsum("nip,niq->pq", J, one.precision @ J)
+        if one.within is not None and _is_fast(offer):
+            fast, _ = one.within.sums([candidate.effect], 1)
+            information += fast[0, :-1, :-1]
+            data += fast[0, :-1, -1]
     return log_bayes(information, data, candidate.usual)
 
 
 def _wave_gains(
     offer: Offer, waves: Float64[np.ndarray, " v"], left: Sequence[Residual]
-=======
-def _is_fast(offer: Offer) -> bool:
-    return offer.candidate.effect.in_time(np.zeros(1)) is not None
-
-
-def _gain(
-    offer: Offer,
-    at: Conditions,
-    left: Residual,
-    value: float,
-    within: Within | None = None,
-) -> float:
-    candidate = offer.family.at_value(offer.candidate, at, value)
-    J = candidate.effect.jacobian(at)
-    r = np.einsum("nip,ni->p", J, left.weighted)
-    told = np.einsum("nip,niq->pq", J, left.precision @ J)
-    if within is not None:
-        fast, _ = within.sums([candidate.effect], 1)
-        told, r = told + fast[0, :-1, :-1], r + fast[0, :-1, -1]
-    return log_bayes(told, r, candidate.usual)
-
-
-def _wave_gains(
-    wave: Wave,
-    at: Conditions,
-    left: Residual,
-    usual: Float64[np.ndarray, " p"],
-    within: Within | None,
->>>>>>> Stashed changes
 ) -> Float64[np.ndarray, " v"]:
     """Return the quick gain of all values of a wave at once."""
     total, told = np.zeros(len(waves), complex), np.zeros(len(waves))
     for one in left:
         wave = offer.family.wave(offer.candidate, one.at)
         if wave is not None:
-            pulled, weight = _wave_sums(replace(wave, waves=waves), one)
+            wave = replace(wave, waves=waves)
+            pulled, weight = _wave_sums(wave, one)
             total += pulled
             told += weight
+            if one.within is not None and _is_fast(offer):
+                pulled, weight = one.within.wave(wave)
+                total += pulled
+                told += weight
     usual = float(offer.candidate.usual[0])
     told *= usual**2
     power = 0.5 * np.abs(total) ** 2 * usual**2
@@ -250,40 +217,10 @@ def _wave_sums(
         rate = float(np.mean(wave.rate[cells]))
         turn = 2.0 * np.pi * wave.waves * rate
         kept = averaged(turn, np.full(len(turn), float(np.mean(span[cells]))))
-        total += kept * _transform(wave.coordinate[cells], data[cells], wave.waves)
+        total += kept * transform(wave.coordinate[cells], data[cells], wave.waves)
         share = 1.0 / (1.0 + left.slow_power(wave.waves * rate))
         told += 0.5 * kept**2 * share * float(weight[cells].sum())
-<<<<<<< Updated upstream
     return total, told
-=======
-    if within is not None:
-        fast, weight = _within_wave(wave, within)
-        total += fast
-        told += weight
-    told *= float(usual[0]) ** 2
-    power = 0.5 * np.abs(total) ** 2 * float(usual[0]) ** 2
-    return power / (1.0 + told) - np.log1p(told)
->>>>>>> Stashed changes
-
-
-def _within_wave(
-    wave: Wave, within: Within
-) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
-    """Return data and weight of a wave in time from the samples within cells.
-
-    Mean and slope of each cell are taken off the wave: of a long cell they hold little.
-    """
-    arm = wave.arm[0]
-    data = within.weighted @ arm
-    count = np.bincount(within.cell)
-    weight = np.einsum("i,cij,j->c", arm, within.precision, arm) * count
-    span = float(np.median(count)) / within.rate_hz
-    x = np.pi * wave.waves * span
-    mean = np.sinc(x / np.pi)
-    slope = np.sqrt(3.0) * (mean - np.cos(x)) / np.maximum(x, 1e-9)
-    left = np.maximum(1.0 - mean**2 - slope**2, 0.0)
-    found = _transform(within.time_s, data, wave.waves)
-    return found, 0.5 * left * float(weight.sum())
 
 
 def _of_like_rate(rate: Float64[np.ndarray, " n"]) -> list[Int64[np.ndarray, " m"]]:
@@ -292,25 +229,3 @@ def _of_like_rate(rate: Float64[np.ndarray, " n"]) -> list[Int64[np.ndarray, " m
         return [np.arange(len(rate))]
     order = np.argsort(rate, kind="stable")
     return [part for part in np.array_split(order, _RATES) if len(part)]
-
-
-def _transform(
-    coordinate: Float64[np.ndarray, " n"],
-    data: Float64[np.ndarray, " n"],
-    waves: Float64[np.ndarray, " v"],
-) -> NDArray[np.complex128]:
-    """Return Σ data exp(−2πi coordinate · wave), by linear weights on a fine grid."""
-    first, step = float(coordinate.min()), 1.0 / (_FINE * float(waves.max()))
-    place = (coordinate - first) / step
-    left = np.floor(place).astype(np.int64)
-    size = next_fast_len(_PADDED * (int(left.max()) + 2), real=True)
-    part = place - left
-    grid = np.bincount(left, data * (1.0 - part), size)
-    grid += np.bincount(left + 1, data * part, size)
-    found = rfft(grid)
-    at_wave = waves * size * step
-    index = np.minimum(at_wave.astype(np.int64), len(found) - 2)
-    share = at_wave - index
-    value = found[index] * (1.0 - share) + found[index + 1] * share
-    phase = np.exp(-2j * np.pi * first * waves)
-    return np.asarray(value * phase / np.sinc(waves * step) ** 2, np.complex128)

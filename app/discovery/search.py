@@ -19,12 +19,7 @@ from app.discovery.evidence import (
 )
 from app.discovery.refining import refined
 from app.discovery.scan import Offer, Residual, scanned, weighted_residual
-<<<<<<< Updated upstream
 from app.discovery.sums import Lines, View
-=======
-from app.discovery.sums import Base, Lines
-from app.discovery.within import Within
->>>>>>> Stashed changes
 from app.estimation.information import Information, Posterior
 from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import Candidate, Family
@@ -72,31 +67,14 @@ class Search:
     """Runs of one machine, each held against its base, and a catalogue."""
 
     def __init__(
-<<<<<<< Updated upstream
         self, views: Sequence[View], prior: BasePrior, families: Sequence[Family]
-=======
-        self,
-        seen: Observations,
-        base: Base,
-        prior: BasePrior,
-        families: Sequence[Family],
-        within: Within | None = None,
->>>>>>> Stashed changes
     ) -> None:
         self._views = tuple(views)
         self._at = tuple(view.seen.at for view in views)
         self._size = views[0].base.size
         self._prior = prior
-<<<<<<< Updated upstream
         self._lines = Lines(views, FOLDS)
         self._offers = tuple(_offered(families, self._at))
-=======
-        self._lines = Lines(seen, base, FOLDS, within)
-        self._within = within
-        self._offers = tuple(
-            Offer(f, c) for f in families for c in f.candidates(seen.at)
-        )
->>>>>>> Stashed changes
 
     @property
     def compared(self) -> int:
@@ -153,13 +131,7 @@ class Search:
         left = self.residuals(explanation)
         taken = {o.label for o in chosen}
         return [
-<<<<<<< Updated upstream
             scanned(offer, left) for offer in self._offers if offer.label not in taken
-=======
-            scanned(offer, self._seen.at, left, self._within)
-            for offer in self._offers
-            if offer.candidate.label not in taken
->>>>>>> Stashed changes
         ]
 
     def residuals(self, explanation: Explanation) -> list[Residual]:

@@ -13,12 +13,14 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from numpy.typing import NDArray
 
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
 from app.estimation.information import Information
 from app.estimation.noise import NoiseModel, whiten
 from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.effects.catalogue import Wave
 from app.kinematics.effects.of_run import OfRun
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
@@ -56,12 +58,40 @@ class Base:
         return tuple(OfRun(TrackerPose(self.centre_mm), k) for k in range(self.runs))
 
 
+class FastSums(Protocol):
+    """What samples tell within their cells."""
+
+    def sums(
+        self, effects: Sequence[Effect], folds: int
+    ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
+        """Return the sums on fast effects and data, and which columns they are."""
+        ...
+
+    def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Return the weighted squares of the data."""
+        ...
+
+    def wave(
+        self, wave: Wave
+    ) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
+        """Return data and weight of a wave in time."""
+        ...
+
+    def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
+        """Return their degrees of freedom."""
+        ...
+
+
 @dataclass(frozen=True)
 class View:
-    """What one Run shows, and what it is held against."""
+    """What one Run shows, and what it is held against.
+
+    within : what its samples tell within their cells
+    """
 
     seen: Observations
     base: Base
+    within: FastSums | None = None
 
 
 @dataclass(frozen=True)
@@ -118,24 +148,6 @@ class Line:
     freedom: float
 
 
-class FastSums(Protocol):
-    """What samples tell within their cells."""
-
-    def sums(
-        self, effects: Sequence[Effect], folds: int
-    ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
-        """Return the sums on fast effects and data, and which columns they are."""
-        ...
-
-    def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
-        """Return the weighted squares of the data."""
-        ...
-
-    def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
-        """Return their degrees of freedom."""
-        ...
-
-
 class Lines:
     """All lines of all Runs with their base; effects are added to them.
 
@@ -143,18 +155,10 @@ class Lines:
     same moment made alike, are held out by different folds.
     """
 
-<<<<<<< Updated upstream
     def __init__(self, views: Sequence[View], folds: int) -> None:
         self._folds = folds
         self._size = views[0].base.size
-=======
-    def __init__(
-        self, seen: Observations, base: Base, folds: int, within: FastSums | None = None
-    ) -> None:
-        self._folds = folds
-        self._within = within
-        self._size = base.size
->>>>>>> Stashed changes
+        self._within = [view.within for view in views if view.within is not None]
         self._lines = [
             _line(view.seen.taken(np.arange(first, last)), view.base)
             for view in views
@@ -180,17 +184,17 @@ class Lines:
         self, total: Float64[np.ndarray, "k q q"], effects: Sequence[Effect]
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
         """Add what fast effects have within cells; return its squares and freedom."""
-        none = np.zeros(self._folds)
-        if self._within is None:
-            return none, none
-        sizes = [len(e.parameters) for e in effects]
-        begin = self._size + np.cumsum([0, *sizes])
-        fast, columns = self._within.sums(effects, self._folds)
-        if len(columns):
-            own = [*(begin[k] + p for k, p in columns), total.shape[1] - 1]
-            fast[:, -1, -1] = 0.0
-            total[np.ix_(range(self._folds), own, own)] += fast
-        return self._within.squares(self._folds), self._within.freedom(self._folds)
+        begin = self._size + np.cumsum([0, *(len(e.parameters) for e in effects)])
+        square, freedom = np.zeros((2, self._folds))
+        for within in self._within:
+            fast, columns = within.sums(effects, self._folds)
+            if columns:
+                own = [*(begin[k] + p for k, p in columns), total.shape[1] - 1]
+                fast[:, -1, -1] = 0.0
+                total[np.ix_(range(self._folds), own, own)] += fast
+            square += within.squares(self._folds)
+            freedom += within.freedom(self._folds)
+        return square, freedom
 
 
 def _line(seen: Observations, base: Base) -> Line:

@@ -13,12 +13,16 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from numpy.typing import NDArray
 
 from app.alignment.cleaning import valid_samples
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
+from app.discovery.spectrum import transform
 from app.discovery.sums import Base, stretches
 from app.kinematics.effects.base import Effect
+from app.kinematics.effects.catalogue import Wave
+from app.kinematics.effects.of_run import OfRun
 from app.measurement.run import Run
 
 _OUTLIER = 5.0
@@ -40,6 +44,7 @@ class Within:
     precision: Float64[np.ndarray, "c 3 3"]
     line: Int64[np.ndarray, " c"]
     rate_hz: float
+    run: int
 
     @cached_property
     def weighted(self) -> Float64[np.ndarray, "n 3"]:
@@ -59,7 +64,7 @@ class Within:
 
         And their columns: number of the effect, number of its parameter.
         """
-        found = [(k, e.in_time(self.time_s)) for k, e in enumerate(effects)]
+        found = [(k, self._of(effect)) for k, effect in enumerate(effects)]
         fast = [(k, J) for k, J in found if J is not None]
         columns = [(k, p) for k, J in fast for p in range(J.shape[2])]
         size = len(columns) + 1
@@ -75,6 +80,29 @@ class Within:
             mine = np.flatnonzero(fold == k)
             total[k] = np.tensordot(flat[mine], weighted[mine], axes=((0, 1), (0, 1)))
         return total, columns
+
+    def _of(self, effect: Effect) -> Float64[np.ndarray, "n 3 p"] | None:
+        if isinstance(effect, OfRun) and effect.run != self.run:
+            return None
+        return effect.in_time(self.time_s)
+
+    def wave(
+        self, wave: Wave
+    ) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
+        """Return data and weight of a wave in time.
+
+        Mean and slope of each cell are taken off the wave: of a long cell they hold
+        little.
+        """
+        arm = wave.arm[0]
+        count = np.bincount(self.cell)
+        weight = np.einsum("i,cij,j->c", arm, self.precision, arm) * count
+        x = np.pi * wave.waves * float(np.median(count)) / self.rate_hz
+        mean = np.sinc(x / np.pi)
+        slope = np.sqrt(3.0) * (mean - np.cos(x)) / np.maximum(x, 1e-9)
+        left = np.maximum(1.0 - mean**2 - slope**2, 0.0)
+        found = transform(self.time_s, self.weighted @ arm, wave.waves)
+        return found, 0.5 * left * float(weight.sum())
 
     def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
         """Return the weighted squares of the deviations of each fold."""
@@ -126,7 +154,9 @@ def _part(
     off = _straightened((local - local[0])[good], cell[good], lag, count)
     line = np.full(count, number)
     rate_hz = run.machine.tracker.rate_hz
-    return Within(time_s[good], off, cell[good], lag, precision, line, rate_hz)
+    return Within(
+        time_s[good], off, cell[good], lag, precision, line, rate_hz, seen.at.run
+    )
 
 
 def _joined(blocks: list[Within]) -> Within:
@@ -139,6 +169,7 @@ def _joined(blocks: list[Within]) -> Within:
         np.concatenate([b.precision for b in blocks]),
         np.concatenate([b.line for b in blocks]),
         blocks[0].rate_hz,
+        blocks[0].run,
     )
 
 
