@@ -20,7 +20,7 @@ from app.discovery.evidence import (
 from app.discovery.refining import refined
 from app.discovery.scan import Offer, Residual, scanned, weighted_residual
 from app.discovery.sums import Lines, View
-from app.estimation.information import Information, Posterior
+from app.estimation.information import Posterior
 from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import Candidate, Family
 
@@ -29,6 +29,9 @@ LEAST_EVIDENCE = 4.0  # log Bayes factor beyond the price of the search
 _MOST_EFFECTS = 6
 _TRIED = 2  # offers that held-out lines may refuse before the search ends
 _EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
+# Of a tracker's place, about where alignment found it: a millimetre, a milliradian. So
+# it stays told where a few lines are all of a Run, and one of them is held out.
+_POSE = np.repeat([1.0, 1e6], 3)
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,9 @@ class Search:
     ) -> None:
         self._views = tuple(views)
         self._at = tuple(view.seen.at for view in views)
-        self._size = views[0].base.size
+        base = views[0].base
+        self._size = base.size
+        self._poses = np.diag(np.r_[np.zeros(base.model.size), *[_POSE] * base.runs])
         self._prior = prior
         self._lines = Lines(views, FOLDS)
         self._offers = tuple(_offered(families, self._at))
@@ -94,10 +99,13 @@ class Search:
     def explained(self, chosen: Sequence[Offer]) -> Explanation:
         """Return the Run explained by base and given effects, their values refined."""
         size = self._size
-        chosen = refined(self._lines, self._at, self._prior.precision(size), chosen)
+        known = self._prior.precision(size) + self._poses
+        chosen = refined(self._lines, self._at, known, chosen)
         columns = np.arange(size + sum(len(o.candidate.usual) for o in chosen))
         sums = self._lines.sums(_effects(chosen))
-        data = _with_prior(sums.information(columns), size, chosen)
+        data = sums.information(columns)
+        more = prior_precision(self._poses, _candidates(chosen))
+        data = replace(data, matrix=data.matrix + more)
         prior, fit = self._prior.fitted(data)
         self._prior = prior
         precision = self._precision(prior, chosen)
@@ -167,13 +175,8 @@ class Search:
     def _precision(
         self, prior: BasePrior, chosen: Sequence[Offer]
     ) -> Float64[np.ndarray, "p p"]:
-        return prior_precision(prior.precision(self._size), _candidates(chosen))
-
-
-def _with_prior(data: Information, size: int, chosen: Sequence[Offer]) -> Information:
-    """Return the information with the prior of the chosen effects in it."""
-    matrix = data.matrix + prior_precision(np.zeros((size, size)), _candidates(chosen))
-    return replace(data, matrix=matrix)
+        known = prior.precision(self._size) + self._poses
+        return prior_precision(known, _candidates(chosen))
 
 
 def _effects(offers: Sequence[Offer]) -> list[Effect]:

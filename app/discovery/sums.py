@@ -30,6 +30,7 @@ from app.numerics.rigid import RigidTransform
 
 TIMING = 2
 _NOTHING = 1e-12
+_FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 
 
 @dataclass(frozen=True)
@@ -99,24 +100,26 @@ class FoldedSums:
     """Sums over each fold of lines; columns are machine, poses, effects, data.
 
     fold : (k, q, q); freedom : (k,) observations less phases and speeds
-    log_determinant : (k,) of the noise
+    always : (q, q) of the lines that are never held out
+    log_determinant : of the noise of all lines
     fast_square, fast_freedom : (k,) of the samples within cells; fast effects have
         their share of them in the sums, the squared data have not
     """
 
     fold: Float64[np.ndarray, "k q q"]
     freedom: Float64[np.ndarray, " k"]
-    log_determinant: Float64[np.ndarray, " k"]
+    always: Float64[np.ndarray, "q q"]
+    log_determinant: float
     fast_square: Float64[np.ndarray, " k"]
     fast_freedom: Float64[np.ndarray, " k"]
 
     def total(self) -> Float64[np.ndarray, "q q"]:
         """Return the sums over all lines."""
-        return self.fold.sum(axis=0)
+        return self.fold.sum(axis=0) + self.always
 
     def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
         """Return the information of all lines on some of the columns."""
-        return information_of(self.total(), columns, float(self.log_determinant.sum()))
+        return information_of(self.total(), columns, self.log_determinant)
 
 
 def information_of(
@@ -137,9 +140,11 @@ def information_of(
 class Line:
     """One line or standstill: timing, base and data, whitened once for all effects.
 
+    fold : that it is held out with; None if it never is
     white, slow : halves of the columns timing, machine, pose, data
     """
 
+    fold: int | None
     at: Conditions
     frame: Float64[np.ndarray, "n 3 3"]
     whitener: Whitener
@@ -152,56 +157,73 @@ class Lines:
     """All lines of all Runs with their base; effects are added to them.
 
     Line k belongs to fold k modulo the number of folds: neighbours in time, which the
-    same moment made alike, are held out by different folds.
+    same moment made alike, are held out by different folds. A further Run of few lines
+    is held out nowhere: short of one it would not know where its tracker stood.
     """
 
     def __init__(self, views: Sequence[View], folds: int) -> None:
         self._folds = folds
         self._size = views[0].base.size
-        self._within = [view.within for view in views if view.within is not None]
-        self._lines = [
-            _line(view.seen.taken(np.arange(first, last)), view.base)
-            for view in views
-            for first, last in stretches(view.seen)
-        ]
+        self._within: list[tuple[FastSums, bool]] = []
+        self._lines: list[Line] = []
+        for number, view in enumerate(views):
+            parts = stretches(view.seen)
+            is_held = number == 0 or len(parts) >= _FEWEST_LINES * folds
+            for k, (first, last) in enumerate(parts):
+                seen = view.seen.taken(np.arange(first, last))
+                self._lines.append(
+                    _line(seen, view.base, k % folds if is_held else None)
+                )
+            if view.within is not None:
+                self._within.append((view.within, is_held))
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
         """Return the sums of all lines on machine, poses, effects and data."""
         count = sum(len(e.parameters) for e in effects)
         size = self._size + count + 1
-        total = np.zeros((self._folds, size, size))
-        freedom, log_determinant = np.zeros((2, self._folds))
-        for number, line in enumerate(self._lines):
-            fold = number % self._folds
+        total, always = np.zeros((self._folds, size, size)), np.zeros((size, size))
+        freedom, log_determinant = np.zeros(self._folds), 0.0
+        for line in self._lines:
             one, told, log_timing = _timing_out(_with_effects(line, effects))
-            total[fold] += one
-            freedom[fold] += line.freedom - told
-            log_determinant[fold] += line.whitener.log_determinant + log_timing
-        square, fast_freedom = self._with_fast(total, effects)
-        return FoldedSums(total, freedom, log_determinant, square, fast_freedom)
+            log_determinant += line.whitener.log_determinant + log_timing
+            if line.fold is None:
+                always += one
+            else:
+                total[line.fold] += one
+                freedom[line.fold] += line.freedom - told
+        fast = self._with_fast(total, always, effects)
+        return FoldedSums(total, freedom, always, log_determinant, *fast)
 
     def _with_fast(
-        self, total: Float64[np.ndarray, "k q q"], effects: Sequence[Effect]
+        self,
+        total: Float64[np.ndarray, "k q q"],
+        always: Float64[np.ndarray, "q q"],
+        effects: Sequence[Effect],
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
         """Add what fast effects have within cells; return its squares and freedom."""
         begin = self._size + np.cumsum([0, *(len(e.parameters) for e in effects)])
         square, freedom = np.zeros((2, self._folds))
-        for within in self._within:
+        for within, is_held in self._within:
             fast, columns = within.sums(effects, self._folds)
             if columns:
                 own = [*(begin[k] + p for k, p in columns), total.shape[1] - 1]
                 fast[:, -1, -1] = 0.0
-                total[np.ix_(range(self._folds), own, own)] += fast
-            square += within.squares(self._folds)
-            freedom += within.freedom(self._folds)
+                if is_held:
+                    total[np.ix_(range(self._folds), own, own)] += fast
+                else:
+                    always[np.ix_(own, own)] += fast.sum(axis=0)
+            if is_held:
+                square += within.squares(self._folds)
+                freedom += within.freedom(self._folds)
         return square, freedom
 
 
-def _line(seen: Observations, base: Base) -> Line:
+def _line(seen: Observations, base: Base, fold: int | None) -> Line:
     rows, frame = line_rows(seen, base, ())
     whitener = whiten(seen, base.noise, frame)
     across = base.noise.along_sigma_mm == np.inf and seen.at.line[0] >= 0
     return Line(
+        fold,
         seen.at,
         frame,
         whitener,
