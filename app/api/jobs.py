@@ -239,9 +239,46 @@ def get_report(job_id: str, service: ServiceDep) -> FileResponse:
     )
 
 
+@results.get(
+    "/{job_id}/discovery",
+    operation_id="get_discovery",
+    response_class=FileResponse,
+    responses=_file("application/json", "object"),
+)
+def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return `discovery.json`: the missing effects, the gap, where they disagree."""
+    return FileResponse(
+        _discovery_file(service, job_id, "discovery.json"),
+        media_type="application/json",
+    )
+
+
+@results.get(
+    "/{job_id}/discovery/report.html",
+    operation_id="get_discovery_report",
+    response_class=FileResponse,
+    responses=_file("text/html", "string"),
+)
+def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return the report of a discovery, one page that needs nothing else."""
+    return FileResponse(
+        _discovery_file(service, job_id, "report.html"),
+        media_type="text/html; charset=utf-8",
+        headers={"Content-Security-Policy": _REPORT_POLICY},
+    )
+
+
 def _out(job: Job, response: Response) -> JobOut:
     response.headers["ETag"] = etag(job)
     return job_out(job)
+
+
+def _discovery_file(service: Service, job_id: str, name: str) -> Path:
+    job = service.store.get(job_id)
+    file = service.results / job.id / name
+    if not job.has_discovery or not file.is_file():
+        raise NotFound(f"job {job_id} ({job.kind}, {job.state}) has no {name}")
+    return file
 
 
 def _result_file(service: Service, job_id: str, name: str) -> Path:

@@ -7,7 +7,7 @@ from typing import Any
 
 from app.cli.terminal import print_json, progress
 from app.errors import BadInput
-from app.jobs.discovery import discover_run, read_parent, write_discovery
+from app.jobs.discovery import discover_runs, read_parent, write_discovery
 from app.measurement.bundle import read_bundle
 
 
@@ -23,7 +23,7 @@ def discover_bundle(
     with progress("discover") as report:
         report(0.0, "reading")
         parent = None if model is None else read_parent(model)
-        discovered = discover_run(read_bundle(bundle), parent, report)
+        discovered = discover_runs([read_bundle(bundle)], parent, report)
         report(1.0, "writing")
         write_discovery(discovered, output)
     if as_json:

@@ -1,9 +1,10 @@
-"""Discovery as a job does it: a Run in; what its model lacks, as files, out."""
+"""Discovery as a job does it: Runs in; what their model lacks, as files, out."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ _FOUND = 0.95  # share of the work that is done with the search
 
 @dataclass(frozen=True, slots=True)
 class Discovered:
-    """What became of one Run; content : of `discovery.json`."""
+    """What became of Runs; content : of `discovery.json`."""
 
     found: Discovery
     content: dict[str, Any]
@@ -42,27 +43,29 @@ def read_parent(file: str | Path, source: str = "") -> Parent:
     return Parent(loaded, source or str(file), hashlib.sha256(data).hexdigest())
 
 
-def discover_run(
-    run: Run, parent: Parent | None = None, progress: Progress | None = None
+def discover_runs(
+    runs: Sequence[Run], parent: Parent | None = None, progress: Progress | None = None
 ) -> Discovered:
-    """Find what a model of a Run lacks.
+    """Find what a model of Runs lacks.
 
-    parent : the model; the rigid-body model fitted to the Run if None
+    parent : the model; the rigid-body model fitted to the Runs if None
     progress : told the share done and the stage: discovering, reporting
 
-    Raises AlignmentError, EstimationError if the Run cannot be fitted, BundleError if
-    the model is not of its machine.
+    Raises AlignmentError, EstimationError if the Runs cannot be fitted, BundleError if
+    they, or the model, are not of one machine.
     """
     told = progress or (lambda share, stage: None)
 
     def searched(share: float) -> None:
         told(_FOUND * share, "discovering")
 
-    given = None if parent is None else parent.given(run)
-    found = discover([run], given, searched)
+    given = None if parent is None else parent.given(runs[0])
+    found = discover(runs, given, searched)
     told(_FOUND, "reporting")
     model = next_model(found, parent)
-    return Discovered(found, discovery_json(found), model, report_html(found, model))
+    told_model = {k: model.content[k] for k in ("version", "parent", "difference")}
+    content = {**discovery_json(found), "model": told_model}
+    return Discovered(found, content, model, report_html(found, model))
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:

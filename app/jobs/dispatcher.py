@@ -16,6 +16,7 @@ from app.jobs.control import Control
 from app.jobs.errors import CellDown, NoMachine, QueueFull
 from app.jobs.feed import Feed
 from app.jobs.job import Failure, Job, Json, Kind, NewJob, Stage
+from app.jobs.models import model_file
 from app.jobs.plan_orders import driven_plan
 from app.jobs.plans import Row, plan_json, plan_motion
 from app.jobs.store import Key
@@ -38,6 +39,7 @@ class Wish:
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
     monte_carlo : trials to hold the uncertainty of an analysis against
     plan_id : of a plan whose rows are driven
+    model_id : of the job whose model or result a discovery holds its Runs against
     plan_request : what is asked of a plan, as `plan_orders` states it
     """
 
@@ -49,6 +51,7 @@ class Wish:
     target_um: float | None = None
     monte_carlo: TrialPlan | None = None
     plan_id: str | None = None
+    model_id: str | None = None
     plan_request: Json | None = None
 
 
@@ -159,6 +162,7 @@ class Dispatcher:
                 wish.kind,
                 first,
                 wish.perpendicular_only,
+                plan=self._held_against(wish),
                 monte_carlo=wish.monte_carlo,
                 further_run_ids=tuple(further),
             )
@@ -181,6 +185,14 @@ class Dispatcher:
         if plan is None:
             raise IllegalTransition(f"plan {plan_id} is {job.state}; it has no rows")
         return driven_plan(machine, kind, plan)
+
+    def _held_against(self, wish: Wish) -> Json | None:
+        """Return the order of a discovery: the model, which has to be there."""
+        if wish.model_id is None:
+            return None
+        job = self._shop.store.get(wish.model_id)
+        model_file(self._shop.results, job.id)
+        return {"request": {"model_id": job.id}}
 
     def _begin(self, job: Job) -> None:
         control = Control(job, self._shop.store, self._feed)

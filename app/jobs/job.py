@@ -26,6 +26,7 @@ class Kind(StrEnum):
     MEASURE_OTF = "measure-otf"
     MEASURE_STANDSTILL = "measure-standstill"
     ANALYSE = "analyse"
+    DISCOVER = "discover"
     PLAN = "plan"
 
     @property
@@ -43,6 +44,7 @@ class Stage(StrEnum):
     ALIGNING = "aligning"
     ESTIMATING = "estimating"
     VALIDATING = "validating"
+    DISCOVERING = "discovering"
     REPORTING = "reporting"
 
 
@@ -137,7 +139,13 @@ class Job:
     @property
     def has_result(self) -> bool:
         """Whether error tables stand."""
-        return self.state is State.SUCCEEDED and self.kind is not Kind.PLAN
+        silent = (Kind.PLAN, Kind.DISCOVER)
+        return self.state is State.SUCCEEDED and self.kind not in silent
+
+    @property
+    def has_discovery(self) -> bool:
+        """Whether it has found what a model lacks, or that nothing is missing."""
+        return self.state is State.SUCCEEDED and self.kind is Kind.DISCOVER
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,19 +39,46 @@ def analyse_recorded(
             mapper=mapper,
             progress=progress,
         )
-    final = Path(folder)
-    part = final.with_name(f"{final.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
-    write_analysis(analysis, part)
-    _sync(part)
-    shutil.rmtree(final, ignore_errors=True)
-    os.replace(part, final)
+    _replace(Path(folder), lambda part: write_analysis(analysis, part))
+
+
+def discover_recorded(
+    run_files: Sequence[str],
+    folder: str,
+    model_file: str | None,
+    model_id: str | None,
+    *,
+    progress: Callable[[float, str], None],
+) -> None:
+    """Find what a model of Runs lacks and write the answer, whole or not at all.
+
+    model_file, model_id : the model; the rigid-body model fitted to the Runs if None
+    """
+    # Imported where it computes: the service itself carries no science and no plots.
+    from app.jobs.analysis import read_all
+    from app.jobs.discovery import discover_runs, read_parent, write_discovery
+
+    parent = None if model_file is None else read_parent(model_file, model_id or "")
+    runs = read_all(run_files, open_recorded)
+    found = discover_runs(runs, parent, progress)
+    _replace(Path(folder), lambda part: write_discovery(found, part))
 
 
 def prepare() -> None:
-    """Import what an analysis needs, so that the first one does not wait for it."""
-    import app.jobs.analysis  # noqa: F401
+    """Import what science needs, so that the first job does not wait for it."""
+    import app.jobs.analysis
+    import app.jobs.discovery  # noqa: F401
+
+
+def _replace(final: Path, write: Callable[[Path], None]) -> None:
+    """Write into a folder beside it, then put that in its place."""
+    part = final.with_name(f"{final.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    write(part)
+    _sync(part)
+    shutil.rmtree(final, ignore_errors=True)
+    os.replace(part, final)
 
 
 def _sync(folder: Path) -> None:

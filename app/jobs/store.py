@@ -134,6 +134,7 @@ class Store:
         *,
         before_seq: int | None = None,
         states: Sequence[State] = (),
+        kinds: Sequence[Kind] = (),
     ) -> list[Job]:
         """Return jobs, the newest first, older than `before_seq`."""
         query = _JOBS.order_by(jobs.c.seq.desc()).limit(limit)
@@ -141,6 +142,8 @@ class Store:
             query = query.where(jobs.c.seq < before_seq)
         if states:
             query = query.where(jobs.c.state.in_([str(state) for state in states]))
+        if kinds:
+            query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
         with self._database.read() as connection:
             return [_job(row) for row in connection.execute(query).mappings()]
 

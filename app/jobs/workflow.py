@@ -30,9 +30,11 @@ from app.jobs.job import Failure, Job, Kind, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
+from app.jobs.models import model_file
 from app.jobs.plan_orders import plan_measurement
 from app.jobs.plans import Commanded, commanded_from_plan
 from app.jobs.runs import RunCatalogue
+from app.jobs.science import discover_recorded
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb
 from app.jobs.workers import Workers
@@ -54,6 +56,7 @@ class Workshop:
     planner : task `(machine, order, *, progress)` that returns the plan as JSON
     science : task `(run_files, folder, perpendicular_only, monte_carlo, workers, *,
         progress)`
+    discoverer : task `(run_files, folder, model_file, model_id, *, progress)`
     workers : who computes what science can cut into blocks
     results : folder of results, one folder a job
     live : makes what estimates while the machine moves; None for no such thing
@@ -70,6 +73,7 @@ class Workshop:
     confirm_s: Mapping[State, float] | None = None
     live: Callable[[LiveOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
+    discoverer: Task = discover_recorded
 
 
 def carry_out(job: Job, control: Control, shop: Workshop) -> None:
@@ -79,6 +83,8 @@ def carry_out(job: Job, control: Control, shop: Workshop) -> None:
         try:
             if job.kind is Kind.PLAN:
                 plan(job, control, shop)
+            elif job.kind is Kind.DISCOVER:
+                discover(job, control, shop)
             else:
                 measures = job.kind.measures
                 run_ids = (measure(job, control, shop),) if measures else job.run_ids
@@ -185,6 +191,31 @@ def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) 
         job.perpendicular_only,
         job.monte_carlo,
         shop.workers,
+        report=report,
+        started=started,
+    )
+    control.compute(computation)
+    control.checkpoint()
+
+
+def discover(job: Job, control: Control, shop: Workshop) -> None:
+    """Find what a model of Runs lacks: one of ours, or the one fitted to them."""
+    files = [str(shop.runs.file(run_id)) for run_id in job.run_ids]
+    model_id = shop.store.plan_request(job.id).get("model_id")
+    model = None if model_id is None else str(model_file(shop.results, model_id))
+
+    def report(fraction: float, stage: str) -> None:
+        control.report(Progress(fraction, 1.0), stage=_stage(stage))
+
+    def started() -> None:
+        control.enter(State.RUNNING, Stage.DISCOVERING)
+
+    computation = shop.executor.submit(
+        shop.discoverer,
+        files,
+        str(shop.results / job.id),
+        model,
+        model_id,
         report=report,
         started=started,
     )

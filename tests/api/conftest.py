@@ -32,7 +32,14 @@ from app.planning.paths import default_path
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))
-from scripted_cell import CellMaker, Inline, Science, ScriptedLive, wait_until
+from scripted_cell import (
+    CellMaker,
+    Explorer,
+    Inline,
+    Science,
+    ScriptedLive,
+    wait_until,
+)
 
 LOOPBACK = "127.0.0.1"
 MAX_UPLOAD_BYTES = 2 << 20
@@ -134,6 +141,7 @@ def service(
         cell=cell,
         live=live_estimation,
         planner=planner,
+        discoverer=Explorer(),
     )
     dispatcher = Dispatcher(shop, feed)
     if cell is not None:

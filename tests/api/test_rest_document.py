@@ -220,6 +220,22 @@ def test_a_measurement_from_elsewhere_is_analysed(curl, follow, bundle, tmp_path
     assert job["run_ids"] == [curl.names["RUN"], curl.names["OTHER"]]
 
 
+def test_a_discovery_and_its_model_are_taken_away(curl, follow, bundle, tmp_path):
+    (tmp_path / "run.zip").write_bytes(bundle())
+    upload, *_ = section("Analyse a measurement from elsewhere")
+    run = curl(upload).json()["id"]
+    create, *rest = section("Discover what the model lacks")
+    curl.names["RUN"] = run
+    answer = curl(create)
+    assert answer.status_code == 202, answer.text
+    curl.take(answer.json())
+    follow("succeeded")
+    for words in rest:
+        assert curl(words).status_code == 200, words
+    assert (tmp_path / "discovery.html").stat().st_size > 0
+    assert (tmp_path / "model.json").stat().st_size > 0
+
+
 def test_every_code_of_the_document_exists_with_its_status():
     table = TEXT.split("\n## Refusals\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| ([\d, ]+) \| (.*) \|$", table, re.MULTILINE)

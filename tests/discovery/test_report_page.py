@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from app.jobs.discovery import discover_run, write_discovery
+from app.jobs.discovery import discover_runs, write_discovery
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 
@@ -13,7 +13,7 @@ from simulators.synthetic import Setting
 @pytest.fixture(scope="module")
 def knocked(record):
     setting = Setting(hidden=(SetupStep(40.0, (4.0, -3.0, 0.0)),))
-    return discover_run(record(11, rows=60, setting=setting)[0])
+    return discover_runs([record(11, rows=60, setting=setting)[0]])
 
 
 @pytest.fixture(scope="module")

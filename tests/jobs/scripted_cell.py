@@ -329,3 +329,47 @@ class Science:
         (place / "error_tables.csv").write_text("error,position_mm\nEXX,0.0\n")
         (place / "report.html").write_text("<!DOCTYPE html><title>Report</title>")
         progress(1.0, "reporting")
+
+
+class Explorer:
+    """A task that writes the files of a discovery.
+
+    hold : set it to let the task wait at its first report until it is released
+    raises : what the task ends with instead
+    """
+
+    def __init__(self):
+        self.hold: threading.Event | None = None
+        self.raises: Exception | None = None
+        self.calls: list[tuple] = []
+
+    def __call__(self, run_files, folder, model_file, model_id, *, progress):
+        self.calls.append((run_files, model_file, model_id))
+        progress(0.0, "discovering")
+        while self.hold is not None and not self.hold.wait(0.01):
+            progress(0.1, "discovering")
+        if self.raises is not None:
+            raise self.raises
+        parent = {"version": 1, "source": model_id or "fitted", "sha256": None}
+        if model_file is not None and model_file.endswith("model.json"):
+            parent["version"] = json.loads(FilePath(model_file).read_text())["version"]
+        text = "backlash X: width 6.1 ± 0.4 µm"
+        change = {"kind": "added", "what": "backlash X", "text": text}
+        grown = {
+            "version": parent["version"] + 1,
+            "parent": parent,
+            "difference": [change],
+        }
+        found = {
+            "schema": "discovery/1",
+            "effects": [{"name": "backlash", "axis": "X"}],
+            "gap": {"unit": "um", "before": 2.0, "after": 1.0, "noise_floor": 1.0},
+            "model": grown,
+        }
+        place = FilePath(folder)
+        place.mkdir(parents=True)
+        page = "<!DOCTYPE html><title>Discovery</title>"
+        (place / "discovery.json").write_text(json.dumps(found))
+        (place / "model.json").write_text(json.dumps(grown))
+        (place / "report.html").write_text(page)
+        progress(1.0, "reporting")

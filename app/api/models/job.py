@@ -43,6 +43,14 @@ class ResultLinks(BaseModel):
     report_html: str
 
 
+class DiscoveryLinks(BaseModel):
+    """Where the answer of a discovery is."""
+
+    discovery: str
+    report_html: str
+    model: str
+
+
 class JobLinks(BaseModel):
     """Where else to look."""
 
@@ -88,6 +96,9 @@ class JobOut(BaseModel):
     run_id: str | None
     run_ids: list[str] = Field(description="All its Runs, `run_id` the first.")
     result: ResultLinks | None
+    discovery: DiscoveryLinks | None = Field(
+        description="Of a job of kind discover that has succeeded."
+    )
     error: Problem | None = Field(
         description="Why it ended badly; in an unfinished job, why it stands."
     )
@@ -129,6 +140,7 @@ def job_out(job: Job) -> JobOut:
         run_id=job.run_id,
         run_ids=list(job.run_ids),
         result=_result_links(job.id) if job.has_result else None,
+        discovery=_discovery_links(job.id) if job.has_discovery else None,
         error=Problem(**problem_of_failure(failure)) if failure else None,
         links=_job_links(job),
     )
@@ -174,6 +186,15 @@ def _result_links(job_id: str) -> ResultLinks:
         error_tables_json=f"{at}/error-tables.json",
         error_tables_csv=f"{at}/error-tables.csv",
         report_html=f"{at}/report.html",
+    )
+
+
+def _discovery_links(job_id: str) -> DiscoveryLinks:
+    at = f"{PREFIX}/jobs/{job_id}/discovery"
+    return DiscoveryLinks(
+        discovery=at,
+        report_html=f"{at}/report.html",
+        model=f"{PREFIX}/models/{job_id}",
     )
 
 

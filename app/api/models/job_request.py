@@ -18,6 +18,7 @@ _ALLOWED = {
     "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um"},
     "measure-standstill": {"points", "plan_id", "target_um"},
     "analyse": {"run_id", "run_ids", "monte_carlo"},
+    "discover": {"run_id", "run_ids", "model_id"},
 }
 
 
@@ -33,6 +34,7 @@ class JobRequest(Taken):
                 {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
                 {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
                 {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
+                {"kind": "discover", "run_id": JOB_ID},
                 {
                     "kind": "measure-otf",
                     "feed_mm_min": 2500,
@@ -45,8 +47,10 @@ class JobRequest(Taken):
         },
     )
 
-    kind: Literal["measure-otf", "measure-standstill", "analyse"]
-    run_id: Identifier | None = Field(None, description="The Run to analyse.")
+    kind: Literal["measure-otf", "measure-standstill", "analyse", "discover"]
+    run_id: Identifier | None = Field(
+        None, description="The Run to analyse, or to discover in."
+    )
     run_ids: list[Identifier] | None = Field(
         None,
         min_length=1,
@@ -65,6 +69,11 @@ class JobRequest(Taken):
         min_length=1,
         max_length=MAX_ROWS,
         description="Standstill: points in order; without it the default points.",
+    )
+    model_id: Identifier | None = Field(
+        None,
+        description="Job whose model, or result, the Runs are held against. Without it "
+        "the rigid-body model fitted to them.",
     )
     plan_id: Identifier | None = Field(
         None, description="A plan whose rows are driven, in place of rows sent in."
@@ -92,8 +101,8 @@ class JobRequest(Taken):
             if getattr(self, name) is not None and name not in allowed:
                 raise ValueError(f"{name} is not for a job of kind {self.kind}")
         runs = [self.run_id, *(self.run_ids or ())]
-        if self.kind == "analyse" and runs == [None]:
-            raise ValueError("a job of kind analyse needs a run_id, or run_ids")
+        if self.kind in ("analyse", "discover") and runs == [None]:
+            raise ValueError(f"a job of kind {self.kind} needs a run_id, or run_ids")
         if self.run_id is not None and self.run_ids is not None:
             raise ValueError("run_id stands beside run_ids; give one of the two")
         beside = [self.path, self.points, self.feed_mm_min]
@@ -117,4 +126,5 @@ class JobRequest(Taken):
             target_um=self.target_um,
             monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
             plan_id=self.plan_id,
+            model_id=self.model_id,
         )

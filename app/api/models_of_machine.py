@@ -1,0 +1,116 @@
+"""Models of the machine: list them, take them away, see how they grew."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import FileResponse
+from pydantic.json_schema import SkipJsonSchema
+
+from app.api.models.base import Identifier
+from app.api.models.machine_model import (
+    ChangeOut,
+    ModelDifference,
+    ModelOut,
+    ModelPage,
+    model_out,
+)
+from app.api.paging import After, Limit, cursor, link_next, place
+from app.api.problems import answers
+from app.api.service import Service, ServiceDep
+from app.errors import NotFound
+from app.jobs.job import Job, Kind
+from app.jobs.models import difference_between, growth_of, model_file, versions
+from app.jobs.transitions import State
+
+router = APIRouter(prefix="/models", tags=["models"])
+
+_OBJECT = {"application/json": {"schema": {"type": "object"}}}
+
+
+@router.get("", operation_id="list_models", responses=answers(422))
+def list_models(
+    request: Request,
+    response: Response,
+    service: ServiceDep,
+    limit: Limit = 50,
+    after: After = None,
+) -> ModelPage:
+    """List models, the newest first."""
+    jobs = service.store.page(
+        limit + 1,
+        before_seq=place(after),
+        states=[State.SUCCEEDED],
+        kinds=[Kind.DISCOVER],
+    )
+    rest = cursor(jobs[limit - 1].seq) if len(jobs) > limit else None
+    link_next(request, response, rest)
+    return ModelPage(items=[_out(service, job) for job in jobs[:limit]], next=rest)
+
+
+@router.get(
+    "/{model_id}",
+    operation_id="get_model",
+    response_class=FileResponse,
+    responses={**answers(404), 200: {"content": _OBJECT}},
+)
+def get_model(model_id: str, service: ServiceDep) -> FileResponse:
+    """Return `model.json`; `truepath predict`, `export` and `discover` take it."""
+    job = _discovered(service, model_id)
+    return FileResponse(
+        model_file(service.results, job.id),
+        media_type="application/json",
+        filename="model.json",
+    )
+
+
+@router.get(
+    "/{model_id}/versions", operation_id="list_model_versions", responses=answers(404)
+)
+def list_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
+    """Return a model and those it came from, the newest first."""
+    job = _discovered(service, model_id)
+    return [
+        model_out(service.store.get(one), growth)
+        for one, growth in versions(service.results, job.id)
+    ]
+
+
+@router.get(
+    "/{model_id}/difference",
+    operation_id="get_model_difference",
+    responses=answers(404, 422),
+)
+def get_difference(
+    model_id: str,
+    service: ServiceDep,
+    against: Annotated[
+        Identifier | SkipJsonSchema[None],
+        Query(
+            description="Job whose model or result to compare with; else its parent."
+        ),
+    ] = None,
+) -> ModelDifference:
+    """Return what a model has that another has not, and which numbers differ."""
+    job = _discovered(service, model_id)
+    if against is None:
+        growth = growth_of(service.results, job.id)
+        changes, before = growth["difference"], growth["parent"]["source"]
+    else:
+        other = service.store.get(against)
+        files = (model_file(service.results, i) for i in (other.id, job.id))
+        changes, before = difference_between(*files), other.id
+    told = [ChangeOut(**change) for change in changes]
+    return ModelDifference(before=before, after=job.id, changes=told)
+
+
+def _discovered(service: Service, model_id: str) -> Job:
+    job = service.store.get(model_id)
+    if not job.has_discovery:
+        raise NotFound(f"job {model_id} ({job.kind}, {job.state}) has no model")
+    return job
+
+
+def _out(service: Service, job: Job) -> ModelOut:
+    return model_out(job, growth_of(service.results, job.id))

@@ -1,0 +1,65 @@
+"""docs/discovery.md lists what the code looks for, in its own words."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.discovery.catalogue import families
+from app.discovery.scene import scene_of
+from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.squareness import Squareness
+from app.kinematics.effects.thermal_growth import WarmingUp
+
+ROOT = Path(__file__).parents[2]
+CONTRACT = (
+    "backlash",
+    "lateral-backlash",
+    "screw-cyclic",
+    "thermal-growth",
+    "table-drift",
+    "elastic-sag",
+    "servo-mismatch",
+    "reversal-spike",
+    "squareness",
+    "tracker-eccentricity",
+    "tracker-range-offset",
+    "vibration",
+    "setup-step",
+)
+
+
+@pytest.fixture(scope="module")
+def at(record):
+    return scene_of(record(11, rows=60)[0]).at
+
+
+def test_the_catalogue_of_the_page_is_that_of_the_code():
+    script = ROOT / "docs" / "write_discovery_catalogue.py"
+    done = subprocess.run([sys.executable, str(script), "--check"], check=False)
+    assert done.returncode == 0, "python docs/write_discovery_catalogue.py"
+
+
+def test_every_effect_of_the_contract_is_installed_and_explained():
+    known = {family.name: family.signature for family in families()}
+    for name in CONTRACT:
+        words = known[name]
+        for sentence in (words.cause, words.looks_like, words.remedy):
+            assert sentence.endswith("."), (name, sentence)
+
+
+@pytest.mark.parametrize("family", families(), ids=lambda f: f.name)
+def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at):
+    for candidate in family.candidates(at):
+        numbers = family.kept(candidate)
+        again = catalogued(family, at.machine, candidate.keys, numbers)
+        if not family.in_machine or isinstance(candidate.effect, WarmingUp):
+            assert again is None
+            continue
+        assert again is not None
+        made = candidate.effect.jacobian(at)
+        np.testing.assert_array_equal(again.jacobian(at), made)
+        is_square = isinstance(candidate.effect, Squareness)
+        assert (again.name == candidate.label) or is_square or numbers

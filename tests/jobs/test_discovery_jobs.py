@@ -1,0 +1,148 @@
+"""Discovery as a job: stages, abort, restart, the model that it is held against."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scripted_cell import Explorer, wait_until
+
+from app.errors import EstimationError, NotFound
+from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.job import Kind
+from app.jobs.models import difference_between, model_file, versions
+from app.jobs.science import discover_recorded
+from app.jobs.transitions import State
+from app.measurement.bundle import write_bundle, zip_bundle
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import TrackerSamples
+
+
+@pytest.fixture
+def explorer():
+    return Explorer()
+
+
+@pytest.fixture
+def run(shop, machine, tmp_path):
+    samples = TrackerSamples(
+        np.arange(10), np.arange(10) / 500.0, np.ones((10, 3)), np.zeros(10, np.int64)
+    )
+    points = Configurations(
+        machine.axis_names, np.array([[1.0, 2.0, 3.0]]), np.array([1.0])
+    )
+    whole = Run("b", machine, points, samples)
+    write_bundle(whole, tmp_path / "bundle")
+    packed = tmp_path / "bundle.zip"
+    packed.write_bytes(zip_bundle(whole))
+    return shop.runs.add_uploaded(packed, "from the shop floor")
+
+
+@pytest.fixture
+def discovering(shop, feed, explorer):
+    """A dispatcher of a service without a machine."""
+    bare = replace(shop, machine=None, cell=None, discoverer=explorer)
+    dispatcher = Dispatcher(bare, feed)
+    yield dispatcher
+    dispatcher.close()
+
+
+def ended(shop, job):
+    wait_until(lambda: shop.store.get(job.id).is_final)
+    return shop.store.get(job.id)
+
+
+def test_a_discovery_ends_with_its_files_and_no_error_tables(shop, run, discovering):
+    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
+    job = ended(shop, job)
+    assert (job.state, job.stage) == (State.SUCCEEDED, "reporting")
+    assert job.has_discovery
+    assert not job.has_result
+    names = {f.name for f in (shop.results / job.id).iterdir()}
+    assert names == {"discovery.json", "model.json", "report.html"}
+
+
+def test_it_tells_its_stage_and_can_be_aborted(shop, run, discovering, explorer):
+    explorer.hold = threading.Event()
+    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
+    wait_until(lambda: shop.store.get(job.id).stage == "discovering")
+    discovering.abort(job.id)
+    job = ended(shop, job)
+    assert job.state is State.ABORTED
+    assert not job.has_discovery
+    assert not (shop.results / job.id).exists()
+
+
+def test_after_a_restart_it_is_interrupted(shop, feed, run, discovering, explorer):
+    explorer.hold = threading.Event()
+    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
+    wait_until(lambda: explorer.calls)
+    discovering.close()
+    explorer.hold = None
+    later = Dispatcher(replace(shop, machine=None, cell=None), feed)
+    later.sweep()
+    assert shop.store.get(job.id).state is State.INTERRUPTED
+    later.close()
+
+
+def test_a_run_that_cannot_be_fitted_fails_with_the_reason(
+    shop, run, discovering, explorer
+):
+    explorer.raises = EstimationError("too few lines")
+    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
+    job = ended(shop, job)
+    assert job.state is State.FAILED
+    assert "too few lines" in job.failure.detail
+
+
+def test_it_is_held_against_the_model_of_another_job(shop, run, discovering, explorer):
+    first, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
+    ended(shop, first)
+    second, _ = discovering.create(Wish(Kind.DISCOVER, [run.id], model_id=first.id))
+    ended(shop, second)
+    _, model, model_id = explorer.calls[-1]
+    assert model == str(shop.results / first.id / "model.json")
+    assert model_id == first.id
+    chain = versions(shop.results, second.id)
+    assert [(one, grown["version"]) for one, grown in chain] == [
+        (second.id, 3),
+        (first.id, 2),
+    ]
+
+
+def test_a_model_that_is_not_there_is_refused_before_the_job_is_made(
+    shop, run, discovering
+):
+    with pytest.raises(NotFound, match="no job nowhere"):
+        discovering.create(Wish(Kind.DISCOVER, [run.id], model_id="nowhere"))
+    analysed, _ = discovering.create(Wish(Kind.ANALYSE, [run.id]))
+    ended(shop, analysed)
+    found = model_file(shop.results, analysed.id)
+    assert found.name == "result.json"
+    assert len(shop.store.page(10)) == 1
+
+
+def test_the_task_writes_what_the_contract_asks_and_models_compare(small_run, tmp_path):
+    stages = []
+
+    def told(share, stage):
+        stages.append((share, stage))
+
+    first, second = tmp_path / "first", tmp_path / "second"
+    discover_recorded([str(small_run)], str(first), None, None, progress=told)
+    model = first / "model.json"
+    discover_recorded([str(small_run)], str(second), str(model), "one", progress=told)
+    assert {s for _, s in stages} == {"discovering", "reporting"}
+    shares = [share for share, _ in stages]
+    assert min(shares) >= 0.0
+    assert max(shares) <= 1.0
+    content = json.loads((second / "model.json").read_text())
+    assert (content["version"], content["parent"]["source"]) == (3, "one")
+    assert len(content["parent"]["sha256"]) == 64
+    changes = difference_between(model, second / "model.json")
+    assert changes == content["difference"]
+    assert not [p for p in tmp_path.iterdir() if p.suffix == ".part"]
