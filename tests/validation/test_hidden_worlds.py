@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.errors import Unidentifiable
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = str(ROOT / "validation")
 SHORT = (14, 14)
@@ -84,6 +86,20 @@ def test_nothing_is_the_answer_where_nothing_is_catalogued(validation):
     strange = World(effect("twist"), kind="off-catalogue", is_catalogued=False)
     assert judged(strange, said(unnamed=["a surface"]), 0.0).right
     assert not judged(strange, said(effect("backlash", axis="X")), 0.0).right
+
+
+def test_a_world_that_is_refused_is_a_wrong_answer(validation, monkeypatch):
+    score = validation("discovery_score")
+
+    def refuse(*_):
+        raise Unidentifiable("add lines")
+
+    monkeypatch.setattr(score, "run_of", refuse)
+    clean = World(kind="clean")
+    clean.recording = None
+    refused = score.outcome(clean)
+    assert refused.said == refused.wrong == ("refused",)
+    assert not refused.right
 
 
 def test_phases_are_compared_on_their_circle(validation):
