@@ -61,6 +61,12 @@ class StreamingAlignment:
         """How many samples wait for more."""
         return self._stream.kept
 
+    def extend(self, commanded: Path | Configurations) -> None:
+        """Know of further rows; the earlier ones are among them as they were."""
+        self._run = replace(self._run, commanded=commanded)
+        self._course = course_of(self._run.machine, commanded)
+        self._place_mm = self._course.place_mm
+
     def taken(self, block: TrackerSamples) -> list[Stretch]:
         """Take the next samples; return what they finish."""
         raw = TrackerSamples.joined([self._raw, block])

@@ -66,7 +66,7 @@ class Subscription:
         with self._lock:
             if notice.id is not None:
                 self._news = True
-            elif notice.type in ("progress", "live", "estimate"):
+            elif notice.type in ("progress", "live", "estimate", "plan"):
                 self._waiting.append(notice)
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)

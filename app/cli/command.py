@@ -120,6 +120,10 @@ def demo(
         float | None,
         typer.Option(min=0.01, help="End early at this volumetric uncertainty, µm."),
     ] = None,
+    adaptive: Annotated[
+        bool,
+        typer.Option("--adaptive", help="Plan the lines on the way, part after part."),
+    ] = False,
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
@@ -127,7 +131,8 @@ def demo(
     from app.cli.demo import Demo
 
     faults = tuple(fault or ())
-    Demo(output, feed, minutes, speed, seed, faults, target_um).run(as_json=json)
+    shown = Demo(output, feed, minutes, speed, seed, faults, target_um, adaptive)
+    shown.run(as_json=json)
 
 
 @app.command(
@@ -186,8 +191,13 @@ def analyse(
 
 @app.command()
 def discover(
-    bundle: Annotated[
-        Path, typer.Argument(metavar="BUNDLE", help="A folder or a .zip.")
+    bundles: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BUNDLE...",
+            help="Measurements of one machine, each a folder or a .zip: the first, and "
+            "further lines that it asked for.",
+        ),
     ],
     output: OutputFolder,
     model: Annotated[
@@ -200,11 +210,11 @@ def discover(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Find what the model of a measurement lacks, and how much of the gap it closes."""
+    """Find what the model of a measurement lacks, and what to drive to be sure."""
     _compute_on_one_thread()
-    from app.cli.discovering import discover_bundle
+    from app.cli.discovering import discover_bundles
 
-    discover_bundle(bundle, output, model=model, as_json=json)
+    discover_bundles(bundles, output, model=model, as_json=json)
 
 
 @app.command()

@@ -7,6 +7,7 @@ them: what a machine of iron never tells.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from app.cli.terminal import print_json, progress, say
 from app.cli.truth import Proof, proof
 from app.errors import BadInput, PlanningError
 from app.jobs.analysis import Analysis, analyse, write_analysis
+from app.jobs.plan_orders import first_part, plan_measurement
+from app.jobs.plans import Commanded, commanded_from_plan
 from app.kinematics.machine import Machine
 from app.measurement.bundle import write_bundle
 from app.measurement.cell import Cell, CellConfig, Order
@@ -32,6 +35,7 @@ from app.plugins import load
 from drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
+ADAPTIVE_MINUTES = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,7 @@ class Demo:
     speed : the simulated devices' clock, times the real one
     faults : what goes wrong, in the words of the simulators
     target_um : volumetric uncertainty at which the rest of the path is left out
+    adaptive : plan the lines on the way, for `minutes` at most
     """
 
     output: Path
@@ -52,6 +57,7 @@ class Demo:
     seed: int
     faults: tuple[str, ...] = ()
     target_um: float | None = None
+    adaptive: bool = False
 
     def run(self, *, as_json: bool) -> None:
         """Measure, analyse, compare with the truth, and print what came of it."""
@@ -78,7 +84,11 @@ class Demo:
 
     def _measure(self, bench: Any) -> tuple[Run, int]:
         machine = decode_machine(json.dumps(bench.machine).encode())
-        path = planned(machine, self.feed_mm_min, self.minutes)
+        request = self._request()
+        if request is None:
+            path = planned(machine, self.feed_mm_min, self.minutes)
+        else:
+            path = _first_lines(machine, request)
         say(f"tracker on {_shown(bench.tracker_options)}")
         say(f"CNC on Modbus TCP {_shown(bench.motion_options)}")
         run_file = self.output / "run.sqlite"
@@ -86,10 +96,18 @@ class Demo:
         config = CellConfig(
             "streaming", bench.tracker_options, "modbus", bench.motion_options
         )
-        order = Order("demo", str(run_file), machine, path)
+        order = Order("demo", str(run_file), machine, path, grows=self.adaptive)
+        target_um, cell = self.target_um, Cell(config)
         with progress("measure") as report:
-            closed = follow(Cell(config), order, report, target_um=self.target_um)
+            closed = follow(cell, order, report, target_um=target_um, request=request)
         return open_run(run_file), int(closed["lost_samples"])
+
+    def _request(self) -> dict[str, Any] | None:
+        """Return within what an adaptive measurement is planned."""
+        if not self.adaptive:
+            return None
+        minutes = self.minutes or ADAPTIVE_MINUTES
+        return {"mode": "otf", "minutes": minutes, "feeds_mm_min": [self.feed_mm_min]}
 
     def _summary(
         self, analysis: Analysis, run: Run, lost: int, found: Proof
@@ -117,6 +135,12 @@ def planned(machine: Machine, feed_mm_min: float, minutes: float | None) -> Tool
         path = default_path(machine, feed_mm_min, lines=lines)
     check_travel(machine, path)
     return path
+
+
+def _first_lines(machine: Machine, request: Mapping[str, Any]) -> Commanded:
+    with progress("plan") as report:
+        order = first_part(machine, request)
+        return commanded_from_plan(plan_measurement(machine, order, progress=report))
 
 
 def _analysed(run: Run) -> Analysis:

@@ -8,22 +8,31 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from app.cli.terminal import Report
+from app.cli.terminal import Report, say
 from app.errors import MeasurementFailed
+from app.jobs.growth import Growth
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.live_process import LiveOrder
 from app.measurement.cell import Cell, CellEvent, Order
+from app.measurement.parts import Commanded
 
 SILENCE_S = 30.0  # without a word from the cell process: something is broken
 _ENDED_BADLY = frozenset({"aborted", "failed", "faulted"})
 
 
 def follow(
-    cell: Cell, order: Order, report: Report, *, target_um: float | None = None
+    cell: Cell,
+    order: Order,
+    report: Report,
+    *,
+    target_um: float | None = None,
+    request: Mapping[str, Any] | None = None,
 ) -> Mapping[str, Any]:
     """Measure and return what the cell said of the closed Run.
 
     target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
+    request : where the order grows: within what its further parts are planned, as
+        `plan_orders` states it
 
     Raises DeviceError if the devices do not answer, MeasurementFailed if the
     measurement ended before its path did. Stops the machine on the way out in any case.
@@ -31,21 +40,27 @@ def follow(
     cell.start()
     try:
         cell.connect()
-        with _live_estimation(order, target_um) as live:
+        with _live_estimation(order, target_um, request) as live:
+            growth = None
+            if order.grows and live is not None:
+                growth = Growth(
+                    live, order.commanded, cell.extend, cell.conclude, _say_part
+                )
             cell.begin(replace(order, live=live is not None))
-            return _until_closed(cell, report, live, target_um or 0.0)
+            return _until_closed(cell, report, live, target_um or 0.0, growth)
     finally:
         cell.close()
 
 
 @contextmanager
 def _live_estimation(
-    order: Order, target_um: float | None
+    order: Order, target_um: float | None, request: Mapping[str, Any] | None
 ) -> Iterator[LiveEstimation | None]:
-    if target_um is None:
+    if target_um is None and not order.grows:
         yield None
         return
-    live = LiveEstimation(LiveOrder(order.machine, order.commanded), lambda _: None)
+    asked = LiveOrder(order.machine, order.commanded, request=request)
+    live = LiveEstimation(asked, lambda _: None)
     try:
         live.start()
         yield live
@@ -54,7 +69,11 @@ def _live_estimation(
 
 
 def _until_closed(
-    cell: Cell, report: Report, live: LiveEstimation | None, target_um: float
+    cell: Cell,
+    report: Report,
+    live: LiveEstimation | None,
+    target_um: float,
+    growth: Growth | None,
 ) -> Mapping[str, Any]:
     concluded = False
     said = MeasurementFailed("the measurement ended early")
@@ -65,6 +84,8 @@ def _until_closed(
             heard_s = time.monotonic()
             if event.kind == "block" and live is not None:
                 live.offer(event.body["samples"])
+            elif event.kind == "part" and growth is not None:
+                growth.ask()
             elif event.kind == "progress":
                 report(*_progress(event))
             elif event.kind == "fault":
@@ -78,9 +99,16 @@ def _until_closed(
         if not concluded and _has_reached(live, target_um):
             cell.conclude()
             concluded = True
+        if growth is not None and not concluded:
+            growth.look()
         if not cell.alive:
             raise MeasurementFailed("the cell process has died; its Run can be opened")
     raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
+
+
+def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:
+    lines = f"part {part['part']}: {part['rows']} lines, {part['duration_s']:.0f} s"
+    say(f"{lines}; foretold to leave {2.0 * part['predicted_um']:.2f} µm (k = 2)")
 
 
 def _has_reached(live: LiveEstimation | None, target_um: float) -> bool:

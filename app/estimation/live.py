@@ -11,6 +11,7 @@ millimetre and a milliradian, a hundred times what they are known to at the end.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,21 @@ class LiveEstimate:
     time_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a measurement under way has told about itself.
+
+    rows : whose line or standstill has been recognised
+    stand_mm : (3,) of the tracker, in the frame that it stands on
+    strength : of the prior, by the effect's name
+    """
+
+    rows: frozenset[int]
+    stand_mm: Float64[np.ndarray, "3"]
+    noise: NoiseModel
+    strength: Mapping[str, float]
+
+
 class LiveEstimator:
     """Takes blocks of samples and answers with the estimate so far. One thread."""
 
@@ -90,6 +106,22 @@ class LiveEstimator:
         self._parts: list[Stretch] = []
         self._sums: Recursive | None = None
         self._looked = 0  # stretches that pose and noise were last looked at with
+
+    def extend(self, commanded: Path | Configurations) -> None:
+        """Know of further rows; the earlier ones are among them as they were."""
+        self._alignment.extend(commanded)
+
+    def findings(self) -> Findings | None:
+        """Return what a plan of further rows rests on, None before the pose is known.
+
+        After `estimate`, with the strengths of the prior that it has found.
+        """
+        if self._sums is None:
+            return None
+        about = self._sums.about
+        stand_mm = about.pose.inverse().shift_mm
+        rows = frozenset(part.row for part in self._parts)
+        return Findings(rows, stand_mm, about.noise, self._prior.strength)
 
     def take(self, block: TrackerSamples) -> bool:
         """Take the next samples; tell whether they have finished anything."""

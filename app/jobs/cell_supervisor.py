@@ -23,6 +23,7 @@ import structlog
 from app.errors import MeasurementFailed, TruepathError
 from app.jobs.errors import CellDown, DeviceSettings
 from app.measurement.cell import CellEvent, Order
+from app.measurement.parts import Commanded
 from drivers.interfaces.records import Identity
 
 log = structlog.get_logger(__name__)
@@ -49,6 +50,7 @@ class CellHandle(Protocol):
     def resume(self) -> None: ...  # noqa: D102
     def abort(self) -> None: ...  # noqa: D102
     def conclude(self) -> None: ...  # noqa: D102
+    def extend(self, part: Commanded) -> None: ...  # noqa: D102
     def poll(self, timeout_s: float) -> list[CellEvent]: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
 
@@ -150,6 +152,10 @@ class CellSupervisor:
     def conclude(self) -> None:
         """Ask to finish the line under way and to leave out the rest."""
         self._put(lambda cell: cell.conclude())
+
+    def extend(self, part: Commanded) -> Future[None]:
+        """Ask to go on with a further part."""
+        return self._put(lambda cell: cell.extend(part))
 
     def abort(self) -> Future[None]:
         """Ask to stop now and forget the path, whatever happens there."""

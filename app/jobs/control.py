@@ -158,11 +158,12 @@ class Control:
         """
 
         def change(job: Job) -> Job:
-            if job.failure == failure or job.is_final:
+            if job.is_final:
                 return job
             held = failure is not None and job.state is State.RESUMING
             if not held:
-                return replace(job, failure=failure)
+                known = job.failure == failure
+                return job if known else replace(job, failure=failure)
             paused = State.PAUSED
             return replace(
                 job, state=paused, desired_state=str(paused), failure=failure
@@ -239,6 +240,10 @@ class Control:
     def show_estimate(self, estimate: Json) -> None:
         """Show the estimate so far."""
         self._feed.tell(Notice("estimate", self.job_id, estimate))
+
+    def show_plan(self, part: Json) -> None:
+        """Show that the measurement goes on with a further part."""
+        self._feed.tell(Notice("plan", self.job_id, part))
 
     def _noted(self, job: Job) -> Job:
         with self._changed:

@@ -17,7 +17,7 @@ from app.jobs.errors import CellDown, NoMachine, QueueFull
 from app.jobs.feed import Feed
 from app.jobs.job import Failure, Job, Json, Kind, NewJob, Stage
 from app.jobs.models import model_file
-from app.jobs.plan_orders import driven_plan
+from app.jobs.plan_orders import driven_plan, refuse_several_targets
 from app.jobs.plans import Row, plan_json, plan_motion
 from app.jobs.store import Key
 from app.jobs.transitions import State, Verb, after_verb
@@ -40,7 +40,8 @@ class Wish:
     monte_carlo : trials to hold the uncertainty of an analysis against
     plan_id : of a plan whose rows are driven
     model_id : of the job whose model or result a discovery holds its Runs against
-    plan_request : what is asked of a plan, as `plan_orders` states it
+    plan_request : what is asked of a plan or an adaptive measurement, as
+        `plan_orders` states it
     """
 
     kind: Kind
@@ -169,7 +170,10 @@ class Dispatcher:
         machine = self._shop.machine
         if machine is None or self._shop.cell is None:
             raise NoMachine("no machine is set up; give the service a machine_file")
-        if wish.plan_id is None:
+        if wish.kind is Kind.MEASURE_ADAPTIVE:
+            plan = {"request": dict(wish.plan_request or {})}
+            refuse_several_targets(machine, plan["request"])
+        elif wish.plan_id is None:
             rows, feed_mm_min = wish.rows, wish.feed_mm_min
             plan = plan_json(plan_motion(machine, wish.kind, rows, feed_mm_min))
         else:

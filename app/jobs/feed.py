@@ -15,7 +15,7 @@ from app.jobs.store import StoredEvent
 class Notice:
     """One event: `job` is kept, with its identifier.
 
-    `progress`, `live` and `estimate` are not.
+    `progress`, `live`, `estimate` and `plan` are not.
     """
 
     type: str

@@ -18,13 +18,15 @@ Json = Mapping[str, Any]
 
 
 class Kind(StrEnum):
-    """What a job does. The first two drive the machine and end with an analysis.
+    """What a job does. The first three drive the machine and end with an analysis.
 
-    `PLAN` chooses what a measuring job may then drive.
+    `PLAN` chooses what a measuring job may then drive; an adaptive one chooses itself,
+    part after part.
     """
 
     MEASURE_OTF = "measure-otf"
     MEASURE_STANDSTILL = "measure-standstill"
+    MEASURE_ADAPTIVE = "measure-adaptive"
     ANALYSE = "analyse"
     DISCOVER = "discover"
     PLAN = "plan"
@@ -32,7 +34,7 @@ class Kind(StrEnum):
     @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
-        return self in (Kind.MEASURE_OTF, Kind.MEASURE_STANDSTILL)
+        return self not in (Kind.ANALYSE, Kind.DISCOVER, Kind.PLAN)
 
 
 class Stage(StrEnum):
@@ -152,7 +154,8 @@ class Job:
 class NewJob:
     """What a job starts with.
 
-    plan : what `plans.plan_json` makes; of a job that plans its `request` alone
+    plan : what `plans.plan_json` makes; of a job that plans its `request` alone,
+        as `plan_orders` states it
     """
 
     kind: Kind

@@ -20,13 +20,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
 from app.jobs.executor import limit_threads
-from app.jobs.live_process import LiveOrder, main
+from app.jobs.live_process import Ask, LiveOrder, main
 from drivers.interfaces.records import TrackerSamples
+
+if TYPE_CHECKING:
+    from app.jobs.part_choice import Part
 
 log = structlog.get_logger(__name__)
 
@@ -54,7 +57,9 @@ class LiveEstimation:
         self._process: BaseProcess = context.Process(
             target=main, args=(taken, given, order), name="live-estimate", daemon=True
         )
-        self._queue: queue.Queue[TrackerSamples | None] = queue.Queue(WAITING_BLOCKS)
+        self._queue: queue.Queue[TrackerSamples | Ask | None]
+        self._queue = queue.Queue(WAITING_BLOCKS)
+        self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
         self._shown = _Shown(show, lambda: self.dropped_blocks)
         self._threads = (
             threading.Thread(target=self._feed, name="live-feeder", daemon=True),
@@ -79,6 +84,22 @@ class LiveEstimation:
             self._queue.put_nowait(samples)
         except queue.Full:
             self.dropped_blocks += 1
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no estimate and no part follows."""
+        return self._shown.ended.is_set()
+
+    def ask(self, timeout_s: float = FINISH_S) -> None:
+        """Ask what to drive next, once the blocks so far have been looked at."""
+        with suppress(queue.Full):
+            self._queue.put(Ask(), timeout=timeout_s)
+
+    def part(self) -> Part | None:
+        """Return the answer to `ask` as soon as there is one. Never waits."""
+        with suppress(queue.Empty):
+            return self._parts.get_nowait()
+        return None
 
     def finish(self, timeout_s: float = FINISH_S) -> None:
         """Nothing follows: wait for the last estimate, at most so long."""
@@ -115,6 +136,9 @@ class LiveEstimation:
                 body = self._answers.recv()
                 if "error" in body:
                     log.warning("no live estimate any more", reason=body["error"])
+                    continue
+                if "part" in body:
+                    self._parts.put(body["part"])
                     continue
                 self.newest = body
                 self._shown.renew(body)

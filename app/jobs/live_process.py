@@ -13,12 +13,16 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from app.jobs.executor import BELOW_THE_CELL
 from app.kinematics.machine import Machine
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
+
+if TYPE_CHECKING:
+    from app.estimation.live import LiveEstimator
+    from app.jobs.part_choice import Part, PartChoice
 
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""
@@ -27,19 +31,28 @@ _MICRO = 1e3  # mm to µm
 
 @dataclass(frozen=True, slots=True)
 class LiveOrder:
-    """What is measured."""
+    """What is measured.
+
+    request : of an adaptive measurement, as `plan_orders` states it; its further parts
+        are chosen in here, where the estimate is
+    """
 
     machine: Machine
     commanded: Path | Configurations
     perpendicular_only: bool = False
+    request: Mapping[str, Any] | None = None
+
+
+class Ask:
+    """Comes between blocks: what to drive next, after all that came before it."""
 
 
 def main(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
     """Estimate until the last block or the end of the parent.
 
-    blocks : TrackerSamples in order, then None
-    answers : gets a dictionary an estimate, the last one with `is_last`; `error` if
-        the estimate cannot go on
+    blocks : TrackerSamples in order, perhaps an Ask between them, then None
+    answers : gets a dictionary an estimate, the last one with `is_last`; a Part as
+        `part` for each Ask; `error` if the estimate cannot go on
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(BELOW_THE_CELL)
@@ -59,7 +72,7 @@ def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None
     live = LiveEstimator(
         order.machine, order.commanded, perpendicular_only=order.perpendicular_only
     )
-    total = len(order.commanded) - isinstance(order.commanded, Path)
+    supply = _Supply(order, live)
     stream = _Stream(blocks)
     while not stream.is_over:
         is_new = False
@@ -70,32 +83,71 @@ def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None
         now = live.estimate() if is_new else None
         if now is not None:
             elapsed_s = round(now.time_s - (stream.begun_s or 0.0), 4)
-            body = {**estimate_json(now), "total": total, "elapsed_s": elapsed_s}
+            body = estimate_json(now) | {"total": supply.total, "elapsed_s": elapsed_s}
             answers.send({**body, "is_last": stream.is_over})
+        if stream.is_asked:
+            stream.is_asked = False
+            answers.send({"part": supply.next()})
+
+
+class _Supply:
+    """What is commanded, and the further parts of it.
+
+    total : lines or points so far
+    """
+
+    def __init__(self, order: LiveOrder, live: LiveEstimator) -> None:
+        self._order, self._live = order, live
+        self._choice: PartChoice | None = None
+        self.total = len(order.commanded) - isinstance(order.commanded, Path)
+
+    def next(self) -> Part:
+        from app.jobs.part_choice import Part, PartChoice
+        from app.jobs.plan_orders import plan_request
+
+        if self._choice is None:
+            request = plan_request(self._order.request or {})
+            order = self._order
+            self._choice = PartChoice(order.machine, order.commanded, request)
+        now, found = self._live.estimate(), self._live.findings()
+        if now is None or found is None:
+            return Part(None)  # what is known so far is not enough to go on
+        part = self._choice.next(found, now.volumetric_sigma_mm)
+        self._live.extend(self._choice.commanded)
+        self.total += part.rows
+        return part
 
 
 class _Stream:
     """The blocks as they come.
 
     begun_s : the tracker's clock at the first sample, None before it
+    is_asked : an Ask has come after the blocks so far
     """
 
     def __init__(self, blocks: Connection) -> None:
         self._blocks = blocks
-        self.is_over = False
+        self.is_over = self.is_asked = False
         self.begun_s: float | None = None
 
     def gathered(self) -> list[TrackerSamples]:
         """Return the blocks of a moment; waits for the first one."""
         found = self._received()
         until_s = time.monotonic() + _GATHER_S
-        while not self.is_over and (left_s := until_s - time.monotonic()) > 0:
+        while not self._is_cut and (left_s := until_s - time.monotonic()) > 0:
             if self._blocks.poll(left_s):
                 found += self._received()
         return found
 
+    @property
+    def _is_cut(self) -> bool:
+        return self.is_over or self.is_asked
+
     def _received(self) -> list[TrackerSamples]:
         block = self._blocks.recv()
+        if isinstance(block, Ask):
+            self.is_asked = True
+            return []
         self.is_over = block is None
         if block is None:
             return []

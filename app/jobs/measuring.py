@@ -17,6 +17,7 @@ from app.errors import MeasurementFailed
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.control import Control
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
+from app.jobs.growth import Growth
 from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.transitions import State
@@ -58,7 +59,9 @@ class Measuring:
         clock: Callable[[], float] = time.monotonic,
         live: LiveEstimation | None = None,
         target_um: float | None = None,
+        growth: Growth | None = None,
     ) -> None:
+        self._growth = growth
         self._target_um, self._is_concluded = target_um, False
         self._control, self._cell, self._live = control, cell, live
         self._confirm_s, self._clock = confirm_s, clock
@@ -94,6 +97,8 @@ class Measuring:
         while True:
             self._insist()
             self._conclude_at_target()
+            if self._growth is not None and not self._is_concluded:
+                self._growth.look()
             self._watch_the_clock()
             try:
                 event = self._events.get(timeout=_HEAR_S)
@@ -130,6 +135,8 @@ class Measuring:
             self._control.show(body)
         elif event.kind == "block" and self._live is not None:
             self._live.offer(body["samples"])
+        elif event.kind == "part" and self._growth is not None:
+            self._growth.ask()
         elif event.kind == "fault":
             self._take_fault(body)
         elif event.kind == "state":

@@ -11,6 +11,7 @@ everywhere in the interface; `workspace` is the content of a workspace file.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -28,12 +29,15 @@ from app.measurement.machine_file import machine_to_json
 from app.measurement.progress import schedule_of
 from app.measurement.workspace_file import workspace_from_json
 from app.planning.paths import DEFAULT_FEED_MM_MIN, check_travel
+from app.planning.turning_points import moves_where_seen
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
     from app.jobs.planning import PlanRequest
 
 _PLAIN = ("mode", "minutes", "dwell_s", "perpendicular_only", "corner_path", "seed")
+_FIRST_LINES, _FIRST_POINTS = 5, 4  # of the longest: two or three times as many
+_STANDS_S = 1.0  # at the end of each
 _POINTS = Kind.MEASURE_STANDSTILL
 
 
@@ -83,6 +87,29 @@ def plan_request(order: Json) -> PlanRequest:
         target_um=None if target_um is None else 2.0 * target_um,
         workspace=workspace_from_json(order.get("workspace") or {}),
     )
+
+
+def first_part(machine: Machine, order: Json) -> dict[str, Any]:
+    """Return what is asked of the first part of an adaptive measurement.
+
+    So many lines or points that the live estimate finds pose and noise.
+    """
+    feed_mm_s = min(order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]) / 60.0
+    length_mm = math.dist(*zip(*((a.low, a.high) for a in machine.axes), strict=True))
+    leg_s = length_mm / feed_mm_s + _STANDS_S
+    count = _FIRST_LINES if order.get("mode") != "standstill" else _FIRST_POINTS
+    minutes = count * leg_s / 60.0
+    return {**order, "minutes": min(minutes, order.get("minutes") or minutes)}
+
+
+def refuse_several_targets(machine: Machine, order: Json) -> None:
+    """Raise PlanningError where points of several targets would have to take turns."""
+    moving = [t for t in machine.targets if moves_where_seen(machine, t)]
+    if order.get("mode") == "standstill" and len(moving) > 1:
+        raise PlanningError(
+            f"{machine.name} has {len(moving)} targets that move; adaptive standstills "
+            "are for one; plan them, then measure at standstill"
+        )
 
 
 def checked_rows(

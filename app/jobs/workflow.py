@@ -10,10 +10,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import structlog
 
-from app.errors import TruepathError
+from app.errors import MeasurementFailed, TruepathError
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.control import Control
 from app.jobs.errors import (
@@ -26,13 +27,14 @@ from app.jobs.errors import (
     TaskFailed,
 )
 from app.jobs.executor import Executor, Task
+from app.jobs.growth import Growth
 from app.jobs.job import Failure, Job, Kind, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
 from app.jobs.models import model_file
-from app.jobs.plan_orders import plan_measurement
-from app.jobs.plans import Commanded, commanded_from_plan
+from app.jobs.plan_orders import first_part, plan_measurement
+from app.jobs.plans import Commanded, commanded_from_plan, plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import discover_recorded
 from app.jobs.store import Store
@@ -96,22 +98,22 @@ def carry_out(job: Job, control: Control, shop: Workshop) -> None:
 
 
 def plan(job: Job, control: Control, shop: Workshop) -> None:
-    """Choose what to drive and keep it with the job."""
+    """Choose what to drive, or the first part of it, and keep it with the job."""
     if shop.machine is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
+    state = State.PREPARING if job.kind.measures else State.RUNNING
+    order = shop.store.plan_request(job.id)
+    if job.kind is Kind.MEASURE_ADAPTIVE:
+        order = first_part(shop.machine, order)
 
     def report(fraction: float, _stage: str) -> None:
         control.report(Progress(fraction, 1.0), stage=Stage.PLANNING)
 
     def started() -> None:
-        control.enter(State.RUNNING, Stage.PLANNING)
+        control.enter(state, Stage.PLANNING)
 
     computation = shop.executor.submit(
-        shop.planner,
-        shop.machine,
-        shop.store.plan_request(job.id),
-        report=report,
-        started=started,
+        shop.planner, shop.machine, order, report=report, started=started
     )
     planned = control.compute(computation)
     control.checkpoint()
@@ -123,6 +125,8 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
     if shop.machine is None or shop.cell is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
     control.enter(State.PREPARING, Stage.PLANNING)
+    if job.kind is Kind.MEASURE_ADAPTIVE:
+        plan(job, control, shop)
     commanded = commanded_from_plan(shop.store.plan(job.id) or {})
     check_travel(shop.machine, commanded)
     shop.cell.connect()
@@ -139,6 +143,7 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
         commanded=commanded,
         rate_hz=shop.machine.tracker.rate_hz,
         live=live is not None,
+        grows=job.kind is Kind.MEASURE_ADAPTIVE,
     )
     try:
         Measuring(
@@ -147,6 +152,7 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
             confirm_s=shop.confirm_s or CONFIRM_S,
             live=live,
             target_um=job.target_um,
+            growth=_growth(job, control, shop, commanded, live),
         ).run(order)
         if live is not None:
             live.finish()
@@ -163,7 +169,8 @@ def _live_estimation(
     """Start the live estimate. The measurement goes on without it if need be."""
     if shop.live is None or shop.machine is None:
         return None
-    order = LiveOrder(shop.machine, commanded, job.perpendicular_only)
+    request = shop.store.plan_request(job.id)
+    order = LiveOrder(shop.machine, commanded, job.perpendicular_only, request)
     live = shop.live(order, control.show_estimate)
     try:
         live.start()
@@ -171,6 +178,29 @@ def _live_estimation(
         log.exception("no live estimate")
         return None
     return live
+
+
+def _growth(
+    job: Job,
+    control: Control,
+    shop: Workshop,
+    commanded: Commanded,
+    live: LiveEstimation | None,
+) -> Growth | None:
+    """Return what goes on with further parts, None for a job that is planned whole."""
+    if job.kind is not Kind.MEASURE_ADAPTIVE:
+        return None
+    if live is None or shop.cell is None:
+        raise MeasurementFailed("an adaptive measurement needs its live estimate")
+
+    def told(rows: Commanded, part: Mapping[str, Any]) -> None:
+        control.show_plan(part)
+        try:
+            shop.store.keep_plan(job.id, plan_json(rows))
+        except StorageUnavailable:
+            log.exception("the grown plan is not kept; the Run holds it")
+
+    return Growth(live, commanded, shop.cell.extend, shop.cell.conclude, told)
 
 
 def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) -> None:

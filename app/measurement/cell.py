@@ -16,8 +16,10 @@ from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 
 from app.errors import MeasurementFailed, TruepathError
+from app.kinematics.machine import Machine
 from app.measurement.cell_process import Command, main
 from app.measurement.orders import CellConfig, CellEvent, CellState, Order
+from app.measurement.parts import Commanded
 from app.planning.paths import check_travel
 from drivers.interfaces import errors as device_errors
 from drivers.interfaces.errors import DeviceError
@@ -49,6 +51,7 @@ class Cell:
             target=main, args=(self._other_end, config), name="cell", daemon=True
         )
         self._events: list[CellEvent] = []
+        self._machine: Machine | None = None  # of the order under way
         self._started = self._told_death = self._closed = False
 
     @property
@@ -91,6 +94,7 @@ class Cell:
     def begin(self, order: Order) -> None:
         """Begin to measure. Raises OutOfTravel before anything is sent."""
         check_travel(order.machine, order.commanded)
+        self._machine = order.machine
         self._send(Command("begin", order))
 
     def pause(self) -> None:
@@ -104,6 +108,13 @@ class Cell:
     def conclude(self) -> None:
         """Finish the line or point under way and end; acknowledged by `finished`."""
         self._send(Command("conclude"))
+
+    def extend(self, part: Commanded) -> None:
+        """Go on with a further part. Raises OutOfTravel before anything is sent."""
+        if self._machine is None:
+            raise MeasurementFailed("no measurement is under way; begin one first")
+        check_travel(self._machine, part)
+        self._send(Command("extend", part=part))
 
     def abort(self) -> None:
         """Stop and forget the path; acknowledged by the state `aborted`."""

@@ -23,6 +23,7 @@ from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement
 from app.measurement.orders import CellConfig, CellState, Order
 from app.measurement.outbox import Outbox
+from app.measurement.parts import Commanded
 from app.plugins import load
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
@@ -42,6 +43,7 @@ class Command:
 
     verb: str
     order: Order | None = None
+    part: Commanded | None = None
 
 
 def main(link: Connection, config: CellConfig) -> None:
@@ -97,6 +99,8 @@ class _Cell:
                 self._measurement is not None
             ):
                 self._pass_on(verb, self._measurement)
+            case "extend" if self._measurement is not None and command.part is not None:
+                self._measurement.extend(command.part)
             case "close":
                 return False
         return True

@@ -19,6 +19,7 @@ from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
 from app.measurement.on_the_fly import stream_path
 from app.measurement.orders import CellState, Order, Report
+from app.measurement.parts import Commanded, More, extended
 from app.measurement.progress import schedule_of
 from app.measurement.recorder import ClosedRun, Committed, Recorder
 from app.measurement.run_file import RunHeader
@@ -75,6 +76,11 @@ class Measurement:
         """Finish the line or point under way, leave out the rest, end in order."""
         if self._session is not None:
             self._session.conclude()
+
+    def extend(self, part: Commanded) -> None:
+        """Go on with a further part once the machine stands at the end of the last."""
+        if self._session is not None:
+            self._session.extend(part)
 
     def abort(self) -> None:
         """Stop and forget the path, whatever is going on.
@@ -164,10 +170,27 @@ class Measurement:
             clock=self._clock,
         )
         rate_hz, feed = order.rate_hz, order.feed_mm_min
+        more = self._more(self._session, status.position)
         if isinstance(commanded, Path):
-            stream_path(self._session, commanded, rate_hz=rate_hz, feed=feed)
+            stream_path(self._session, commanded, more, rate_hz=rate_hz, feed=feed)
         else:
-            step_through(self._session, commanded, rate_hz=rate_hz, feed=feed)
+            step_through(self._session, commanded, more, rate_hz=rate_hz, feed=feed)
+
+    def _more(self, session: Session, stand: tuple[float, ...]) -> More:
+        """Return what waits for further parts, checks them and writes them down."""
+        order, commanded = self._order, self._order.commanded
+
+        def more() -> Commanded | None:
+            nonlocal commanded
+            part = session.wait_for_part() if order.grows else None
+            if part is None:
+                return None
+            check_travel(order.machine, part)
+            commanded = extended(commanded, part)
+            session.add_rows(commanded, schedule_of(commanded, order.feed_mm_min))
+            return arranged(part, self._motion.axes, stand)
+
+        return more
 
     def _shown_by(self, view: LiveView) -> Committed:
         """Return what is told committed blocks: the eye, and the live estimate."""

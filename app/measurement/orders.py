@@ -51,6 +51,8 @@ class Order:
     feed_mm_min : feed of the approach and between standstill points
     reserve_bytes : space that must stay free on the disk
     live : report committed blocks as events `block`, for an estimate on the way
+    grows : after the last row ask for a further part, by the event `part`, and stand
+        until there is one or the measurement is concluded
     """
 
     run_name: str
@@ -61,6 +63,7 @@ class Order:
     feed_mm_min: float = 6000.0
     reserve_bytes: int = 500 << 20
     live: bool = False
+    grows: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,30 +68,42 @@ class Course:
     stage : `preparing`, `measuring`, `closing`
     row : the machine moves towards it or stands there
     is_cut_short : the rows after it are left out
+    first_row : of the part that the controller drives
     """
 
     def __init__(
         self, schedule: Schedule, period_s: float, clock: Callable[[], float]
     ) -> None:
         self.is_cut_short = False
+        self.first_row = 0
         self.stage = "preparing"
         self.row = 0
         self._schedule, self._period_s, self._clock = schedule, period_s, clock
         self._begun_s = self._seen_s = clock()
         self._active_s = 0.0
         self._told_s = -np.inf
+        self._is_loaded = False  # a further part, which has not begun
 
     def begin(self, row: int = 0) -> None:
         """Move towards a row from now on; the first call starts the clock."""
         if self.stage == "preparing":
             self._begun_s = self._seen_s = self._clock()
             self._active_s = 0.0
-        self.stage, self.row = "measuring", row
+        self.stage, self.row, self._is_loaded = "measuring", row, False
+
+    def extend(self, schedule: Schedule) -> None:
+        """Go on with more rows; the earlier ones are in the schedule as well."""
+        unit = schedule.unit
+        self.first_row = len(self._schedule.row_s) - (unit == "lines")
+        self._schedule, self.row, self._is_loaded = schedule, self.first_row, True
 
     def follow(self, line: int) -> None:
-        """Take note of the line that a controller says it is on."""
+        """Take note of the line of its part that a controller says it is on."""
+        if self._is_loaded:
+            return  # it still says where the part before has ended
         if self._schedule.unit == "lines" and self.stage == "measuring":
-            self.row = min(max(self.row, line), self._schedule.total)
+            row = line + self.first_row
+            self.row = min(max(self.row, row), self._schedule.total)
 
     def end(self) -> None:
         """All rows are done; tell so at once."""

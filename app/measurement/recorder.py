@@ -16,7 +16,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,10 +24,12 @@ import numpy as np
 
 from app.errors import MeasurementFailed
 from app.measurement.bundle_files import sync_folder
+from app.measurement.parts import Commanded
 from app.measurement.run_database import (
     connect,
     insert_batches,
     insert_manifest,
+    put_manifest,
     seal,
     transaction,
 )
@@ -42,6 +44,7 @@ from app.measurement.run_file import (
     manifest_of,
     pack_axes,
     pack_samples,
+    with_commanded,
 )
 from drivers.interfaces.records import AxisSamples, TrackerSamples
 
@@ -84,6 +87,7 @@ class _Item:
     batches: tuple[Batch, ...] = ()
     events: tuple[_Event, ...] = ()
     samples: TrackerSamples | None = None
+    manifest: dict[str, str] = field(default_factory=dict)
 
 
 class Recorder:
@@ -179,6 +183,12 @@ class Recorder:
         with self._lock:
             self._put(_Item(events=(moment,)))
 
+    def extend(self, commanded: Commanded) -> None:
+        """Write down that more is commanded: all rows, the earlier ones included."""
+        with self._lock:
+            self._manifest = with_commanded(self._manifest, commanded)
+            self._put(_Item(manifest=self._manifest))
+
     def close(self, outcome: str) -> ClosedRun:
         """Write what waits, make the file one read-only file and sign it.
 
@@ -208,8 +218,8 @@ class Recorder:
                 raise MeasurementFailed(_space_text(self.file, self._reserve_bytes))
             database = connect(self.file)
             database.executescript(TABLES)
-            manifest = manifest_of(header, datetime.now(UTC).isoformat())
-            insert_manifest(database, manifest)
+            self._manifest = manifest_of(header, datetime.now(UTC).isoformat())
+            insert_manifest(database, self._manifest)
             # Without its tables and its manifest a log that is cut is worth nothing.
             database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             sync_folder(self.file.parent)
@@ -268,6 +278,7 @@ class Recorder:
 
     def _commit(self, item: _Item) -> None:
         with transaction(self._database):
+            put_manifest(self._database, item.manifest)
             insert_batches(self._database, item.batches)
             self._database.executemany(
                 "INSERT INTO event (mono_ns, wall_ns, kind, body) VALUES (?, ?, ?, ?)",

@@ -41,7 +41,14 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
 def insert_manifest(database: sqlite3.Connection, manifest: dict[str, str]) -> None:
     """Insert rows into the table `manifest`, in one transaction."""
     with transaction(database):
-        database.executemany("INSERT INTO manifest VALUES (?, ?)", manifest.items())
+        put_manifest(database, manifest)
+
+
+def put_manifest(database: sqlite3.Connection, manifest: dict[str, str]) -> None:
+    """Insert rows into the table `manifest`, or replace them."""
+    database.executemany(
+        "INSERT OR REPLACE INTO manifest VALUES (?, ?)", manifest.items()
+    )
 
 
 def insert_batches(database: sqlite3.Connection, batches: tuple[Batch, ...]) -> None:

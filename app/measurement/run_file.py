@@ -115,6 +115,15 @@ def manifest_of(header: RunHeader, started: str) -> dict[str, str]:
     return {**rows, _CRC: str(_manifest_crc(rows))}
 
 
+def with_commanded(
+    manifest: dict[str, str], commanded: Path | Configurations
+) -> dict[str, str]:
+    """Return the manifest rows with other commanded rows, their CRC anew."""
+    text = json.dumps(commanded_to_json(commanded), ensure_ascii=False)
+    rows = {k: v for k, v in manifest.items() if k != _CRC} | {"commanded": text}
+    return {**rows, _CRC: str(_manifest_crc(rows))}
+
+
 def header_of(manifest: dict[str, str], *, file: str) -> RunHeader:
     """Return the header of manifest rows. Raises ValueError if they are damaged."""
     rows = {key: v for key, v in manifest.items() if key not in (CLOSED, _CRC)}

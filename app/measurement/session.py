@@ -8,6 +8,7 @@ the operator. An engine that hangs therefore feeds nothing, and the machine hold
 from __future__ import annotations
 
 import contextlib
+import queue
 import threading
 import time
 from collections.abc import Callable
@@ -33,6 +34,7 @@ from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
 from app.measurement.motion_watch import MotionWatch
 from app.measurement.orders import CellState, Report
+from app.measurement.parts import Commanded
 from app.measurement.progress import Course, Schedule
 from app.measurement.pump import Pump
 from app.measurement.recorder import Recorder
@@ -81,6 +83,7 @@ class Session:
         self._pump: Pump | None = None
         self._resume_by_s: float | None = None
         self._hold_by_s: float | None = None
+        self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self._concluding = threading.Event()
         self._concluded_row: int | None = None
 
@@ -107,7 +110,7 @@ class Session:
     def run_path(self, path: Path) -> None:
         """Start the loaded path and follow it to its end."""
         self.checkpoint()
-        self._course.begin()
+        self._course.begin(self._course.first_row)
         self._recorder.event("start", "cycle start")
         self.motion.start()
         self.wait_motion(path.position[-1], lambda now: self._is_line_done(now, path))
@@ -158,12 +161,29 @@ class Session:
             self.tick()
 
     def begin_row(self, row: int) -> None:
-        """Note that the machine is sent to this row now."""
-        self._course.begin(row)
+        """Note that the machine is sent to this row of its part now."""
+        self._course.begin(self._course.first_row + row)
 
     def point_done(self, row: int) -> None:
         """Write down that a standstill point has been measured."""
-        self._recorder.event("point", f"row {row + 1} until {self._device_s():.6f} s")
+        number = self._course.first_row + row + 1
+        self._recorder.event("point", f"row {number} until {self._device_s():.6f} s")
+
+    def wait_for_part(self) -> Commanded | None:
+        """Stand and ask for a further part; None if enough is known."""
+        if not self.is_concluding:
+            self.record_for(self.limits.settle_s)  # what the last row told goes first
+            self._report("part", {"row": self._course.row})
+        while not self.is_concluding:
+            self.tick()
+            if not self._control.standing and not self._parts.empty():
+                return self._parts.get_nowait()
+        return None
+
+    def add_rows(self, commanded: Commanded, schedule: Schedule) -> None:
+        """Write down that more is commanded, the earlier rows included."""
+        self._recorder.extend(commanded)
+        self._course.extend(schedule)
 
     def finish(self) -> None:
         """Record `lead_s` after the last motion."""
@@ -195,6 +215,10 @@ class Session:
             return
         if self._control.release(*HoldReason, text="resume"):
             self.motion.resume()
+
+    def extend(self, part: Commanded) -> None:
+        """Go on with a further part, as soon as the machine stands and asks."""
+        self._parts.put(part)
 
     def conclude(self) -> None:
         """Enough is known: finish the line or point under way, leave out the rest."""

@@ -203,6 +203,16 @@ def test_a_measurement_ends_at_its_target(curl, follow, make_cell, estimates):
     assert f"`{json.dumps(job['early_end'])}`" in TEXT
 
 
+def test_an_adaptive_measurement_is_prepared(curl, follow):
+    (create,) = section("Plan while measuring")
+    answer = curl(create)
+    assert answer.status_code == 202, answer.text
+    curl.take(answer.json())
+    follow("ready")
+    curl.client.post("/api/v1/stop")
+    follow("aborted")
+
+
 def test_a_measurement_from_elsewhere_is_analysed(curl, follow, bundle, tmp_path):
     (tmp_path / "run.zip").write_bytes(bundle())
     upload, *analyses = section("Analyse a measurement from elsewhere")

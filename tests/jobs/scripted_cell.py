@@ -14,10 +14,12 @@ import numpy as np
 
 from app.jobs.errors import Aborted
 from app.jobs.executor import Computation, Executor
+from app.jobs.part_choice import Part
 from app.measurement.cell import CellEvent, Order
 from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
-from drivers.interfaces.records import Identity, TrackerSamples
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Identity, Path, TrackerSamples
 
 DEADLINE_S = 25.0  # of what comes at once unless the computer is busy
 DEVICES = {
@@ -46,6 +48,7 @@ class ScriptedCell:
         self.deaf, self.refuses = set(deaf), refuses
         self.process_id = process_id
         self.heard: list[str] = []
+        self.parts: list[Path | Configurations] = []
         self.order: Order | None = None
         self.started, self.begun = threading.Event(), threading.Event()
         self.committed = 0
@@ -105,6 +108,10 @@ class ScriptedCell:
     def conclude(self):
         self.heard.append("conclude")
         self.end("finished")
+
+    def extend(self, part):
+        self.heard.append("extend")
+        self.parts.append(part)
 
     def abort(self):
         self.heard.append("abort")
@@ -235,13 +242,21 @@ class ScriptedLive:
     def __init__(self, order, show):
         self.order, self.show = order, show
         self.newest = None
+        self.is_over = False
         self.heard: list[str] = []
+        self.parts: list[Part] = []
 
     def start(self):
         self.heard.append("start")
 
     def offer(self, samples):
         self.heard.append("offer")
+
+    def ask(self):
+        self.heard.append("ask")
+
+    def part(self):
+        return self.parts.pop(0) if self.parts else None
 
     def finish(self):
         self.heard.append("finish")

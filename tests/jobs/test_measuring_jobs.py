@@ -262,6 +262,19 @@ def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason
     assert until(job, "succeeded").failure is None
 
 
+def test_a_resume_that_is_refused_again_leaves_the_job_paused_again(
+    dispatcher, running, make_cell, until, shop
+):
+    dispatcher.pause(running.id)
+    job = until(running, "paused")
+    make_cell.cell.deaf.add("resume")
+    for _ in range(3):
+        assert dispatcher.resume(running.id, job.version).state == "resuming"
+        make_cell.cell.fault("not-resumed", "no valid samples", "lock the beam")
+        job = until(running, "paused")
+    assert job.failure.code == "not-resumed"
+
+
 def test_a_lost_beam_pauses_and_says_why(running, make_cell, until, shop):
     make_cell.cell.fault()
     make_cell.cell.say_state("pausing")

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
 from app.api.models.base import JOB_ID, OTHER_ID, Feed, Identifier, Taken, TargetUm
 from app.api.models.monte_carlo import MonteCarlo
 from app.api.models.plan import Point, Waypoint
+from app.api.models.planning import PlanRequest
 from app.jobs.dispatcher import Wish
 from app.jobs.job import Kind
 from app.jobs.plans import MAX_ROWS
 
 MAX_RUNS = 50
+ADAPTIVE_MINUTES = 10.0
 _ALLOWED = {
     "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um"},
     "measure-standstill": {"points", "plan_id", "target_um"},
+    "measure-adaptive": {"planning", "target_um"},
     "analyse": {"run_id", "run_ids", "monte_carlo"},
     "discover": {"run_id", "run_ids", "model_id"},
 }
@@ -31,6 +34,7 @@ class JobRequest(Taken):
             "examples": [
                 {"kind": "measure-otf"},
                 {"kind": "measure-otf", "plan_id": OTHER_ID},
+                {"kind": "measure-adaptive", "target_um": 1.5},
                 {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
                 {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
                 {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
@@ -47,7 +51,9 @@ class JobRequest(Taken):
         },
     )
 
-    kind: Literal["measure-otf", "measure-standstill", "analyse", "discover"]
+    kind: Literal[
+        "measure-otf", "measure-standstill", "measure-adaptive", "analyse", "discover"
+    ]
     run_id: Identifier | None = Field(
         None, description="The Run to analyse, or to discover in."
     )
@@ -78,6 +84,11 @@ class JobRequest(Taken):
     plan_id: Identifier | None = Field(
         None, description="A plan whose rows are driven, in place of rows sent in."
     )
+    planning: PlanRequest | None = Field(
+        None,
+        description="Of an adaptive measurement: within what its parts are planned; "
+        "`minutes` are those of the whole. Without it lines, for 10 minutes at most.",
+    )
     feed_mm_min: Feed | None = Field(
         None, description="Feed of the default path, and of rows that state none."
     )
@@ -105,12 +116,23 @@ class JobRequest(Taken):
             raise ValueError(f"a job of kind {self.kind} needs a run_id, or run_ids")
         if self.run_id is not None and self.run_ids is not None:
             raise ValueError("run_id stands beside run_ids; give one of the two")
+        planning = self.planning
+        if planning and (planning.corner_path or planning.target_um is not None):
+            raise ValueError("planning has no target and no corner path; see target_um")
         beside = [self.path, self.points, self.feed_mm_min]
         if self.plan_id is not None and any(x is not None for x in beside):
             raise ValueError("plan_id stands beside rows or a feed; the plan has them")
         if len(set(runs)) < len(runs):
             raise ValueError("run_ids names a Run twice; give each once")
         return self
+
+    def _order(self) -> dict[str, Any] | None:
+        """Return what is asked of the parts of an adaptive measurement."""
+        if self.kind != "measure-adaptive":
+            return None
+        asked = self.planning.order() if self.planning else {"mode": "otf"}
+        usual = {"minutes": ADAPTIVE_MINUTES}
+        return usual | asked | {"perpendicular_only": self.perpendicular_only}
 
     def wish(self) -> Wish:
         """Return the request as the dispatcher takes it."""
@@ -127,4 +149,5 @@ class JobRequest(Taken):
             monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
             plan_id=self.plan_id,
             model_id=self.model_id,
+            plan_request=self._order(),
         )

@@ -1,0 +1,166 @@
+"""A measurement whose path grows: parts, one after another, in one Run."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.errors import PlanningError
+from app.measurement.limits import Limits
+from app.measurement.measurement import Measurement
+from app.measurement.orders import Order
+from app.measurement.parts import extended
+from app.measurement.recording import open_run
+from app.measurement.stream_watch import Patience
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import Path
+
+CALM = Limits(
+    poll_s=0.02,
+    confirm_s=30.0,
+    link_s=30.0,
+    first_sample_s=30.0,
+    progress_s=0.0,
+    axes_rows=5,
+    patience=Patience(silent_s=30.0, dead_s=60.0, beam_s=30.0),
+)
+ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
+
+
+def path_through(rows, like):
+    n = len(rows)
+    return Path(like.axes, np.array(rows), np.full(n, 6000.0), np.full(n, 0.1))
+
+
+class Growing:
+    """A measurement on fake devices, in a thread; it asks for parts."""
+
+    def __init__(self, order, tracker, motion, journal):
+        devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+        self.order, self.journal, self.motion = order, journal, motion
+        self.measurement = Measurement(
+            order, tracker, motion, devices, journal.report, limits=CALM
+        )
+        self.thread = threading.Thread(target=self.measurement.run)
+        self.thread.start()
+
+    def until_asked(self, times):
+        self.journal.wait(lambda: len(self.journal.of("part")) == times)
+
+    def ended(self):
+        self.journal.wait(lambda: bool(self.journal.of("closed")))
+        self.thread.join(5.0)
+        return self.journal.states[-1]
+
+    @property
+    def run(self):
+        return open_run(self.order.run_file)
+
+
+@pytest.fixture
+def grown(mill, square, tracker, motion, journal, tmp_path):
+    begun = []
+
+    def begin(commanded=square):
+        file = str(tmp_path / "grown.sqlite")
+        order = Order("grown", file, mill, commanded, reserve_bytes=0, grows=True)
+        begun.append(Growing(order, tracker, motion, journal))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        if one.thread.is_alive():
+            one.measurement.abort()
+            one.thread.join(5.0)
+
+
+def test_a_path_grows_in_the_same_run(grown, square, motion, journal):
+    one = grown()
+    one.until_asked(1)
+    part = path_through(ON, square)
+    one.measurement.extend(part)
+    one.until_asked(2)
+    np.testing.assert_array_equal(motion.loaded.position, part.position)
+    one.measurement.conclude()
+    assert one.ended() == "finished"
+    assert motion.calls == ["abort", "move_to", *(2 * ["load", "start"])]
+    run = one.run
+    rows = np.vstack([square.position, ON[1:]])
+    np.testing.assert_array_equal(run.commanded.position, rows)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    done = [p["done"] for p in journal.of("progress")]
+    assert done == sorted(done)
+    assert (done[-1], journal.of("progress")[-1]["total"]) == (5, 5)
+
+
+def test_a_machine_that_waits_for_a_part_stands(grown, motion):
+    one = grown()
+    one.until_asked(1)
+    here = motion.status().position
+    assert motion.calls[-1] == "start"
+    np.testing.assert_array_equal(here, one.order.commanded.position[-1])
+    one.measurement.conclude()
+    assert one.ended() == "finished"
+    assert len(one.run.commanded) == 4
+
+
+def test_points_grow_one_by_one(grown, square, motion):
+    points = Configurations(square.axes, square.position[:2], np.full(2, 0.5))
+    one = grown(points)
+    for times, place in enumerate(ON, 1):
+        one.until_asked(times)
+        part = Configurations(square.axes, np.array([place]), np.array([0.5]))
+        one.measurement.extend(part)
+    one.until_asked(4)
+    one.measurement.conclude()
+    assert one.ended() == "finished"
+    run = one.run
+    np.testing.assert_array_equal(run.commanded.position[2:], ON)
+    done = [e.text.split(" until ")[0] for e in run.events if e.kind == "point"]
+    assert done == [f"row {i}" for i in range(1, 6)]
+
+
+def test_a_part_out_of_travel_is_never_loaded(grown, square, motion, journal):
+    one = grown()
+    one.until_asked(1)
+    one.measurement.extend(path_through([ON[0], (510.0, 60.0, -40.0)], square))
+    assert one.ended() == "failed"
+    assert "row 2: X = 510 mm exceeds 500 mm" in journal.of("fault")[-1]["text"]
+    assert motion.calls.count("load") == 1
+    assert len(one.run.commanded) == 4
+
+
+def test_a_part_that_begins_elsewhere_is_never_loaded(grown, square, motion):
+    one = grown()
+    one.until_asked(1)
+    one.measurement.extend(path_through(ON[1:], square))
+    assert one.ended() in ("failed", "faulted")
+    assert motion.calls.count("load") == 1
+
+
+def test_a_pause_between_parts_keeps_the_next_one_waiting(grown, square, motion):
+    one = grown()
+    one.until_asked(1)
+    one.measurement.pause()
+    one.journal.wait(lambda: one.journal.states[-1] == "paused")
+    one.measurement.extend(path_through(ON, square))
+    looks = len(one.journal.of("progress"))
+    one.journal.wait(lambda: len(one.journal.of("progress")) > looks + 3)
+    assert motion.calls.count("load") == 1
+    one.measurement.resume()
+    one.until_asked(2)
+    one.measurement.conclude()
+    assert one.ended() == "finished"
+
+
+def test_parts_of_another_mode_or_place_are_refused(square):
+    points = Configurations(square.axes, square.position[-1:], np.ones(1))
+    with pytest.raises(PlanningError, match="the mode"):
+        extended(square, points)
+    with pytest.raises(PlanningError, match="where the machine stands"):
+        extended(square, path_through(ON[1:], square))
+    with pytest.raises(PlanningError, match="axes"):
+        extended(square, replace(path_through(ON, square), axes=("Y", "X", "Z")))
