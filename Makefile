@@ -60,7 +60,7 @@ validation: setup ## both papers reproduced and random machines; writes docs/val
 
 .PHONY: discovery-table
 discovery-table: setup ## discovery on worlds that hide effects; writes docs/discovery.md
-	$(SINGLE) $(BIN)/python validation/discovery_worlds.py --jobs $(JOBS)
+	$(SINGLE) $(BIN)/python validation/discovery_worlds.py --fresh --jobs $(JOBS)
 
 .PHONY: clean
 clean: ## remove everything that was made

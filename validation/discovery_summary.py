@@ -140,7 +140,7 @@ def parameter_table(outcomes: Sequence[Outcome]) -> str:
 
 
 def _answer(o: Outcome) -> str:
-    if o.right and o.matched:
+    if o.right and any(o.matched):
         return _name(o.truth[0])
     if o.said:
         return _name((o.wrong or o.said)[0])

@@ -168,6 +168,13 @@ def test_the_draw_covers_every_effect_and_kind(validation):
     assert all(len(set(worlds._names(s, k))) == 2 for s, k in tasks if k == "pair")
 
 
+def test_the_page_holds_a_table_of_each_kind():
+    text = (ROOT / "docs" / "discovery.md").read_text(encoding="utf-8")
+    for name in ("marks", "confusion", "sizes", "parameters"):
+        begin, end = (text.index(f"<!-- {s}discovery-{name} -->") for s in ("", "/"))
+        assert "| --- |" in text[begin:end]
+
+
 @pytest.mark.parametrize(("kind", "seed"), QUICK)
 @pytest.mark.timeout(60)
 def test_a_small_draw_is_named_right(validation, kind, seed):
