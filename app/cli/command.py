@@ -191,13 +191,8 @@ def analyse(
 
 @app.command()
 def discover(
-    bundles: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="BUNDLE...",
-            help="Measurements of one machine, each a folder or a .zip: the first, and "
-            "further lines that it asked for.",
-        ),
+    bundle: Annotated[
+        Path, typer.Argument(metavar="BUNDLE", help="A folder or a .zip.")
     ],
     output: OutputFolder,
     model: Annotated[
@@ -210,11 +205,11 @@ def discover(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Find what the model of a measurement lacks, and what to drive to be sure."""
+    """Find what the model of a measurement lacks, and how much of the gap it closes."""
     _compute_on_one_thread()
-    from app.cli.discovering import discover_bundles
+    from app.cli.discovering import discover_bundle
 
-    discover_bundles(bundles, output, model=model, as_json=json)
+    discover_bundle(bundle, output, model=model, as_json=json)
 
 
 @app.command()
