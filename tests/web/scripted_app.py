@@ -127,6 +127,10 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     def job_result(job_id: str) -> Any:
         return service.result
 
+    @app.get(f"{API}/jobs/{{job_id}}/discovery")
+    def job_discovery(job_id: str) -> Any:
+        return service.discovery
+
     @app.get(f"{API}/jobs/{{job_id}}/estimate")
     def job_estimate(job_id: str) -> Any:
         if job_id not in service.estimates:

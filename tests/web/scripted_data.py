@@ -57,6 +57,43 @@ GRADE = {
 }
 
 
+DISCOVERY = {
+    "schema": "discovery/1",
+    "effects": [
+        {
+            "name": "backlash",
+            "axis": "Y",
+            "parameters": {"width_um": {"value": 6.385, "uncertainty": 0.076}},
+            "evidence": {"log_bayes_factor": 512.0, "share_of_gap": 0.934},
+            "indistinguishable_from": [{"name": "servo-mismatch", "axis": "Y"}],
+            "cause": "Play or wind-up in screw, nut, thrust bearing or rack.",
+            "looks_like": "An axis stops short by the same width.",
+            "remedy": "Enter the width as backlash compensation.",
+        },
+        {
+            "name": "setup-step",
+            "parameters": {
+                "t_s": {"value": 40.02, "uncertainty": 0.03},
+                "step_um": {"value": [4.0, -3.0, 0.1], "uncertainty": [0.1, 0.1, 0.1]},
+            },
+            "evidence": {"log_bayes_factor": 80.0, "share_of_gap": 0.066},
+            "indistinguishable_from": [],
+            "cause": "The mount was knocked.",
+            "looks_like": "All lines after one moment are shifted.",
+            "remedy": "Clamp the mount.",
+        },
+    ],
+    "unnamed": [
+        {
+            "depends_on": ["t"],
+            "description": "a wave in time along Z with a period of 31 s",
+            "rms_um": 0.8,
+        }
+    ],
+    "gap": {"unit": "um", "before": 2.41, "after": 1.21, "noise_floor": 1.17},
+}
+
+
 def planned_path(lines: int = 22) -> dict[str, Any]:
     """Return chords through the travel, ends on its faces."""
     rng = np.random.default_rng(5)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from fastapi import Request
 from scripted_data import (
+    DISCOVERY,
     GRADE,
     MACHINE,
     TRACKER_STANDS_MM,
@@ -22,6 +23,7 @@ from scripted_data import (
     result,
 )
 
+_STAGES = {"analyse": "aligning", "discover": "discovering"}
 ENDED = {"succeeded", "aborted", "failed", "faulted", "interrupted"}
 
 
@@ -46,6 +48,7 @@ class ScriptedService:
         self.grade: dict[str, Any] = GRADE
         self.machine: dict[str, Any] = MACHINE
         self.result = result()
+        self.discovery: dict[str, Any] = DISCOVERY
         self.estimates: dict[str, dict[str, Any]] = {}
         self._numbers = itertools.count(1)
         self._streams: set[tuple[asyncio.AbstractEventLoop, asyncio.Queue[str]]] = set()
@@ -59,10 +62,10 @@ class ScriptedService:
         job = {
             "id": f"job-{number}",
             "kind": kind,
-            "state": "preparing" if kind != "analyse" else "running",
+            "state": "running" if kind in _STAGES else "preparing",
             "desired_state": "ready",
             "version": 1,
-            "stage": "planning" if kind != "analyse" else "aligning",
+            "stage": _STAGES.get(kind, "planning"),
             "progress": {"done": 0, "total": 0, "unit": "", "eta_s": None},
             "health": {"samples": 0, "lost_samples": 0, "crc_errors": 0},
             "created": f"2026-03-14T08:{number:02d}:00.000Z",

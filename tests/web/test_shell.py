@@ -25,7 +25,7 @@ OURS = [
 ]
 # Families of keys that scripts put together from a word of the service.
 BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
-BUILT_KEYS += ("abort.", "settings.", "grade.")
+BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.")
 
 
 @pytest.fixture

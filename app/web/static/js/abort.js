@@ -62,7 +62,7 @@
     const page = await ask("/api/v1/jobs?limit=20", { cache: "no-store" });
     if (page === null) return null;
     return jobsOf(page)
-      .filter((job) => job.kind !== "analyse")
+      .filter((job) => job.kind.startsWith("measure-"))
       .filter((job) => !ENDED.has(job.state))
       .filter((job) => job.state !== "faulted" || watched.has(job.id))
       .map((job) => job.id);

@@ -1,6 +1,6 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
-import { addressOf, hasEnded, isActive, isMeasuring } from "./flow.js";
+import { addressOf, hasEnded, isActive, isDiscovery, isMeasuring } from "./flow.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
@@ -56,7 +56,7 @@ export function createActions(store, go) {
   function follow(job) {
     const { job: before } = store.get();
     const other = before?.id !== job.id;
-    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null };
+    const forgotten = { live: null, estimate: null, course: NO_COURSE, plan: null, result: null, discovery: null };
     store.set({ job, ...(other ? forgotten : {}) });
     fetchPlan();
     fetchResult();
@@ -90,8 +90,12 @@ export function createActions(store, go) {
   }
 
   async function fetchResult() {
-    const { job, result } = store.get();
-    if (job?.state !== "succeeded" || result) return;
+    const { job, result, discovery } = store.get();
+    if (job?.state !== "succeeded" || result || discovery) return;
+    if (isDiscovery(job)) {
+      await keep("discovery", job, api.discovery);
+      return;
+    }
     await keep("runs", job, api.runs);
     await keep("result", job, api.result);
   }
@@ -152,6 +156,7 @@ export function createActions(store, go) {
     abort: () => verb("abort", api.abort),
     analyse: (run) => begin({ kind: "analyse", run_id: run }),
     validate: (run) => begin({ kind: "analyse", run_id: run, monte_carlo: {} }),
+    discover: (run) => begin({ kind: "discover", run_id: run }),
     async upload(file) {
       const run = await during("upload", () => api.upload(file));
       if (run) await begin({ kind: "analyse", run_id: run.id });

@@ -61,6 +61,7 @@ export const plan = (id) => call("GET", `/jobs/${id}/plan`);
 export const grade = (id) => call("GET", `/jobs/${id}/plan/grade`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
 export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);
+export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);
 export const result = (id) => call("GET", `/jobs/${id}/result`);
 
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
@@ -86,6 +87,8 @@ export const links = {
   program: (id, dialect) => `${ROOT}/jobs/${id}/nc-program?dialect=${encodeURIComponent(dialect)}`,
   csv: (id) => `${ROOT}/jobs/${id}/result/error-tables.csv`,
   json: (id) => `${ROOT}/jobs/${id}/result`,
+  discoveryReport: (id) => `${ROOT}/jobs/${id}/discovery/report.html`,
+  model: (id) => `${ROOT}/models/${id}`,
   report: (id) => `${ROOT}/jobs/${id}/result/report.html`,
   bundle: (run) => `${ROOT}/runs/${run}/bundle`,
   events: `${ROOT}/events`,

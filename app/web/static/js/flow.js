@@ -1,11 +1,12 @@
 /* The steps, where a job belongs among them, and which can be reached. */
-export const STEPS = ["connect", "plan", "check", "run", "result"];
+export const STEPS = ["connect", "plan", "check", "run", "result", "discover"];
 
 const BEFORE_MOTION = new Set(["queued", "preparing", "ready"]);
 const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
-const COMPUTING = new Set(["aligning", "estimating", "validating", "reporting"]);
+const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "reporting"]);
 
 export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));
+export const isDiscovery = (job) => job?.kind === "discover";
 export const hasEnded = (job) => ENDED.has(job.state);
 export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);
@@ -16,7 +17,7 @@ export const isConnected = (machine) => Boolean(machine?.connected);
 /** The step that shows a job as it is now. */
 export function stepOf(job) {
   if (!job) return "connect";
-  if (job.state === "succeeded") return "result";
+  if (job.state === "succeeded") return isDiscovery(job) ? "discover" : "result";
   if (isMeasuring(job) && BEFORE_MOTION.has(job.state)) return "check";
   return "run";
 }
@@ -38,6 +39,7 @@ export function reach(step, { job, machine }) {
   if (!job) return null;
   const own = stepOf(job);
   if (step === own) return `#/${step}/${job.id}`;
-  if (step === "run" && own === "result") return `#/run/${job.id}`;
+  if (step === "run" && ["result", "discover"].includes(own)) return `#/run/${job.id}`;
+  if (step === "discover" && own === "result") return `#/discover/${job.id}`;
   return null;
 }

@@ -7,18 +7,19 @@ import { createStore } from "./store.js";
 import { listen, STALE_MS } from "./stream.js";
 import * as check from "./views/check.js";
 import * as connect from "./views/connect.js";
+import * as discover from "./views/discover.js";
 import * as plan from "./views/plan.js";
 import * as records from "./views/records.js";
 import * as result from "./views/result.js";
 import * as run from "./views/run.js";
 import { toggleSettings } from "./views/settings.js";
 
-const VIEWS = { connect, plan, check, run, result, records };
+const VIEWS = { connect, plan, check, run, result, discover, records };
 const RETRY_MS = 2000;
 const RECENT_MS = 3600e3;
 
 const store = createStore({
-  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null,
+  system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null,
   live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, asked: null,
   link: { stale: false, last: null },
 });

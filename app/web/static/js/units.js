@@ -14,6 +14,7 @@ const KINDS = {
   distance: () => (inch() ? [1 / (12 * INCH_MM), "ft", 1] : [1e-3, "m", 2]),
   feed: () => (inch() ? [1 / INCH_MM, "in/min", 1] : [1, "mm/min", 0]),
   error: () => (inch() ? [1 / MICROINCH_UM, "µin", 0] : [1, "µm", 1]),
+  gap: () => (inch() ? [1 / MICROINCH_UM, "µin", 1] : [1, "µm", 2]),
   angle: () => [1, "µrad", 1],
   turn: () => [1, "°", 3],
   minutes: () => [1, "min", 1],

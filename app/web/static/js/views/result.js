@@ -9,6 +9,7 @@ import { dateTime, number, t } from "../texts.js";
 import { figure, quantity, unitOf } from "../units.js";
 import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
+import { askCard } from "./discover.js";
 import { trialsCard } from "./trials-card.js";
 
 /** Button that leads on. */
@@ -34,7 +35,7 @@ export function mount(root, { actions }) {
     root.replaceChildren(heading(job, result), verdict(run ?? job.health, result),
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
-    body.append(...[trialsCard(job, result, actions)].filter(Boolean));
+    body.append(...[trialsCard(job, result, actions), askCard(job, actions)].filter(Boolean));
   }
 
   root.append(head(t("result.title")), h("p", { class: "empty" }, t("result.loading")));

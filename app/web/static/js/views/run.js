@@ -1,6 +1,6 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
 import { h, icon, mark, write } from "../dom.js";
-import { hasEnded, isActive, isComputing, isMeasuring, isMoving } from "../flow.js";
+import { addressOf, hasEnded, isActive, isComputing, isDiscovery, isMeasuring, isMoving } from "../flow.js";
 import { holdToConfirm } from "../hold.js";
 import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
 import { drawStrip } from "../plots/strip-chart.js";
@@ -13,6 +13,7 @@ import { progressCard } from "./progress-card.js";
 const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
   analyse: ["aligning", "estimating", "reporting"],
+  discover: ["discovering", "reporting"],
   validate: ["aligning", "estimating", "validating", "reporting"],
 };
 
@@ -22,7 +23,7 @@ let looksAt = "path";
 export function lead({ job, link }, { actions, go }) {
   if (!job) return { next: null };
   if (job.state === "succeeded") {
-    return { next: { key: "result", label: t("run.next"), run: () => go(`#/result/${job.id}`) } };
+    return { next: { key: "result", label: nextOf(job), run: () => go(addressOf(job)) } };
   }
   if (hasEnded(job)) {
     return { next: { key: "again", label: t("run.again"), run: () => go("#/plan") } };
@@ -30,8 +31,10 @@ export function lead({ job, link }, { actions, go }) {
   const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.abort };
   const wait = t(isMeasuring(job) ? "run.wait" : "run.wait_analysis");
   return { back: cancel, reason: link.stale ? t("run.stale") : wait,
-    next: { key: "result", label: t("run.next"), disabled: true } };
+    next: { key: "result", label: nextOf(job), disabled: true } };
 }
+
+const nextOf = (job) => t(isDiscovery(job) ? "run.next_discovery" : "run.next");
 
 /** Show the job under way. */
 export function mount(root, context) {
@@ -103,10 +106,13 @@ function mountMeasuring(root, { store, actions }) {
   };
 }
 
-function mountAnalysis(root, { monte_carlo: trials }) {
-  const progress = progressCard(trials ? STAGES.validate : STAGES.analyse);
+function mountAnalysis(root, job) {
+  const usual = job.monte_carlo ? STAGES.validate : STAGES.analyse;
+  const progress = progressCard(isDiscovery(job) ? STAGES.discover : usual);
   const ending = h("div");
-  root.append(head(t("run.analysis_title"), t("run.analysis_text")), ending, progress.element);
+  const [title, text] = isDiscovery(job) ? [t("run.discovery_title"), t("run.discovery_text")]
+    : [t("run.analysis_title"), t("run.analysis_text")];
+  root.append(head(title, text), ending, progress.element);
   let ended = "";
   return {
     update(state) {

@@ -1,0 +1,92 @@
+"""The step after the result: what the model lacks, and how far the gap has closed."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+from playwright.sync_api import expect
+from scripted_data import DISCOVERY
+
+pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
+
+
+def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
+    panel, service
+):
+    page = panel.open(f"#/result/{measured(service)}")
+    page.get_by_role("link", name="Discover").click()
+    page.get_by_role("button", name="Look for missing effects").click()
+    page.wait_for_url("**/#/run/*")
+    (order,) = [body for _, path, body in service.requests if path == "/jobs"]
+    assert order["kind"] == "discover"
+    assert order["run_id"]
+    expect(page.locator(".stages [aria-current]")).to_have_text("Discovering")
+    job = page.url.rsplit("/", 1)[1]
+    service.finish(job)
+    page.wait_for_url(f"**/#/discover/{job}")
+    finding = page.locator("[data-effect=backlash]")
+    expect(finding.locator("h2")).to_have_text("Backlash Y")
+    expect(finding).to_contain_text("width 6.39 ± 0.15 µm")
+    expect(finding).to_contain_text("Play or wind-up in screw")
+    expect(finding).to_contain_text("Enter the width as backlash compensation.")
+    expect(finding).to_contain_text("closes 93 % of the gap")
+    expect(finding).to_contain_text("Servo mismatch Y")
+    step = page.locator("[data-effect=setup-step]")
+    expect(step).to_contain_text("step 4.00 ± 0.20, −3.00 ± 0.20, 0.10 ± 0.20 µm")
+    expect(step).to_contain_text("nothing else explains it as well")
+    expect(page.locator("main")).to_contain_text("A wave in time along Z")
+
+
+def test_the_gap_is_drawn_against_the_noise_floor(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}")
+    expect(page.locator(".gap dd").first).to_contain_text("2.41 µm")
+    before, after, floor = (
+        page.locator(name).bounding_box()
+        for name in (".gap .is-before", ".gap .is-after", ".gap-floor")
+    )
+    assert after["width"] / before["width"] == pytest.approx(1.21 / 2.41, abs=0.01)
+    reach = floor["x"] + 1.0 - before["x"]
+    assert reach / before["width"] == pytest.approx(1.17 / 2.41, abs=0.01)
+    expect(page.locator(".gap-key")).to_have_text("Noise floor 1.17 µm")
+
+
+def test_report_and_model_can_be_taken_away(panel, service):
+    job = discovered(service)
+    page = panel.open(f"#/discover/{job}")
+    report = page.get_by_role("link", name="Report")
+    expect(report).to_have_attribute(
+        "href", f"/api/v1/jobs/{job}/discovery/report.html"
+    )
+    model = page.get_by_role("link", name="Model")
+    expect(model).to_have_attribute("href", f"/api/v1/models/{job}")
+
+
+def test_nothing_missing_is_said_in_so_many_words(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY) | {"effects": [], "unnamed": []}
+    page = panel.open(f"#/discover/{discovered(service)}")
+    expect(page.locator(".notice")).to_contain_text("Nothing is missing")
+    expect(page.locator("[data-effect]")).to_have_count(0)
+
+
+def test_it_speaks_german_and_fits_a_dark_telephone(panel, service):
+    job = discovered(service)
+    page = panel.open(f"#/discover/{job}", size=(390, 800), language="de", dark=True)
+    expect(page.locator("h1")).to_have_text("Was dem Modell fehlt")
+    expect(page.locator("[data-effect=backlash] h2")).to_have_text("Umkehrspiel Y")
+    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    assert page.evaluate(wide) <= 0
+
+
+def measured(service) -> str:
+    service.connected = True
+    job = service.new_job("measure-otf", state="running", stage="measuring")
+    service.finish(job["id"])
+    return job["id"]
+
+
+def discovered(service) -> str:
+    service.connected = True
+    job = service.new_job("discover", run_id="run-9")
+    service.finish(job["id"])
+    return job["id"]
