@@ -106,6 +106,12 @@ def _run(recording: synthetic.Recording) -> Run:
     return Run("synthetic", machine, commanded, samples)
 
 
+@pytest.fixture(scope="session")
+def run_of() -> Callable[[synthetic.Recording], Run]:
+    """Make a Run of a recording."""
+    return _run
+
+
 def without_rigid_motion(position_mm: np.ndarray, error_mm: np.ndarray) -> np.ndarray:
     """Remove the rigid motion of the whole volume from errors at positions."""
     columns = np.zeros((len(position_mm), 3, 6))

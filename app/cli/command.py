@@ -191,8 +191,13 @@ def analyse(
 
 @app.command()
 def discover(
-    bundle: Annotated[
-        Path, typer.Argument(metavar="BUNDLE", help="A folder or a .zip.")
+    bundles: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BUNDLE...",
+            help="Measurements of one machine, each a folder or a .zip: the first, and "
+            "further lines that it asked for.",
+        ),
     ],
     output: OutputFolder,
     model: Annotated[
@@ -205,11 +210,11 @@ def discover(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Find what the model of a measurement lacks, and how much of the gap it closes."""
+    """Find what the model of a measurement lacks, and what to drive to be sure."""
     _compute_on_one_thread()
-    from app.cli.discovering import discover_bundle
+    from app.cli.discovering import discover_bundles
 
-    discover_bundle(bundle, output, model=model, as_json=json)
+    discover_bundles(bundles, output, model=model, as_json=json)
 
 
 @app.command()

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from app.cli.terminal import print_json, progress
 from app.errors import BadInput
+from app.jobs.analysis import read_all
 from app.jobs.discovery import discover_runs, read_parent, write_discovery
 from app.measurement.bundle import read_bundle
 
 
-def discover_bundle(
-    bundle: Path, output: Path, *, model: Path | None, as_json: bool
+def discover_bundles(
+    bundles: Sequence[Path], output: Path, *, model: Path | None, as_json: bool
 ) -> None:
-    """Find what a measurement's model lacks and write the files of the answer.
+    """Find what the model of measurements lacks and write the files of the answer.
 
-    model : a model or result file; the rigid-body model fitted to the bundle if None
+    bundles : of one machine: the first, and further lines that it asked for
+    model : a model or result file; the rigid-body model fitted to them if None
     """
     if output.exists() and not output.is_dir():
         raise BadInput(f"{output}: is a file; name a folder for the results")
     with progress("discover") as report:
         report(0.0, "reading")
         parent = None if model is None else read_parent(model)
-        discovered = discover_runs([read_bundle(bundle)], parent, report)
+        discovered = discover_runs(read_all(bundles, read_bundle), parent, report)
         report(1.0, "writing")
         write_discovery(discovered, output)
     if as_json:
         print_json(discovered.content)
     else:
         print(worded(discovered.content))
-        for file in sorted(path for path in output.iterdir() if path.is_file()):
+        for file in sorted(path for path in output.rglob("*") if path.is_file()):
             print(file)
 
 
@@ -42,6 +45,7 @@ def worded(content: dict[str, Any]) -> str:
     return "\n".join(
         [
             *(lines or ["nothing is missing"]),
+            *([content["ask"]["reason"]] if content["ask"] else []),
             f"gap on lines not seen: {gap['before']:.2f} to {gap['after']:.2f} µm, "
             f"noise alone {gap['noise_floor']:.2f} µm",
         ]

@@ -12,6 +12,10 @@ the search, and only where lines that the fit did not see are foretold better; t
 tried again for exchange and removal. No effect is an answer, and so is structure that
 is described without a cause (waves in time or along an axis, errors of two axes).
 
+Several Runs are explained together, each with a pose, a timing and a noise of its own.
+Where names compete, lines are planned by the log Bayes factor that they are expected to
+bring a second (Lindley 1956, Box & Hill 1967), and the Runs decide together.
+
 brunn-hanebeck-2005 leaves non-rigid behaviour, sanders-2023 what its residuals hold, to
 future work.
 """

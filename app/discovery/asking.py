@@ -106,7 +106,7 @@ def _question(
     base, runs = found.ground.base, len(found.scenes)
     return Question(
         one.candidate.label,
-        "nothing" if other is None else other.candidate.label,
+        "" if other is None else other.candidate.label,
         belief_of(with_one, gram),
         belief_of(with_other, gram),
         replace(base, runs=runs + 1),

@@ -28,6 +28,7 @@ _FEWEST_LINES = 4  # tell the tracker's new place well
 _DWELL_S = 0.35
 _SLOWER = (1.0, 0.4, 0.15)  # of the highest feed of the Runs
 _ANYWHERE = 10  # ends of lines that are drawn at random
+_CREEPS = 30.0  # an axis that moves less, mm, stands: it may lose its motion on the way
 _SPREAD_MM = 40.0  # of the stops off one line: how they are recognised
 _DECIMALS = 4
 ANY_POSE = (1.0, 1e-3)
@@ -137,12 +138,12 @@ class ExtraLines:
         share = self.rng.random((_ANYWHERE, len(low)))
         pinned = self.rng.random(share.shape) < 0.5
         share[pinned] = np.rint(share[pinned])
-        ends = [*draft.position[-2:-1], *(low + share * (high - low))]
-        for axis in range(len(low)):
-            inside = low[axis] + self.rng.random() * (high - low)[axis]
-            for place in (low[axis], high[axis], inside):
-                ends.append(np.where(np.arange(len(low)) == axis, place, here))
-        for end in np.round(ends, _DECIMALS):
+        one = np.eye(len(low))
+        inside = low + self.rng.random(len(low)) * (high - low)
+        along = [here + one * (place - here) for place in (low, high, inside)]
+        ends = np.vstack([low + share * (high - low), draft.position[-2:-1], *along])
+        away = np.abs(ends - here) >= _CREEPS
+        for end in np.where(away, np.round(ends, _DECIMALS), here):
             for slower in _SLOWER:
                 feed = round(slower * self.feed_mm_min, 1)
                 length = float(self.drive.length(here[None], end[None])[0])

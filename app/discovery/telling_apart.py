@@ -63,7 +63,8 @@ def belief_of(explanation: Explanation, machine: Float64[np.ndarray, "m m"]) -> 
 class Question:
     """Two explanations of the same Runs.
 
-    left, right : in words; base : of the next Run, its pose the last of `runs`
+    left, right : in words, the right one empty where the question is whether or not
+    base : of the next Run, its pose the last of `runs`
     """
 
     left: str

@@ -9,28 +9,35 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from app.discovery.asking import Ask, ask
+from app.discovery.asking_json import ask_json
 from app.discovery.discover import Discovery, discover
 from app.discovery.discovery_json import discovery_json
 from app.discovery.model_file import NextModel, Parent, next_model
 from app.discovery.report_html import report_html
 from app.jobs.analysis import REPORT, Progress, read_file
 from app.measurement.bundle_files import replace_file
+from app.measurement.commanded_file import encode_commanded
 from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
 from app.reporting.result_json import read_result
 
-DISCOVERY, MODEL = "discovery.json", "model.json"
+DISCOVERY, MODEL, ASK = "discovery.json", "model.json", "ask/path.csv"
 _FOUND = 0.95  # share of the work that is done with the search
 
 
 @dataclass(frozen=True, slots=True)
 class Discovered:
-    """What became of Runs; content : of `discovery.json`."""
+    """What became of Runs; content : of `discovery.json`.
+
+    asked : lines to drive next; None where nothing is left open
+    """
 
     found: Discovery
     content: dict[str, Any]
     model: NextModel
     report_html: str
+    asked: Ask | None
 
 
 def read_parent(file: str | Path, source: str = "") -> Parent:
@@ -65,7 +72,9 @@ def discover_runs(
     model = next_model(found, parent)
     told_model = {k: model.content[k] for k in ("version", "parent", "difference")}
     content = {**discovery_json(found), "model": told_model}
-    return Discovered(found, content, model, report_html(found, model))
+    asked = ask(found)
+    content["ask"] = None if asked is None else ask_json(asked, ASK)
+    return Discovered(found, content, model, report_html(found, model), asked)
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:
@@ -73,6 +82,7 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     replace_file(place / REPORT, discovered.report_html.encode())
+    _write_ask(discovered, place / ASK)
     # The discovery last: where it stands, the others stand as well.
     for name, content in (
         (MODEL, discovered.model.content),
@@ -80,3 +90,13 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
     ):
         text = json.dumps(content, ensure_ascii=False, allow_nan=False)
         replace_file(place / name, f"{text}\n".encode())
+
+
+def _write_ask(discovered: Discovered, file: Path) -> None:
+    """Write the lines to drive next; where nothing is asked, nothing old stays."""
+    if discovered.asked is None:
+        file.unlink(missing_ok=True)
+        return
+    file.parent.mkdir(exist_ok=True)
+    machine = discovered.found.scene.run.machine
+    replace_file(file, encode_commanded(discovered.asked.path, machine))

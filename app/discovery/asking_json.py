@@ -1,0 +1,50 @@
+"""What to drive next, and why: the key `ask` of `discovery.json`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from app.discovery.asking import Ask
+from app.discovery.extra_lines import DECIDED
+from app.discovery.telling_apart import Question
+
+
+def ask_json(asked: Ask, file: str) -> dict[str, Any]:
+    """Return the questions, the lines that decide them, and the reason in words.
+
+    file : the `path.csv` of the lines, beside `discovery.json`
+    """
+    return {
+        "reason": reason(asked),
+        "questions": [
+            {"between": [question.left, question.right], "expected_log_bayes": told}
+            for question, told in zip(asked.questions, asked.expected, strict=True)
+        ],
+        "decides": asked.decides,
+        "path": file,
+        "lines": asked.lines,
+        "duration_s": asked.duration_s,
+    }
+
+
+def reason(asked: Ask) -> str:
+    """Return why the lines are to be driven, and what they are."""
+    step = np.sign(np.diff(asked.path.position, axis=0))
+    turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))
+    feeds = sorted({round(float(f)) for f in asked.path.feed_mm_min[1:]})
+    told = min(asked.expected)
+    enough = "decides" if asked.decides else f"is less than the {DECIDED:.0f} wanted"
+    return (
+        f"{'; '.join(_open(q) for q in asked.questions)}. {asked.lines} lines of "
+        f"{asked.duration_s:.0f} s, {turns} of them turning back, at "
+        f"{', '.join(str(f) for f in feeds)} mm/min are expected to bring a log Bayes "
+        f"factor of {told:.0f}, which {enough}."
+    )
+
+
+def _open(question: Question) -> str:
+    if not question.right:
+        return f"the evidence for {question.left} is thin"
+    return f"{question.left} and {question.right} explain the measurement alike"

@@ -1,0 +1,202 @@
+"""Where names compete, few extra lines decide; where one stands clear, none are asked.
+
+The extra lines are driven on a simulated machine whose truth hides the effect by its
+own physics (play, a late position loop, a leaning carriage), with another place of the
+tracker, another clock and other noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from app.discovery.asking import Ask, ask
+from app.discovery.asking_json import ask_json
+from app.discovery.base import GivenModel
+from app.discovery.discover import Discovery, discover
+from app.discovery.extending import Extended, plain
+from app.errors import BundleError
+from app.kinematics.model import MachineModel
+from app.measurement.run import Run
+from app.planning.paths import check_travel
+from simulators import synthetic
+from simulators.hidden.backlash import Backlash
+from simulators.hidden.effect import HiddenEffect
+from simulators.hidden.lateral_backlash import LateralBacklash
+from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.hidden.setup_step import SetupStep
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+from simulators.synthetic import Setting
+from simulators.timeline import Program
+
+RunOf = Callable[[synthetic.Recording], Run]
+MACHINE = 5
+CONTENT = load_machine("demo")
+LOW, HIGH = (parse_machine(CONTENT).low_mm, parse_machine(CONTENT).high_mm)
+
+
+@dataclass(frozen=True)
+class Circle:
+    """What the first Run left open, what was asked, what both Runs say."""
+
+    first: Discovery
+    asked: Ask
+    both: Discovery
+
+
+def circle(
+    run_of: RunOf,
+    program: Program,
+    mode: str,
+    hidden: tuple[HiddenEffect, ...],
+    given: GivenModel | None,
+) -> Circle:
+    """Measure, ask, drive what was asked, decide."""
+    setting = Setting(machine_seed=MACHINE, hidden=hidden)
+    run = run_of(synthetic.record(CONTENT, program, 6, mode, setting))
+    first = discover([run], given)
+    asked = ask(first)
+    assert asked is not None
+    path = asked.path
+    more = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+    extra = run_of(synthetic.record(CONTENT, more, 77, "otf", setting))
+    return Circle(first, asked, discover([run, extra], given))
+
+
+def even_in_x() -> Program:
+    """Lines on which X always moves at one speed: lost motion looks like a lag."""
+    rng, n = np.random.default_rng(3), 24
+    share = rng.random((n, 3))
+    far = np.arange(n) % 2 == 1
+    share[:, 0] = np.where(far, 0.75 + 0.25 * share[:, 0], 0.25 * share[:, 0])
+    position = np.round(LOW + 15.0 + share * (HIGH - LOW - 30.0), 3)
+    step = np.diff(position, axis=0, prepend=position[:1])
+    slant = np.linalg.norm(step[1:], axis=1) / np.abs(step[1:, 0])
+    feed = 80.0 * np.append(1.0, slant)
+    return Program(position, feed, np.full(n, 0.35))
+
+
+def two_sides_of_y() -> Program:
+    """Points at both ends of Y, each approached from the other: play looks like a lean.
+
+    The first point, approached from nowhere, is in the middle, where no lean shows.
+    """
+    rng, n = np.random.default_rng(4), 40
+    share = rng.random((n, 3))
+    share[:, 1] = np.arange(n) % 2
+    share[0, 1] = 0.5
+    position = np.round(LOW + 15.0 + share * (HIGH - LOW - 30.0), 3)
+    return Program(position, np.full(n, 100.0), np.full(n, 0.8))
+
+
+@pytest.fixture(scope="module")
+def calibrated(record) -> Extended:
+    """The machine as a clean Run has shown it before."""
+    setting = Setting(machine_seed=MACHINE)
+    return plain(discover([record(9, rows=40, feed=6000.0, setting=setting)[0]]))
+
+
+def without(known: Extended, effect: str) -> GivenModel:
+    """Return a model that has left an effect out; all of it for an empty name."""
+    kept = tuple(e for e in known.model.effects if e.name != effect)
+    number = np.arange(known.model.size)
+    columns = np.concatenate([number[known.model.slices[e.name]] for e in kept])
+    model = MachineModel(known.model.machine, kept)
+    covariance = known.covariance[np.ix_(columns, columns)]
+    return GivenModel(model, known.theta[columns], covariance)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        Backlash("X", 8.0),
+        pytest.param(ServoMismatch("X", 0.06), marks=pytest.mark.long),
+    ],
+    ids=lambda e: e.name,
+)
+def moved(request, run_of) -> tuple[HiddenEffect, Circle]:
+    """Backlash or servo mismatch of X, where both explain the first Run."""
+    effect: HiddenEffect = request.param
+    return effect, circle(run_of, even_in_x(), "otf", (effect,), None)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        LateralBacklash("Y", "EXY", 5.0, 0.3),
+        pytest.param(None, marks=pytest.mark.long),
+    ],
+    ids=["lateral-backlash", "squareness"],
+)
+def leaning(request, run_of, calibrated) -> tuple[str, Circle]:
+    """Lateral backlash of Y, or a squareness that the model has left out."""
+    effect = request.param
+    name = "squareness" if effect is None else effect.name
+    given = without(calibrated, "C0Y" if effect is None else "")
+    hidden = () if effect is None else (effect,)
+    return name, circle(run_of, two_sides_of_y(), "standstill", hidden, given)
+
+
+def test_backlash_and_servo_mismatch_are_told_apart_by_few_lines(moved):
+    effect, done = moved
+    competing = {"backlash X", "servo-mismatch X"}
+    assert {done.asked.questions[0].left, done.asked.questions[0].right} == competing
+    assert done.asked.lines < 10
+    assert done.asked.decides
+    (found,) = done.both.findings
+    assert found.candidate.label == f"{effect.name} X"
+    assert not found.alternatives
+    (said,) = found.parameters.values()
+    truth = {"backlash": 8.0, "servo-mismatch": 0.06}[effect.name]
+    assert abs(said.value - truth) < 3.0 * said.uncertainty
+
+
+def test_lateral_backlash_and_squareness_are_told_apart_by_few_lines(leaning):
+    name, done = leaning
+    competing = {"lateral-backlash Y EXY", "squareness C0Y"}
+    assert {done.asked.questions[0].left, done.asked.questions[0].right} == competing
+    assert done.asked.lines < 10
+    found = done.both.findings[0]
+    assert found.candidate.family == name
+    assert not found.alternatives
+
+
+def test_the_lines_stay_within_the_travel(moved):
+    _, done = moved
+    path = done.asked.path
+    check_travel(done.first.scene.run.machine, path)
+    assert (path.position >= LOW).all()
+    assert (path.position <= HIGH).all()
+    highest = done.first.scene.run.commanded.feed_mm_min.max()
+    assert (path.feed_mm_min <= highest + 0.1).all()
+
+
+def test_the_reason_is_said_in_words(moved):
+    _, done = moved
+    said = ask_json(done.asked, "ask/path.csv")
+    assert "backlash X" in said["reason"]
+    assert "servo-mismatch X" in said["reason"]
+    assert f"{said['lines']} lines" in said["reason"]
+    assert said["path"] == "ask/path.csv"
+    assert said["decides"]
+
+
+def test_nothing_is_asked_where_one_name_stands_clear(record):
+    knock = SetupStep(15.0, (4.0, -3.0, 0.0))
+    knocked = record(11, setting=Setting(hidden=(knock,)))[0]
+    assert ask(discover([knocked])) is None
+
+
+def test_nothing_is_asked_where_nothing_is_missing(record):
+    assert ask(discover([record(11)[0]])) is None
+
+
+def test_both_runs_must_be_of_one_machine(record):
+    ours = record(11, rows=14)[0]
+    other = record(11, rows=14, chain="w-X-b-Y-Z-t")[0]
+    with pytest.raises(BundleError, match="kinematic_chain"):
+        discover([ours, other])
