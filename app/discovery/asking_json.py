@@ -9,12 +9,14 @@ import numpy as np
 from app.discovery.asking import Ask
 from app.discovery.extra_lines import DECIDED
 from app.discovery.telling_apart import Question
+from drivers.interfaces.records import Path
 
 
 def ask_json(asked: Ask, file: str) -> dict[str, Any]:
     """Return the questions, the lines that decide them, and the reason in words.
 
-    file : the `path.csv` of the lines, beside `discovery.json`
+    file : the `path.csv` of the lines, beside `discovery.json`; `rows` are the same, as
+        a measuring job takes them for its path
     """
     return {
         "reason": reason(asked),
@@ -24,9 +26,24 @@ def ask_json(asked: Ask, file: str) -> dict[str, Any]:
         ],
         "decides": asked.decides,
         "path": file,
+        "rows": _rows(asked.path),
         "lines": asked.lines,
         "duration_s": asked.duration_s,
     }
+
+
+def _rows(path: Path) -> list[dict[str, float | str]]:
+    """Return the rows of the path with the columns of `path.csv`."""
+    columns = [
+        f"{name.lower()}_{'mm' if name in 'XYZ' else 'deg'}" for name in path.axes
+    ]
+    rows: list[dict[str, float | str]] = []
+    for k, place in enumerate(path.position.tolist()):
+        row = dict(zip(columns, place, strict=True))
+        row |= {"feed_mm_min": float(path.feed_mm_min[k])}
+        row |= {"dwell_s": float(path.dwell_s[k])}
+        rows.append({**row, **({"target": path.target[k]} if path.target else {})})
+    return rows
 
 
 def reason(asked: Ask) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from app.api.models.job_request import JobRequest
 from app.discovery.asking import Ask, ask
 from app.discovery.asking_json import ask_json
 from app.discovery.base import GivenModel
@@ -20,6 +21,7 @@ from app.discovery.discover import Discovery, discover
 from app.discovery.extending import Extended, plain
 from app.errors import BundleError
 from app.kinematics.model import MachineModel
+from app.measurement.commanded_file import decode_path, encode_commanded
 from app.measurement.run import Run
 from app.planning.paths import check_travel
 from simulators import synthetic
@@ -183,6 +185,20 @@ def test_the_reason_is_said_in_words(moved):
     assert f"{said['lines']} lines" in said["reason"]
     assert said["path"] == "ask/path.csv"
     assert said["decides"]
+
+
+def test_a_measuring_job_takes_the_lines_as_they_are_stated(moved):
+    _, done = moved
+    said = ask_json(done.asked, "ask/path.csv")
+    order = JobRequest.model_validate({"kind": "measure-otf", "path": said["rows"]})
+    assert order.path is not None
+    driven = [[row.x_mm, row.y_mm, row.z_mm] for row in order.path]
+    assert driven == done.asked.path.position.tolist()
+    machine = done.first.scene.run.machine
+    written = encode_commanded(done.asked.path, machine)
+    np.testing.assert_array_equal(
+        decode_path(written, machine).feed_mm_min, done.asked.path.feed_mm_min
+    )
 
 
 def test_nothing_is_asked_where_one_name_stands_clear(record):
