@@ -13,6 +13,7 @@ from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.discovery.scene import at_pose, with_surroundings
 from app.discovery.sums import Base
+from app.errors import Unidentifiable
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, Posterior, posterior
 from app.estimation.noise_fit import first_noise, looked_at
@@ -131,7 +132,11 @@ def _first_base(seen: Observations, given: GivenModel, runs: int) -> Base:
 def renoised(
     grounds: Sequence[Ground], effects: Sequence[Effect] = ()
 ) -> tuple[Ground, ...]:
-    """Return them with the pose and noise left beside effects and all that is slow."""
+    """Return them with the pose and noise left beside effects and all that is slow.
+
+    As they are where the effects leave nothing to judge the noise by.
+    Raises Unidentifiable if without effects the lines do not tell it either.
+    """
     model = grounds[0].base.model
     slow = [
         OfRun(spline, number)
@@ -143,7 +148,12 @@ def renoised(
         Measured(g.coarse, g.base.pose, first_noise(g.coarse, perpendicular_only=False))
         for g in grounds
     ]
-    better = looked_at(model.machine, runs, (*slow, *known, *effects))
+    try:
+        better = looked_at(model.machine, runs, (*slow, *known, *effects))
+    except Unidentifiable:
+        if not effects:
+            raise
+        return tuple(grounds)  # what is beside takes all that would tell
     return tuple(
         replace(
             ground,

@@ -17,6 +17,7 @@ from app.kinematics.effects.base import Conditions, Effect, Parameter
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty
 _GRID, _GRIDS = 25, 2  # values tried at once, and how often
+_FREE = 4.0  # spacings: what limits a step must not pass for knowledge
 _STEP = 0.02  # of a scan's spacing, for the derivative
 
 
@@ -168,7 +169,8 @@ def _fit(
     size = len(known)
     total = np.zeros((size + len(spacing), size + len(spacing)))
     total[:size, :size] = known
-    total[range(size, len(total)), range(size, len(total))] = spacing**-2
+    own = range(size, len(total))
+    total[own, own] = (_FREE * spacing) ** -2
     return posterior(sums.information(np.arange(len(total))), total)
 
 

@@ -88,7 +88,7 @@ class Search:
 
     def found(self, chosen: Sequence[Offer] = ()) -> Explanation:
         """Return the effects that the Run has evidence for, starting from some."""
-        best = self.explained(chosen)
+        best = self._pruned(self.explained(chosen))
         while len(best.chosen) < _MOST_EFFECTS:
             larger = self._larger(best)
             if larger is None:
@@ -158,6 +158,24 @@ class Search:
             if larger.foretold.square.sum() < best.foretold.square.sum():
                 return larger
         return None
+
+    def _pruned(self, best: Explanation) -> Explanation:
+        """Remove what has no evidence given the others, the least first.
+
+        A better judged noise leaves no room for what an earlier one let in.
+        """
+        while best.chosen:
+            others = [[o for o in best.chosen if o is not k] for k in best.chosen]
+            without = [self.explained(left) for left in others]
+            evidence = [
+                self.ranked(one, [offer])[0][0].evidence
+                for one, offer in zip(without, best.chosen, strict=True)
+            ]
+            least = int(np.argmin(evidence))
+            if evidence[least] >= LEAST_EVIDENCE:
+                break
+            best = without[least]
+        return best
 
     def _tried_again(self, best: Explanation) -> Explanation:
         """Exchange or remove what later effects have made worse or needless."""

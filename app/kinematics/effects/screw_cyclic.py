@@ -25,11 +25,15 @@ from app.kinematics.effects.error_motion import arm_of
 from app.kinematics.machine import LinearAxis, Machine
 
 _SHORTEST_MM, _LONGEST_MM = 2.5, 45.0
+_SECOND = 0.2  # usual share of the second harmonic
 
 
 @dataclass(frozen=True)
 class ScrewCyclic(Effect):
-    """Positioning of an axis as sin and cos of its position over a lead."""
+    """Positioning of an axis as sin and cos of its position over a lead and half of it.
+
+    A screw that errs every turn hardly does so as a pure sine.
+    """
 
     axis: LinearAxis
     lead_mm: float
@@ -41,20 +45,24 @@ class ScrewCyclic(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Sine and cosine, in mm."""
-        return tuple(Parameter(f"{self.name}-{p}", "mm") for p in ("sin", "cos"))
+        """Sine and cosine of the lead, then of half of it, in mm."""
+        return tuple(
+            Parameter(f"{self.name}-{p}", "mm") for p in ("sin", "cos", "sin2", "cos2")
+        )
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 4"]:
         """Return the axis' direction times the waves, averaged over each cell."""
         column = at.machine.axis_names.index(self.axis.name)
-        turn = 2.0 * np.pi / self.lead_mm
-        angle = turn * at.position_mm[:, column]
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        if at.around is not None:
-            rate = turn * at.around.rate[:, column]
-            wave *= averaged(rate, at.around.span_s)[:, None]
+        waves: list[Float64[np.ndarray, " n"]] = []
+        for harmonic in (1, 2):
+            turn = 2.0 * np.pi * harmonic / self.lead_mm
+            angle, kept = turn * at.position_mm[:, column], np.ones(len(at))
+            if at.around is not None:
+                rate = turn * at.around.rate[:, column]
+                kept = averaged(rate, at.around.span_s)
+            waves += [kept * np.sin(angle), kept * np.cos(angle)]
         arm = arm_of(f"E{self.axis.name}{self.axis.name}", at)
-        return arm[:, :, None] * wave[:, None, :]
+        return arm[:, :, None] * np.stack(waves, axis=1)[:, None, :]
 
 
 class ScrewCyclicFamily(Family):
@@ -77,7 +85,7 @@ class ScrewCyclicFamily(Family):
                 self.name,
                 {"axis": axis.name},
                 ScrewCyclic(axis, 10.0),
-                np.full(2, USUAL_MM),
+                USUAL_MM * np.array([1.0, 1.0, _SECOND, _SECOND]),
                 10.0,
             )
             for axis in at.machine.linear_axes
@@ -114,12 +122,12 @@ class ScrewCyclicFamily(Family):
     def parameters(
         self,
         candidate: Candidate,
-        theta: Float64[np.ndarray, "2"],
-        covariance: Float64[np.ndarray, "2 2"],
+        theta: Float64[np.ndarray, "4"],
+        covariance: Float64[np.ndarray, "4 4"],
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return lead, amplitude and phase at the axis zero."""
-        amplitude, phase = amplitude_and_phase(theta, covariance)
+        amplitude, phase = amplitude_and_phase(theta[:2], covariance[:2, :2])
         return {
             "lead_mm": Measured(candidate.value or 0.0, value_sigma),
             "amplitude_um": Measured(
