@@ -28,7 +28,7 @@ from app.kinematics.effects.base import Charge
 from app.kinematics.model import MachineModel
 
 _ROUNDS = 40
-_SETTLED = 0.05
+_SETTLED = 0.15
 _SPREAD = 1.2  # τ: standard deviation of log strength within a kind
 _STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
 
