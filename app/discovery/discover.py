@@ -154,7 +154,7 @@ def discover(
         scenes, search = _prepared(scenes, grounds, given)
         best = search.found(best.chosen)
     told(0.8)
-    plain = search.explained([])
+    plain = search.explained([]) if best.chosen else best
     findings = _findings(search, plain, best)
     told(0.95)
     floor = _floor_um(scenes, grounds)
