@@ -8,9 +8,16 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from drivers import conformance
-from drivers.conformance import MOTION_CHECKS, TRACKER_CHECKS, NotConforming
-from drivers.interfaces.errors import ConnectionLost, DeviceTimeout, Refused
+from drivers.conformance import device, motion, tracker
+from drivers.conformance.checking import NotConforming
+from drivers.conformance.motion import MOTION_CHECKS
+from drivers.conformance.tracker import TRACKER_CHECKS
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceTimeout,
+    OutOfTravel,
+    Refused,
+)
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import (
     Identity,
@@ -81,9 +88,7 @@ def test_motion_controllers_conform(motion_bench, name, peer, check):
 @pytest.mark.parametrize("name", ABSENT)
 def test_absent_devices_are_device_errors(name):
     factory = {**TRACKERS, **CONTROLLERS}[name].load()
-    conformance.a_device_that_is_not_there_is_a_device_error(
-        lambda: factory(**ABSENT[name])
-    )
+    device.a_device_that_is_not_there_is_a_device_error(lambda: factory(**ABSENT[name]))
 
 
 class GoodTracker(Tracker):
@@ -173,7 +178,7 @@ class GoodController(MotionController):
     def check(self, rows) -> None:
         (low, high), *_ = self.limits
         if not ((rows >= low) & (rows <= high)).all():
-            raise conformance.OutOfTravel("beyond")
+            raise OutOfTravel("beyond")
 
     def start(self) -> None:
         self.status()
@@ -243,32 +248,32 @@ def with_faults(base, **faults):
     ("check", "faults"),
     [
         (
-            conformance.connect_tells_who_answers,
+            device.connect_tells_who_answers,
             {"connect": lambda self: Identity("", "", "", "")},
         ),
         (
-            conformance.connect_twice_is_one_connection,
+            device.connect_twice_is_one_connection,
             {"connect": lambda self: Identity("a", "b", str(next(COUNTER)), "d")},
         ),
         (
-            conformance.silence_is_an_empty_block_in_time,
+            tracker.silence_is_an_empty_block_in_time,
             {"streams": property(lambda self: True, lambda self, value: None)},
         ),
         (
-            conformance.samples_have_rising_numbers_and_times,
+            tracker.samples_have_rising_numbers_and_times,
             {"number": property(lambda self: 0, lambda self, value: None)},
         ),
         (
-            conformance.numbers_go_on_after_a_pause,
+            tracker.numbers_go_on_after_a_pause,
             {"health": property(lambda self: LinkHealth(lost_samples=7))},
         ),
-        (conformance.impossible_rates_are_refused, {"start": lambda self, rate: None}),
+        (tracker.impossible_rates_are_refused, {"start": lambda self, rate: None}),
         (
-            conformance.a_closed_tracker_has_no_samples,
+            tracker.a_closed_tracker_has_no_samples,
             {"need_connection": lambda self: None},
         ),
         (
-            conformance.stop_from_another_thread_ends_the_stream,
+            tracker.stop_from_another_thread_ends_the_stream,
             {"stop": lambda self: None},
         ),
     ],
@@ -283,13 +288,13 @@ def test_a_faulty_tracker_is_caught(check, faults):
 @pytest.mark.parametrize(
     ("check", "faults"),
     [
-        (conformance.axes_and_travel_are_known, {"limits": ((5.0, 5.0),)}),
-        (conformance.axes_and_travel_are_known, {"names": ()}),
-        (conformance.out_of_travel_is_refused, {"check": lambda self, rows: None}),
-        (conformance.a_path_of_other_axes_is_refused, {"load": lambda self, p: None}),
-        (conformance.hold_and_resume_are_absolute, {"hold": lambda self: None}),
+        (motion.axes_and_travel_are_known, {"limits": ((5.0, 5.0),)}),
+        (motion.axes_and_travel_are_known, {"names": ()}),
+        (motion.out_of_travel_is_refused, {"check": lambda self, rows: None}),
+        (motion.a_path_of_other_axes_is_refused, {"load": lambda self, p: None}),
+        (motion.hold_and_resume_are_absolute, {"hold": lambda self: None}),
         (
-            conformance.resume_of_nothing_does_nothing,
+            motion.resume_of_nothing_does_nothing,
             {
                 "resume": lambda self: setattr(
                     self, "at", MotionStatus(MotionState.IDLE, (51.0,), 0)
@@ -297,20 +302,20 @@ def test_a_faulty_tracker_is_caught(check, faults):
             },
         ),
         (
-            conformance.abort_from_another_thread_ends_the_motion,
+            motion.abort_from_another_thread_ends_the_motion,
             {"abort": lambda self: None},
         ),
-        (conformance.wait_ends_in_time, {"wait": lambda self, timeout_s: self.at}),
-        (conformance.close_stops_the_motion, {"close": lambda self: None}),
+        (motion.wait_ends_in_time, {"wait": lambda self, timeout_s: self.at}),
+        (motion.close_stops_the_motion, {"close": lambda self: None}),
         (
-            conformance.a_closed_controller_moves_nothing,
+            motion.a_closed_controller_moves_nothing,
             {"status": lambda self: self.at},
         ),
         (
-            conformance.a_move_ends_where_it_was_sent,
+            motion.a_move_ends_where_it_was_sent,
             {"move_to": lambda self, position, feed: None},
         ),
-        (conformance.a_path_runs_to_its_last_row, {"load": lambda self, path: None}),
+        (motion.a_path_runs_to_its_last_row, {"load": lambda self, path: None}),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
@@ -335,7 +340,7 @@ def test_a_file_left_open_is_caught(tmp_path):
         return Identity("maker", "model", "1", "0")
 
     with pytest.raises(NotConforming, match="left a file or a thread behind"):
-        conformance.close_is_idempotent_and_leaves_nothing(
+        device.close_is_idempotent_and_leaves_nothing(
             with_faults(GoodTracker, connect=connect)
         )
     for file in left:
@@ -349,12 +354,10 @@ def test_a_constructor_that_opens_is_caught(tmp_path):
         left.append((tmp_path / "port").open("w"))
 
     with pytest.raises(NotConforming, match="constructor opened something"):
-        conformance.construction_opens_nothing(
-            with_faults(GoodTracker, __init__=construct)
-        )
+        device.construction_opens_nothing(with_faults(GoodTracker, __init__=construct))
     left[0].close()
 
 
 def test_a_device_that_answers_where_none_is_is_caught():
     with pytest.raises(NotConforming, match="not there"):
-        conformance.a_device_that_is_not_there_is_a_device_error(GoodTracker)
+        device.a_device_that_is_not_there_is_a_device_error(GoodTracker)

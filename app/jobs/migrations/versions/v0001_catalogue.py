@@ -21,6 +21,13 @@ def _counter() -> sa.types.TypeEngine[int]:
 
 def upgrade() -> None:
     """Apply."""
+    _create_runs()
+    _create_jobs()
+    _create_events()
+    _create_idempotency_keys()
+
+
+def _create_runs() -> None:
     op.create_table(
         "runs",
         sa.Column("seq", _counter(), primary_key=True),
@@ -39,6 +46,9 @@ def upgrade() -> None:
         sa.Column("created", sa.String(32), nullable=False),
         sqlite_autoincrement=True,
     )
+
+
+def _create_jobs() -> None:
     op.create_table(
         "jobs",
         sa.Column("seq", _counter(), primary_key=True),
@@ -60,6 +70,9 @@ def upgrade() -> None:
         sqlite_autoincrement=True,
     )
     op.create_index("jobs_by_state", "jobs", ["state", "seq"])
+
+
+def _create_events() -> None:
     op.create_table(
         "events",
         sa.Column("id", _counter(), primary_key=True),
@@ -70,6 +83,9 @@ def upgrade() -> None:
         sqlite_autoincrement=True,
     )
     op.create_index("events_by_job", "events", ["job_id", "id"])
+
+
+def _create_idempotency_keys() -> None:
     op.create_table(
         "idempotency_keys",
         sa.Column("key", sa.String(200), primary_key=True),
