@@ -25,7 +25,7 @@ from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.jobs.feed import Notice
 from app.jobs.job import job_from_json, now_utc
-from app.jobs.store import StoredEvent
+from app.jobs.rows import StoredEvent
 
 TICK_S = 1.0
 WAITING = 50

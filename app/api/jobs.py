@@ -23,7 +23,7 @@ from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job
-from app.jobs.store import Key
+from app.jobs.rows import Key
 from app.jobs.transitions import State
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])

@@ -27,7 +27,7 @@ from app.jobs.errors import NoMachine
 from app.jobs.job import Job, Kind
 from app.jobs.plan_orders import checked_rows
 from app.jobs.plans import commanded_from_plan
-from app.jobs.store import Key
+from app.jobs.rows import Key
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 checks = APIRouter(tags=["plans"])

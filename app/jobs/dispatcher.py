@@ -19,7 +19,7 @@ from app.jobs.job import Failure, Job, Json, Kind, NewJob, Stage
 from app.jobs.models import model_file
 from app.jobs.plan_orders import driven_plan, refuse_several_targets
 from app.jobs.plans import Row, plan_json, plan_motion
-from app.jobs.store import Key
+from app.jobs.rows import Key
 from app.jobs.transitions import State, Verb, after_verb
 from app.jobs.workflow import Workshop, carry_out
 from app.kinematics.machine import Machine

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.jobs.estimates import Estimates
-from app.jobs.store import StoredEvent
+from app.jobs.rows import StoredEvent
 
 
 @dataclass(frozen=True, slots=True)

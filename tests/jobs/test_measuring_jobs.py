@@ -21,7 +21,7 @@ from app.jobs.errors import (
 )
 from app.jobs.job import EarlyEnd, Kind, NewJob, job_from_json
 from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
-from app.jobs.store import Key
+from app.jobs.rows import Key
 from app.jobs.transitions import FINAL, State
 from app.kinematics.machine import Target
 from drivers.interfaces.errors import ConnectionLost

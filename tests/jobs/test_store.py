@@ -20,8 +20,9 @@ from app.jobs.job import (
     job_json,
     new_id,
 )
+from app.jobs.rows import Key
 from app.jobs.schema import events, idempotency_keys
-from app.jobs.store import KEEP_KEYS_S, Key, Store
+from app.jobs.store import KEEP_KEYS_S, Store
 from app.jobs.transitions import State
 
 ANALYSE = NewJob(Kind.ANALYSE)

@@ -1,0 +1,188 @@
+"""Rows of the catalogue: jobs, their events and idempotency keys, in and out.
+
+Each function works within the transaction of its caller.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, RowMapping, insert, select, update
+
+from app.errors import NotFound
+from app.jobs.errors import CellBusy, KeyReused, StaleVersion
+from app.jobs.job import (
+    EarlyEnd,
+    Failure,
+    Health,
+    Job,
+    Kind,
+    NewJob,
+    Stage,
+    job_json,
+    new_id,
+    now_utc,
+    progress_from_json,
+)
+from app.jobs.schema import events, idempotency_keys, jobs
+from app.jobs.transitions import FINAL, State
+from app.numerics.adaptive_trials import TrialPlan
+
+JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
+_OPEN = tuple(str(state) for state in State if state not in FINAL)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvent:
+    """Something that happened, kept so that a client can catch up."""
+
+    id: int
+    job_id: str
+    type: str
+    body: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """An Idempotency-Key and the body it came with."""
+
+    value: str
+    body: bytes
+
+    @property
+    def body_sha256(self) -> str:
+        """Digest by which a repeated body is recognised."""
+        return hashlib.sha256(self.body).hexdigest()
+
+
+def stale(job: Job, version: int) -> StaleVersion:
+    """Return the error of a version that has been overtaken."""
+    return StaleVersion(
+        f"version {version} of the job is not the current one, {job.version} "
+        f"({job.state}); read the job again",
+        job.version,
+    )
+
+
+def job_of(connection: Connection, job_id: str) -> Job:
+    """Return a job. Raises NotFound."""
+    query = JOBS.where(jobs.c.id == job_id)
+    row = connection.execute(query).mappings().first()
+    if row is None:
+        raise NotFound(f"there is no job {job_id}")
+    return job_from(row)
+
+
+def unfinished_jobs(connection: Connection) -> list[Job]:
+    """Return the jobs that have not ended, oldest first."""
+    query = JOBS.where(jobs.c.state.in_(_OPEN)).order_by(jobs.c.seq)
+    return [job_from(row) for row in connection.execute(query).mappings()]
+
+
+def refuse_second(connection: Connection) -> None:
+    """Raise CellBusy if another job measures."""
+    for job in unfinished_jobs(connection):
+        if job.kind.measures:
+            raise CellBusy(job.id, job.state)
+
+
+def insert_job(connection: Connection, new: NewJob) -> Job:
+    """Write a new job and return it with its number."""
+    job = Job(
+        seq=0,
+        id=new_id(),
+        kind=new.kind,
+        state=State.QUEUED,
+        desired_state=str(State.READY if new.kind.measures else State.SUCCEEDED),
+        version=1,
+        stage=Stage.WAITING,
+        created=now_utc(),
+        run_id=new.run_id,
+        further_run_ids=new.further_run_ids,
+        perpendicular_only=new.perpendicular_only,
+        monte_carlo=new.monte_carlo,
+        target_um=new.target_um,
+    )
+    values = {**_columns(job), "plan": new.plan}
+    done = connection.execute(insert(jobs).values(**values))
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return replace(job, seq=done.inserted_primary_key[0])
+
+
+def update_job(connection: Connection, before: Job, after: Job) -> None:
+    """Write a job over its version before. Raises StaleVersion."""
+    same = (jobs.c.id == before.id) & (jobs.c.version == before.version)
+    values = _columns(after)
+    done = connection.execute(update(jobs).where(same).values(**values))
+    if done.rowcount != 1:
+        raise stale(job_of(connection, before.id), before.version)
+
+
+def _columns(job: Job) -> dict[str, Any]:
+    content = job_json(job)
+    del content["seq"]
+    return content
+
+
+def job_from(row: RowMapping) -> Job:
+    """Return the job of a row."""
+    failure, early_end = row["failure"], row["early_end"]
+    monte_carlo = row["monte_carlo"]
+    return Job(
+        **{
+            **row,
+            "kind": Kind(row["kind"]),
+            "state": State(row["state"]),
+            "stage": Stage(row["stage"]),
+            "progress": progress_from_json(row["progress"]),
+            "health": Health(**row["health"]),
+            "further_run_ids": tuple(row["further_run_ids"] or ()),
+            "failure": Failure(**failure) if failure else None,
+            "early_end": EarlyEnd(**early_end) if early_end else None,
+            "monte_carlo": TrialPlan(**monte_carlo) if monte_carlo else None,
+        }
+    )
+
+
+def insert_event(connection: Connection, job: Job) -> StoredEvent:
+    """Write that a job has changed."""
+    body = job_json(job)
+    row = {"job_id": job.id, "type": "job", "body": body, "created": now_utc()}
+    done = connection.execute(insert(events).values(**row))
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return StoredEvent(done.inserted_primary_key[0], job.id, "job", body)
+
+
+def event_from(row: RowMapping) -> StoredEvent:
+    """Return the event of a row."""
+    return StoredEvent(row["id"], row["job_id"], row["type"], row["body"])
+
+
+def job_by_key(connection: Connection, key: Key) -> Job | None:
+    """Return the job that a key has made. Raises KeyReused."""
+    query = select(idempotency_keys).where(idempotency_keys.c.key == key.value)
+    row = connection.execute(query).mappings().first()
+    if row is None:
+        return None
+    if row["body_sha256"] != key.body_sha256:
+        raise KeyReused(
+            f"Idempotency-Key {key.value!r} has made job {row['job_id']} from another "
+            "body; use a new key for a new job"
+        )
+    return job_of(connection, row["job_id"])
+
+
+def insert_key(connection: Connection, key: Key, job_id: str) -> None:
+    """Write which job a key has made."""
+    connection.execute(
+        insert(idempotency_keys).values(
+            key=key.value,
+            body_sha256=key.body_sha256,
+            job_id=job_id,
+            created_s=int(time.time()),
+        )
+    )
