@@ -11,11 +11,8 @@ import fcntl
 import json
 import logging
 import os
-import signal
-import socket
 import sys
 import tempfile
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
@@ -23,11 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-import uvicorn
-from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
 from app.api.application import create_application
+from app.api.server import Server, address_of, bound_socket, signals_end_quietly
 from app.api.service import Service
 from app.errors import BadInput
 from app.jobs.cell_supervisor import CellSupervisor
@@ -49,9 +45,6 @@ from app.plugins import load
 from app.settings import Settings
 from app.web import pages
 
-GRACE_S = 3
-"""How long an answer under way may take once the service is told to end."""
-
 log = structlog.get_logger(__name__)
 
 
@@ -66,11 +59,14 @@ def serve(
     same data folder.
     """
     _configure_logging(settings)
-    with open_service(settings) as service, _bound_socket(settings) as listener:
-        address = _address(settings, listener)
+    with (
+        open_service(settings) as service,
+        bound_socket(settings.host, settings.port) as listener,
+    ):
+        address = address_of(listener)
         _say_where(settings, address)
-        server = _Server(_application(settings, service), service, address, listening)
-        with _signals_end_quietly():
+        server = Server(_application(settings, service), service, address, listening)
+        with signals_end_quietly():
             server.run(sockets=[listener])
     log.info("service ended")
 
@@ -198,60 +194,6 @@ def _application(settings: Settings, service: Service) -> FastAPI:
     return app
 
 
-class _Server(uvicorn.Server):
-    """Uvicorn that stops motion before it waits for anybody.
-
-    Not in the application's own shut-down: an open stream delays that, and a forced
-    exit skips it.
-    """
-
-    def __init__(
-        self,
-        app: FastAPI,
-        service: Service,
-        address: str,
-        listening: Callable[[str], None] | None,
-    ) -> None:
-        config = uvicorn.Config(
-            app,
-            workers=1,
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=GRACE_S,
-        )
-        super().__init__(config)
-        self._service, self._address, self._listening = service, address, listening
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        await super().startup(sockets)
-        if self.started and self._listening is not None:
-            threading.Thread(
-                target=self._listening, args=(self._address,), daemon=True
-            ).start()
-
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        log.info("ending: motion first")
-        await run_sync(self._service.dispatcher.close)
-        self._service.end_streams()
-        await super().shutdown(sockets)
-
-
-@contextmanager
-def _signals_end_quietly() -> Iterator[None]:
-    """Let uvicorn hand a signal back without the process dying of it half tidied."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signals = (signal.SIGTERM, signal.SIGINT)
-    before = {number: signal.signal(number, lambda *_: None) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def _folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -286,30 +228,6 @@ def _temporary_files(folder: Path) -> Iterator[None]:
         yield
     finally:
         tempfile.tempdir = before
-
-
-@contextmanager
-def _bound_socket(settings: Settings) -> Iterator[socket.socket]:
-    try:
-        family, _, _, _, place = socket.getaddrinfo(
-            settings.host, settings.port, type=socket.SOCK_STREAM
-        )[0]
-        listener = socket.create_server(place[:2], family=family, backlog=128)
-    except OSError as error:
-        raise BadInput(
-            f"cannot listen on {settings.host} port {settings.port}: {error.strerror}; "
-            "stop what listens there, or give another --port"
-        ) from error
-    with listener:
-        yield listener
-
-
-def _address(settings: Settings, listener: socket.socket) -> str:
-    host, port = listener.getsockname()[:2]
-    if not settings.is_loopback:
-        host = "127.0.0.1" if host in ("0.0.0.0", "::") else host  # noqa: S104 (read)
-    shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{port}"
 
 
 def _say_where(settings: Settings, address: str) -> None:

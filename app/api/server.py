@@ -1,0 +1,106 @@
+"""The HTTP server: where it listens, and in which order it ends."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import structlog
+import uvicorn
+from anyio.to_thread import run_sync
+from fastapi import FastAPI
+
+from app.api.service import Service
+from app.errors import BadInput
+
+GRACE_S = 3
+"""How long an answer under way may take once the service is told to end."""
+
+log = structlog.get_logger(__name__)
+
+
+class Server(uvicorn.Server):
+    """Uvicorn that stops motion before it waits for anybody.
+
+    Not in the application's own shut-down: an open stream delays that, and a forced
+    exit skips it.
+
+    address : where it answers
+    listening : told the address once it answers, in a thread of its own
+    """
+
+    def __init__(
+        self,
+        app: FastAPI,
+        service: Service,
+        address: str,
+        listening: Callable[[str], None] | None,
+    ) -> None:
+        config = uvicorn.Config(
+            app,
+            workers=1,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=GRACE_S,
+        )
+        super().__init__(config)
+        self._service, self._address, self._listening = service, address, listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to answer, and tell who waits for that."""
+        await super().startup(sockets)
+        if self.started and self._listening is not None:
+            threading.Thread(
+                target=self._listening, args=(self._address,), daemon=True
+            ).start()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Hold the feed, let streams end, then wait for answers under way."""
+        log.info("ending: motion first")
+        await run_sync(self._service.dispatcher.close)
+        self._service.end_streams()
+        await super().shutdown(sockets)
+
+
+@contextmanager
+def signals_end_quietly() -> Iterator[None]:
+    """Let uvicorn hand a signal back without the process dying of it half tidied."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signals = (signal.SIGTERM, signal.SIGINT)
+    before = {number: signal.signal(number, lambda *_: None) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
+    """Listen there, port 0 on a free one; raise BadInput where that cannot be."""
+    try:
+        family, _, _, _, place = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM
+        )[0]
+        listener = socket.create_server(place[:2], family=family, backlog=128)
+    except OSError as error:
+        raise BadInput(
+            f"cannot listen on {host} port {port}: {error.strerror}; "
+            "stop what listens there, or give another --port"
+        ) from error
+    with listener:
+        yield listener
+
+
+def address_of(listener: socket.socket) -> str:
+    """Return where a program on this computer reaches it."""
+    host, port = listener.getsockname()[:2]
+    host = "127.0.0.1" if host in ("0.0.0.0", "::") else host  # noqa: S104 (read)
+    shown = f"[{host}]" if ":" in host else host
+    return f"http://{shown}:{port}"
