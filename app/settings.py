@@ -57,7 +57,7 @@ class Settings(BaseSettings):
     simulated_seed: int = Field(1, ge=0)
     simulated_faults: tuple[str, ...] = ()
     simulated_hidden: tuple[str, ...] = ()
-    """Effects that the model of the machine lacks, `name[*size_um]`, to be found."""
+    """Effects that the model lacks, to be found: `name[*size_um]`, or JSON objects."""
 
     machine_file: Path | None = None
     tracker_driver: str = "streaming"

@@ -180,8 +180,8 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="EFFECT[*SIZE_UM]",
-        help="an effect that no rigid-body model knows, drawn by the seed: "
-        + ", ".join(EFFECTS),
+        help="an effect that the model in use lacks, drawn by the seed, or a JSON "
+        "object with its numbers: " + ", ".join(EFFECTS),
     )
     add("--json", action="store_true", help="print one JSON object")
     return parser

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
+
+import numpy as np
 
 from simulators.errors import SimulatorError
 from simulators.hidden.backlash import Backlash
@@ -13,10 +16,12 @@ from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.hidden.floating_slide import FloatingSlide
 from simulators.hidden.lateral_backlash import LateralBacklash
+from simulators.hidden.motion import Motion
 from simulators.hidden.reversal_spike import ReversalSpike
 from simulators.hidden.screw_cyclic import ScrewCyclic
 from simulators.hidden.servo_mismatch import ServoMismatch
 from simulators.hidden.setup_step import SetupStep
+from simulators.hidden.squareness import Squareness
 from simulators.hidden.table_drift import TableDrift
 from simulators.hidden.thermal_growth import ThermalGrowth
 from simulators.hidden.tracker_eccentricity import TrackerEccentricity
@@ -26,6 +31,7 @@ from simulators.hidden.vibration import Vibration
 from simulators.hidden.wavy_guide import WavyGuide
 from simulators.machine_file import MachineFile
 from simulators.randomness import generator
+from simulators.timeline import standing
 
 EFFECTS: dict[str, type[HiddenEffect]] = {
     kind.name: kind
@@ -36,6 +42,7 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         ThermalGrowth,
         TableDrift,
         ElasticSag,
+        Squareness,
         ServoMismatch,
         ReversalSpike,
         TrackerEccentricity,
@@ -48,9 +55,12 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         FloatingSlide,
     )
 }
-CATALOGUED = tuple(n for n, kind in EFFECTS.items() if kind.in_catalogue)
-_USUAL_UM = 4.0
+CATALOGUED = tuple(
+    n for n, kind in EFFECTS.items() if kind.in_catalogue and not kind.needs_model
+)
 UNCATALOGUED = tuple(n for n, kind in EFFECTS.items() if not kind.in_catalogue)
+_USUAL_UM = 4.0
+_AT_REST = np.zeros(1)
 
 
 def drawn(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
@@ -60,10 +70,16 @@ def drawn(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
 
 
 def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
-    """Draw the effect of a text `name[*size_um]` for a recording of usual length.
+    """Return the effect of a text.
 
-    Raises SimulatorError on an unknown name or a size that is no number.
+    `name[*size_um]` draws one for a recording of usual length; a JSON object,
+    `{"name": "backlash", "axis": "X", "width_um": 8}`, gives its numbers.
+
+    Raises SimulatorError on an unknown name, a size that is no number, or numbers that
+    the machine cannot have.
     """
+    if text.lstrip().startswith("{"):
+        return _given(text, machine)
     name, _, size = text.partition("*")
     try:
         size_um = float(size or _USUAL_UM)
@@ -88,6 +104,27 @@ def from_json(content: Mapping[str, Any]) -> HiddenEffect:
         return _kind(str(content.get("name"))).__call__(**values)
     except TypeError as error:
         raise SimulatorError(f"hidden: {content.get('name')}: {error}") from error
+
+
+def _given(text: str, machine: MachineFile) -> HiddenEffect:
+    """Return the effect of a JSON object once it has moved the machine at rest."""
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise SimulatorError(f"hidden: {text}: not JSON: {error}") from error
+    effect = from_json(content)
+    motion = Motion(machine, standing(machine.low, 0.0, 0))
+    try:
+        moved = effect.carried(motion, _AT_REST)
+        _ = effect.shifted_mm(motion, _AT_REST), effect.misread(np.ones((1, 3)))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SimulatorError(
+            f"hidden: {text}: machine {machine.name} cannot have it: {error}"
+        ) from error
+    strangers = sorted(set(moved) - set(machine.axis_names))
+    if strangers:
+        raise SimulatorError(f"hidden: {text}: the machine has no axis {strangers[0]}")
+    return effect
 
 
 def _kind(name: str) -> type[HiddenEffect]:

@@ -52,10 +52,13 @@ class HiddenEffect(ABC):
     """One physical cause that the nominal machine with its error motions lacks.
 
     name : as the catalogue of effects calls it; what is not in it has a name of its own
+    needs_model : only a model made before shows it; one fitted to the same recording
+        has it already
     """
 
     name: ClassVar[str]
     in_catalogue: ClassVar[bool] = True
+    needs_model: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod

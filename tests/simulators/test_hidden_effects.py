@@ -29,6 +29,7 @@ from simulators.hidden.reversal_spike import ReversalSpike
 from simulators.hidden.screw_cyclic import ScrewCyclic
 from simulators.hidden.servo_mismatch import ServoMismatch
 from simulators.hidden.setup_step import SetupStep
+from simulators.hidden.squareness import Squareness
 from simulators.hidden.table_drift import TableDrift
 from simulators.hidden.thermal_growth import ThermalGrowth
 from simulators.hidden.tracker_eccentricity import TrackerEccentricity
@@ -288,6 +289,44 @@ def test_bad_effects_are_refused_by_name(machine: MachineFile) -> None:
         from_json({"name": "backlash", "depth": 3})
     assert parse_hidden("backlash*2", 1, machine).parameters(CLOCK) == {"width_um": 4.0}
     assert len(CATALOGUED) == 12
+    assert "squareness" not in CATALOGUED  # a model fitted to the recording has it
+
+
+def test_an_effect_is_given_by_its_numbers(machine: MachineFile) -> None:
+    text = json.dumps(as_json(ServoMismatch("X", 0.06)))
+    assert parse_hidden(text, 1, machine) == ServoMismatch("X", 0.06)
+    step = '{"name": "setup-step", "time_s": 3, "step_um": [1, 2, 3]}'
+    assert parse_hidden(step, 1, machine) == SetupStep(3.0, (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ('{"name": "backlash"', "not JSON"),
+        ('{"name": "backlash", "axis": "Q", "width_um": 8}', "demo cannot have it"),
+        ('{"name": "backlash", "axis": "X", "width_um": "big"}', "big"),
+        ('{"name": "squareness", "symbol": "D0Y", "value_urad": 8}', "D0Y"),
+        (
+            '{"name": "lateral-backlash", "axis": "X", "motion": "EYC", '
+            '"half_width": 5}',
+            "no axis C",
+        ),
+    ],
+)
+def test_numbers_that_the_machine_cannot_have_are_refused(
+    machine: MachineFile, text: str, names: str
+) -> None:
+    with pytest.raises(SimulatorError, match=names):
+        parse_hidden(text, 1, machine)
+
+
+def test_an_axis_out_of_square_leans_in_proportion_to_its_travel(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, Squareness("C0Y", 50.0))
+    y_mm = recording.commanded_mm[:, 1]
+    np.testing.assert_allclose(off[:, 0], -50e-3 * y_mm, atol=1e-5)
+    assert np.abs(off[:, 1:]).max() < 1e-3
 
 
 def test_a_bundle_tells_the_truth_of_what_was_hidden(tmp_path: Path) -> None:
