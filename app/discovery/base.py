@@ -11,7 +11,8 @@ from jaxtyping import Float64
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.discovery.scene import at_pose, with_surroundings
+from app.alignment.surroundings import with_surroundings
+from app.discovery.scene import at_pose
 from app.discovery.sums import Base
 from app.errors import Unidentifiable
 from app.estimation.identifiable import identifiable_model

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.alignment.stretches import approach_signs
-from app.discovery.scene import Scene, with_surroundings
+from app.alignment.surroundings import with_surroundings
+from app.discovery.scene import Scene
 from app.discovery.sums import Base, View
 from app.discovery.telling_apart import Question
 from app.estimation.rehearsal import rehearsed
@@ -177,8 +177,7 @@ class ExtraLines:
         stand_mm = pose.inverse().apply(np.zeros((1, 3)))[0]
         seen = rehearsed(self.scene.run.machine, path, stand_mm)
         seen = seen.taken(np.flatnonzero(seen.row == len(path) - 1))
-        at = replace(seen.at, approach=approach_signs(path.position)[seen.row])
-        seen = replace(seen, at=at, tracker_mm=pose.apply(at.point_mm), pose=pose)
+        seen = replace(seen, tracker_mm=pose.apply(seen.at.point_mm), pose=pose)
         return with_surroundings(seen, path, None, self.questions[0].base.runs - 1)
 
 

@@ -6,7 +6,7 @@ a model, with the effects that were found in it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -22,8 +22,6 @@ from app.errors import BundleError
 from app.estimation.extrapolation import measured_ranges
 from app.estimation.observability import observability
 from app.estimation.runs import Measured
-from app.kinematics.effects.approach import Backlash
-from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.tool_orientation import tool_orientation
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -183,7 +181,7 @@ def _effect_json(finding: Finding, grown: Extended) -> dict[str, Any]:
 def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
     ranges = measured_ranges(found.scene.seen)
     tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
-    halves = half_differences(_bare(grown.model), grown.theta, grown.covariance)
+    halves = half_differences(grown.model, grown.theta, grown.covariance)
     return {
         "error_tables": {t.symbol: table_json(t) for t in tables.tables},
         "squareness_urad": {
@@ -197,19 +195,6 @@ def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
         },
         "measured_range": ranges_json(ranges, grown.model.machine),
     }
-
-
-def _bare(model: MachineModel) -> MachineModel:
-    """Return the model with its lost motions as tables of both directions know them."""
-    return replace(
-        model,
-        effects=tuple(
-            e.effect
-            if isinstance(e, Catalogued) and isinstance(e.effect, Backlash)
-            else e
-            for e in model.effects
-        ),
-    )
 
 
 def _observability_json(coarse: Observations, found: Discovery) -> dict[str, Any]:

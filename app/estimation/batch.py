@@ -14,6 +14,7 @@ from app.estimation.estimate import Estimate, Residuals, RunEstimate
 from app.estimation.extrapolation import measured_ranges, with_ends_free
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Posterior
+from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel, floor_mm, whiten
 from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.observability import observability
@@ -25,6 +26,7 @@ from app.measurement.one_machine import one_machine
 
 def estimate(
     *observed: Observations,
+    known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     keep_fit: bool = False,
     progress: Callable[[float], None] | None = None,
@@ -32,7 +34,9 @@ def estimate(
 ) -> Estimate:
     """Estimate all error motions that the observations can tell.
 
-    observed : of one Run each, in either mode
+    observed : of one Run each, in either mode; with surroundings where effects are
+        known that depend on them
+    known : effects that an earlier measurement has told, to be estimated beside
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
     keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
     progress : told the share done, 0 to 1
@@ -41,7 +45,7 @@ def estimate(
     Raises Unidentifiable if the lines do not determine the error motions, BundleError
     if the Runs are not of one machine.
     """
-    told = progress or _untold
+    told, known = progress or _untold, known or KnownEffects()
     machine = one_machine(
         [seen.at.machine for seen in observed], _named(names, observed)
     )
@@ -54,9 +58,9 @@ def estimate(
         )
         for k, seen in enumerate(observed)
     )
-    runs = looked_at(machine, runs)
+    runs = looked_at(machine, runs, known=known)
     told(0.5)
-    fit = with_ends_free(best_fit(runs, model))
+    fit = with_ends_free(best_fit(runs, known.beside(model), known))
     observable = observability(machine, runs)
     told(0.9)
     told(1.0)
@@ -71,6 +75,7 @@ def estimate(
         perpendicular_only,
         tuple(_of_one(share, result) for share in fit.shares),
         measured_ranges(*observed),
+        known,
         fit if keep_fit else None,
     )
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.estimation.information import Posterior
+from app.estimation.information import Information, Posterior
+from app.estimation.known_effects import KnownEffects
 from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
 from app.estimation.runs import (
     Measured,
@@ -19,7 +20,8 @@ from app.estimation.runs import (
     together,
     with_effects_only,
 )
-from app.kinematics.effects.approach import half_shape, half_width
+from app.kinematics.effects.approach import Backlash, half_shape, half_width
+from app.kinematics.effects.catalogued import bare
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 
@@ -33,6 +35,7 @@ class Fit:
 
     direction : `none`, `constant` (half widths) or `tables` (both directions)
     shares : what each Run tells of the model
+    known : what an earlier measurement has told of effects in it
     result : of the machine's parameters
     cost : −2 log evidence, with the price of its strengths
     """
@@ -40,37 +43,61 @@ class Fit:
     direction: str
     model: MachineModel
     shares: tuple[Share, ...]
+    known: KnownEffects
     prior: BendingPrior
     result: Posterior
     cost: float
 
+    @property
+    def data(self) -> Information:
+        """What all Runs, and what was known before them, tell of the machine."""
+        return self.known.informed(together(self.shares), self.model)
+
 
 def with_half_widths(model: MachineModel) -> MachineModel:
-    """Return the model with a half width for each of its error motions."""
-    return model.with_effects(*(half_width(m.symbol, m.axis) for m in _motions(model)))
+    """Return the model with a half width for each of its error motions.
+
+    None for a motion whose lost motion is an effect of the model already.
+    """
+    lost = {e.symbol for e in map(bare, model.effects) if isinstance(e, Backlash)}
+    motions = [m for m in _motions(model) if m.symbol not in lost]
+    return model.with_effects(*(half_width(m.symbol, m.axis) for m in motions))
 
 
-def best_fit(runs: Sequence[Measured], model: MachineModel) -> Fit:
-    """Return the fit of greatest evidence, the direction of approach left to it."""
+def best_fit(
+    runs: Sequence[Measured],
+    model: MachineModel,
+    known: KnownEffects | None = None,
+) -> Fit:
+    """Return the fit of greatest evidence, the direction of approach left to it.
+
+    known : what an earlier measurement has told of effects of the model
+    """
+    known = known or KnownEffects()
     halves = with_half_widths(model)
     shares = shares_of(runs, halves)
     fewer = tuple(with_effects_only(share, model.effects) for share in shares)
-    none = _fit("none", model, fewer)
-    constant = _fit("constant", halves, shares)
+    none = _fit("none", model, fewer, known)
+    constant = _fit("constant", halves, shares, known)
     if none.cost <= constant.cost:
         return none
     shapes = [half_shape(m.symbol, m.axis) for m in _motions(model)]
     both = halves.with_effects(*shapes)
-    tables = _fit("tables", both, shares_of(runs, both))
+    tables = _fit("tables", both, shares_of(runs, both), known)
     return min(constant, tables, key=lambda fit: fit.cost)
 
 
-def _fit(direction: str, model: MachineModel, shares: tuple[Share, ...]) -> Fit:
-    data = together(shares)
+def _fit(
+    direction: str,
+    model: MachineModel,
+    shares: tuple[Share, ...],
+    known: KnownEffects,
+) -> Fit:
+    data = known.informed(together(shares), model)
     prior, result = fitted(data, first_guess(model))
     strengths = sum(not isinstance(e, ErrorMotion) for e in model.effects)
     cost = evidence_cost(data, prior, result) + _PRICE * strengths
-    return Fit(direction, model, shares, prior, result, cost)
+    return Fit(direction, model, shares, known, prior, result, cost)
 
 
 def _motions(model: MachineModel) -> list[ErrorMotion]:

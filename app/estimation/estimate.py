@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.direction import Fit
 from app.estimation.extrapolation import Ranges
+from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.kinematics.machine import TrackerNoise
 from app.kinematics.model import MachineModel
@@ -85,6 +86,7 @@ class Estimate:
     runs : the Runs that it was made from, in the order given
     measured : by axis, lowest and highest position that was measured, mm or deg; what
         lies beyond is extrapolated
+    known : effects that an earlier measurement has told, which are in the model
     fit : what it was solved from, if that was to be kept
     """
 
@@ -97,6 +99,7 @@ class Estimate:
     perpendicular_only: bool
     runs: tuple[RunEstimate, ...]
     measured: Ranges
+    known: KnownEffects = field(default_factory=KnownEffects)
     fit: Fit | None = None
 
     @property

@@ -25,7 +25,6 @@ from app.alignment.observations import Observations
 from app.estimation.direction import Fit
 from app.estimation.information import posterior
 from app.estimation.prior import BendingPrior
-from app.estimation.runs import together
 from app.kinematics.effects.base import Charge, Conditions
 from app.kinematics.effects.error_motion import ErrorMotion, arm_of
 from app.kinematics.machine import Machine, RotaryAxis
@@ -79,7 +78,7 @@ def with_ends_free(fit: Fit) -> Fit:
         for m in motions
     }
     prior = replace(fit.prior, charges={**fit.prior.charges, **charges})
-    result = posterior(together(fit.shares), prior.precision(fit.model.size))
+    result = posterior(fit.data, prior.precision(fit.model.size))
     return replace(fit, prior=prior, result=result)
 
 

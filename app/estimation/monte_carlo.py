@@ -39,7 +39,7 @@ _SAME_STRENGTH = 10  # trials that share a draw of strengths, and so one factori
 
 @dataclass(frozen=True, slots=True)
 class Charged:
-    """What the prior charges one error motion.
+    """What the prior charges one error motion, or knows of effects together.
 
     precision : (k, k) λ̂K of its parameters; root : (k, k) with root rootᵀ = precision
     log_sigma : standard deviation of log λ
@@ -144,6 +144,11 @@ def _charged(fit: Fit) -> tuple[Charged, ...]:
         root = vector * np.sqrt(np.maximum(value, 0.0))
         first = prior.model.slices[name].start
         charged.append(Charged(first, precision, root, float(np.sqrt(variance))))
+    if fit.known.effects:
+        precision = fit.known.precision()
+        root = np.linalg.cholesky(precision)
+        first = fit.known.part(fit.model).start
+        charged.append(Charged(first, precision, root, 0.0))
     return tuple(charged)
 
 

@@ -18,6 +18,7 @@ from app.alignment.observations import Observations
 from app.estimation.direction import with_half_widths
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, added
+from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence, Slope
 from app.estimation.prior import BendingPrior, first_guess, fitted
@@ -52,28 +53,35 @@ def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
 
 
 def looked_at(
-    machine: Machine, runs: Sequence[Measured], beside: Sequence[Effect] = ()
+    machine: Machine,
+    runs: Sequence[Measured],
+    beside: Sequence[Effect] = (),
+    known: KnownEffects | None = None,
 ) -> tuple[Measured, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
 
     beside : further effects that must not pass for slow noise
+    known : effects of the machine that an earlier measurement has told
 
     The rough pose is off by the machine's errors. Every Run has a noise of its own;
     what the error motions are, all Runs tell. Some lines and coarse splines tell both
     well, at a fraction of the cost.
     Raises Unidentifiable if the lines do not determine the parameters.
     """
+    known = known or KnownEffects()
     offsets_mm = [run.seen.at.offset_mm for run in runs]
     model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
     # Lost motion must not pass for slow noise.
-    model = with_half_widths(model)
+    model = with_half_widths(known.beside(model))
     model = model.with_effects(*(e for e in beside if e.name not in model.slices))
     few = [replace(run, seen=_some_lines(run.seen)) for run in runs]
     shares = list(shares_of(few, model))
-    prior, result = fitted(together(shares), first_guess(model))
+    data = known.informed(together(shares), model)
+    prior, result = fitted(data, first_guess(model))
     # The noise of one Run shifts what the others hold for the error motions.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
-        noise = _fitted_noise(shares[k], prior, shares[:k] + shares[k + 1 :])
+        others = shares[:k] + shares[k + 1 :]
+        noise = _fitted_noise(shares[k], prior, others, known)
         if len(runs) > 1:
             shares[k] = with_noise(shares[k].problem, noise)
         else:
@@ -89,16 +97,20 @@ def looked_at(
 
 
 def _fitted_noise(
-    share: Share, prior: BendingPrior, others: Sequence[Share]
+    share: Share,
+    prior: BendingPrior,
+    others: Sequence[Share],
+    effects: KnownEffects,
 ) -> NoiseModel:
     """Return the likeliest noise of a Run, strengths and the others' noise held."""
     seen = share.problem.seen
     part = share.problem.part(seen, merge=_merge(seen))
     columns = _columns(part)
     precision = prior.precision(prior.model.size)
+    charged = Information(precision, np.zeros(len(precision)), 0.0, 0.0)
     known = added(
         [
-            Information(precision, np.zeros(len(precision)), 0.0, 0.0),
+            effects.informed(charged, prior.model),
             *(other.about_machine for other in others),
         ]
     )

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.alignment.stretches import offsets_mm, on_workpiece
+from app.alignment.stretches import approach_signs, offsets_mm, on_workpiece
+from app.alignment.surroundings import with_surroundings
 from app.errors import PlanningError
 from app.estimation.information import Information, information
 from app.estimation.noise import NoiseModel
@@ -57,6 +58,8 @@ def rehearsed(
 ) -> Observations:
     """Return the cells of a measurement with the tracker at a place.
 
+    They know their surroundings, temperatures left out.
+
     stand_mm : in the frame that the tracker stands on (workpiece or base)
 
     Raises PlanningError if nothing moves and nothing dwells.
@@ -70,7 +73,7 @@ def rehearsed(
     speed = np.linalg.norm(at.velocity_mm_s, axis=1, keepdims=True)
     seconds = np.concatenate([np.full(len(p.share), p.cell_s) for p in parts])
     count = np.maximum(machine.tracker.rate_hz * seconds, 1.0)
-    return Observations(
+    seen = Observations(
         at,
         at.point_mm - stand_mm,
         count,
@@ -82,6 +85,7 @@ def rehearsed(
         int(count.sum()),
         int(count.sum()),
     )
+    return with_surroundings(seen, commanded)
 
 
 def expected_information(
@@ -160,7 +164,12 @@ def _conditions(
     line = np.where(goes, row, -1)
     lag = np.where(goes, time_s - middle, 0.0)
     return replace(
-        at, time_s=time_s, line=line, line_time_s=lag, velocity_mm_s=velocity
+        at,
+        time_s=time_s,
+        line=line,
+        line_time_s=lag,
+        velocity_mm_s=velocity,
+        approach=approach_signs(position)[row],
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.approach import Backlash
+from app.kinematics.effects.catalogued import bare
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import is_turn
 from app.reporting.error_tables import MICRO, MILLI, table_positions_mm
@@ -42,36 +43,44 @@ def half_differences(
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[HalfDifference, ...]:
     """Return the half differences; none where direction plays no part."""
-    parts = [e for e in model.effects if isinstance(e, Backlash)]
+    parts = [
+        (effect.name, lost)
+        for effect in model.effects
+        if isinstance(lost := bare(effect), Backlash)
+    ]
     return tuple(
         _half_difference(
-            [p for p in parts if p.symbol == width.symbol], model, theta, covariance
+            [p for p in parts if p[1].symbol == width.symbol], model, theta, covariance
         )
-        for width in parts
+        for _, width in parts
         if not width.varies
     )
 
 
 def directional(model: MachineModel) -> tuple[str, ...]:
-    """Return the names of the effects that the direction of approach decides."""
+    """Return the names of the effects that are half differences and no more.
+
+    Lost motion with a name of its own is part of the machine's model.
+    """
     return tuple(e.name for e in model.effects if isinstance(e, Backlash))
 
 
 def _half_difference(
-    parts: list[Backlash],
+    parts: list[tuple[str, Backlash]],
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> HalfDifference:
-    at_mm = table_positions_mm(parts[0].axis)
+    width = parts[0][1]
+    at_mm = table_positions_mm(width.axis)
     rows = np.zeros((len(at_mm), model.size))
-    for part in parts:
-        rows[:, model.slices[part.name]] = part.rows(at_mm)
-    turn = is_turn(parts[0].symbol)
+    for name, part in parts:
+        rows[:, model.slices[name]] = part.rows(at_mm)
+    turn = is_turn(width.symbol)
     scale = MICRO if turn else MILLI
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return HalfDifference(
-        parts[0].symbol,
+        width.symbol,
         "urad" if turn else "um",
         at_mm,
         scale * (rows @ theta),

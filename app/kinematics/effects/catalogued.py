@@ -38,6 +38,11 @@ class Catalogued(Effect):
         return self.effect.jacobian(at)
 
 
+def bare(effect: Effect) -> Effect:
+    """Return what an effect of the catalogue does; any other one as it is."""
+    return effect.effect if isinstance(effect, Catalogued) else effect
+
+
 def catalogued(
     family: Family,
     machine: Machine,

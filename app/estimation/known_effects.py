@@ -1,0 +1,121 @@
+"""Effects of the machine that an earlier measurement has told.
+
+They are there beside the error motions, their parameters free, and what is known of
+them is one measurement more: information adds. So a Run corrects what it can see, what
+it cannot stays as it was, and the uncertainty of the tables has that of the effects in
+it. Of the earlier model nothing else is taken: the error motions are measured anew, for
+a table that leans on the past would hide that the machine has changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.special import chdtrc
+
+from app.estimation.information import Information
+from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.model import MachineModel
+
+_EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
+_SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding
+_LOOSE = 100.0
+_TOLD = 0.05  # of what was known, told anew: enough to contradict it
+
+
+@dataclass(frozen=True)
+class KnownEffects:
+    """Effects with their parameters and covariance, before a measurement.
+
+    theta : (k,), covariance : (k, k), one effect after another
+    """
+
+    effects: tuple[Catalogued, ...] = ()
+    theta: Float64[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
+    covariance: Float64[np.ndarray, "k k"] = field(
+        default_factory=lambda: np.zeros((0, 0))
+    )
+
+    def beside(self, model: MachineModel) -> MachineModel:
+        """Return a model of error motions with the effects beside them."""
+        return model.with_effects(*self.effects)
+
+    def part(self, model: MachineModel) -> slice:
+        """Return where the effects lie in a model that has them, one after another."""
+        if not self.effects:
+            return slice(0, 0)
+        slices = [model.slices[effect.name] for effect in self.effects]
+        return slice(slices[0].start, slices[-1].stop)
+
+    def precision(self) -> Float64[np.ndarray, "k k"]:
+        """Return the inverse of the covariance, of parameters of unlike units."""
+        own = np.sqrt(np.maximum(np.diag(self.covariance), 0.0) + _EXACTLY**2)
+        correlation = self.covariance / own[:, None] / own
+        value, vector = np.linalg.eigh(correlation)
+        floor = _SAME * float(value.max(initial=1.0))
+        inverse = (vector / np.maximum(value, floor)) @ vector.T
+        return inverse / own[:, None] / own
+
+    def informed(self, data: Information, model: MachineModel) -> Information:
+        """Return what data and the earlier measurement tell of a model together.
+
+        data : on the model's parameters, which may be followed by others
+        """
+        if not self.effects:
+            return data
+        part, precision = self.part(model), self.precision()
+        matrix, vector = data.matrix.copy(), data.vector.copy()
+        pull = precision @ self.theta
+        matrix[part, part] += precision
+        vector[part] += pull
+        square = data.square + float(self.theta @ pull)
+        return replace(data, matrix=matrix, vector=vector, square=square)
+
+    def hardly_known(self) -> KnownEffects:
+        """Return the same effects with all but nothing known of their parameters.
+
+        For a Run that they were found in: it must not count twice.
+        """
+        return replace(self, covariance=_LOOSE**2 * self.covariance)
+
+    def doubt(
+        self,
+        number: int,
+        model: MachineModel,
+        theta: Float64[np.ndarray, " p"],
+        covariance: Float64[np.ndarray, "p p"],
+    ) -> float | None:
+        """Return how likely an effect moves so far by chance; None if it is not told.
+
+        theta, covariance : of the model, with the Run. The estimate's move from what
+        was known has the covariance that the Run has taken away.
+        """
+        begin = sum(len(effect.parameters) for effect in self.effects[:number])
+        own = slice(begin, begin + len(self.effects[number].parameters))
+        now = model.slices[self.effects[number].name]
+        before = self.covariance[own, own]
+        scale = np.sqrt(np.diag(before) + _EXACTLY**2)
+        taken = (before - covariance[now, now]) / scale[:, None] / scale
+        value, vector = np.linalg.eigh(taken)
+        told = value > _TOLD
+        if not told.any():
+            return None
+        moved = vector.T @ ((theta[now] - self.theta[own]) / scale)
+        square = float(np.sum(moved[told] ** 2 / value[told]))
+        return float(chdtrc(int(told.sum()), square))
+
+
+def known_effects(
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> KnownEffects:
+    """Return the effects of the catalogue that a model has, all else integrated out."""
+    effects = tuple(e for e in model.effects if isinstance(e, Catalogued))
+    numbers = np.arange(model.size)
+    kept = np.concatenate(
+        [np.zeros(0, np.int64), *(numbers[model.slices[e.name]] for e in effects)]
+    )
+    return KnownEffects(effects, theta[kept], covariance[np.ix_(kept, kept)])
