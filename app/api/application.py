@@ -19,6 +19,7 @@ from app.api import (
     nc_programs,
     plans,
     problems,
+    results,
     runs,
 )
 from app.api.documentation import SCHEMA_PATH
@@ -104,7 +105,7 @@ def _api() -> APIRouter:
     api = APIRouter(prefix=PREFIX)
     for router in (
         jobs.router,
-        jobs.results,
+        results.router,
         jobs.stop,
         grades.router,
         models_of_machine.router,

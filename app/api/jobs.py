@@ -1,15 +1,12 @@
-"""Jobs: create, follow, arm, pause, resume, abort; their plans and results."""
+"""Jobs: create, follow, arm, pause, resume, abort; what they command."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Header, Query, Request, Response
-from fastapi.responses import FileResponse
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
@@ -20,21 +17,14 @@ from app.api.models.job_request import JobRequest
 from app.api.models.plan import PlanOut
 from app.api.paging import After, Limit, cursor, link_next, place
 from app.api.problems import answers
-from app.api.service import Service, ServiceDep
+from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job
 from app.jobs.rows import Key
 from app.jobs.transitions import State
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
-results = APIRouter(prefix="/jobs", tags=["results"])
 stop = APIRouter(tags=["jobs"])
-
-
-def _file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
-    content = {media_type: {"schema": {"type": kind}}}
-    return {200: {"content": content}, **answers(404)}
-
 
 IdempotencyKey = Annotated[
     Annotated[
@@ -45,11 +35,6 @@ IdempotencyKey = Annotated[
 ]
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
-_REPORT_POLICY = (
-    "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
-    "script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
-    "img-src data: blob:; font-src data:; worker-src blob:"
-)
 
 
 @router.post(
@@ -162,128 +147,6 @@ def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
     return PlanOut(**{**plan, "target_um": job.target_um})
 
 
-@results.get("/{job_id}/estimate", operation_id="get_estimate", responses=answers(404))
-def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
-    """Return the latest estimate of a measurement under way, or of one just ended.
-
-    Values in µm and µrad with standard uncertainties; `volumetric_uncertainty_um` is
-    the root mean square, over the axis travel, of the standard uncertainty of the
-    volumetric error; `course` says how it came down. What counts in the end is
-    `/result`.
-    """
-    job = service.store.get(job_id)
-    estimates = service.feed.estimates
-    newest = estimates.newest(job.id)
-    if newest is None:
-        raise NotFound(f"job {job_id} ({job.state}) has no live estimate yet")
-    return {"job_id": job.id, **newest, "course": estimates.course(job.id)}
-
-
-@results.get(
-    "/{job_id}/result",
-    operation_id="get_result",
-    response_class=FileResponse,
-    responses=_file("application/json", "object"),
-)
-def get_result(job_id: str, service: ServiceDep) -> FileResponse:
-    """Return `result.json`: error tables, squareness, uncertainty, observability."""
-    return FileResponse(
-        _result_file(service, job_id, "result.json"), media_type="application/json"
-    )
-
-
-@results.get(
-    "/{job_id}/result/error-tables.json",
-    operation_id="get_error_tables",
-    responses=answers(404),
-)
-def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
-    """Return the error tables and squarenesses alone."""
-    file = _result_file(service, job_id, "result.json")
-    result = json.loads(file.read_text(encoding="utf-8"))
-    return {
-        "schema": "error-tables/1",
-        "machine": result["machine"],
-        "error_tables": result["error_tables"],
-        "squareness_urad": result["squareness_urad"],
-    }
-
-
-@results.get(
-    "/{job_id}/result/error-tables.csv",
-    operation_id="download_error_tables",
-    response_class=FileResponse,
-    responses=_file("text/csv", "string"),
-)
-def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
-    """Return the error tables as `error_tables.csv`."""
-    return FileResponse(
-        _result_file(service, job_id, "error_tables.csv"),
-        media_type="text/csv; charset=utf-8",
-        filename="error_tables.csv",
-    )
-
-
-@results.get(
-    "/{job_id}/result/report.html",
-    operation_id="get_report",
-    response_class=FileResponse,
-    responses=_file("text/html", "string"),
-)
-def get_report(job_id: str, service: ServiceDep) -> FileResponse:
-    """Return the report, one page that needs nothing else."""
-    return FileResponse(
-        _result_file(service, job_id, "report.html"),
-        media_type="text/html; charset=utf-8",
-        headers={"Content-Security-Policy": _REPORT_POLICY},
-    )
-
-
-@results.get(
-    "/{job_id}/discovery",
-    operation_id="get_discovery",
-    response_class=FileResponse,
-    responses=_file("application/json", "object"),
-)
-def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
-    """Return `discovery.json`: the missing effects, the gap, where they disagree."""
-    return FileResponse(
-        _discovery_file(service, job_id, "discovery.json"),
-        media_type="application/json",
-    )
-
-
-@results.get(
-    "/{job_id}/discovery/report.html",
-    operation_id="get_discovery_report",
-    response_class=FileResponse,
-    responses=_file("text/html", "string"),
-)
-def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
-    """Return the report of a discovery, one page that needs nothing else."""
-    return FileResponse(
-        _discovery_file(service, job_id, "report.html"),
-        media_type="text/html; charset=utf-8",
-        headers={"Content-Security-Policy": _REPORT_POLICY},
-    )
-
-
 def _out(job: Job, response: Response) -> JobOut:
     response.headers["ETag"] = etag(job)
     return job_out(job)
-
-
-def _discovery_file(service: Service, job_id: str, name: str) -> Path:
-    job = service.store.get(job_id)
-    file = service.results / job.id / name
-    if not job.has_discovery or not file.is_file():
-        raise NotFound(f"job {job_id} ({job.kind}, {job.state}) has no {name}")
-    return file
-
-
-def _result_file(service: Service, job_id: str, name: str) -> Path:
-    job = service.store.get(job_id)
-    file = service.results / job.id / name
-    if not job.has_result or not file.is_file():
-        raise NotFound(f"job {job_id} ({job.state}) has no {name}")
-    return file

@@ -199,7 +199,7 @@ def test_verbs_of_an_unknown_job_are_not_found(client, is_problem, verb):
 )
 def test_a_result_that_does_not_stand_yet_is_not_found(client, ready, is_problem, path):
     answer = client.get(f"/api/v1/jobs/{ready['id']}{path}")
-    assert "(ready) has no" in is_problem(answer, 404, "not-found")["detail"]
+    assert "ready) has no" in is_problem(answer, 404, "not-found")["detail"]
 
 
 def test_a_retried_request_makes_one_job(client, order, until):

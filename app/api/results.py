@@ -1,0 +1,151 @@
+"""What jobs found: the estimate on the way, error tables, reports, discoveries."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter
+from fastapi.responses import FileResponse
+
+from app.api.problems import answers
+from app.api.service import Service, ServiceDep
+from app.errors import NotFound
+from app.jobs.job import Job
+
+router = APIRouter(prefix="/jobs", tags=["results"])
+
+_REPORT_POLICY = (
+    "sandbox allow-scripts allow-downloads allow-popups; default-src 'none'; "
+    "script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; worker-src blob:"
+)
+
+
+def _file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
+    content = {media_type: {"schema": {"type": kind}}}
+    return {200: {"content": content}, **answers(404)}
+
+
+@router.get("/{job_id}/estimate", operation_id="get_estimate", responses=answers(404))
+def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
+    """Return the latest estimate of a measurement under way, or of one just ended.
+
+    Values in µm and µrad with standard uncertainties; `volumetric_uncertainty_um` is
+    the root mean square, over the axis travel, of the standard uncertainty of the
+    volumetric error; `course` says how it came down. What counts in the end is
+    `/result`.
+    """
+    job = service.store.get(job_id)
+    estimates = service.feed.estimates
+    newest = estimates.newest(job.id)
+    if newest is None:
+        raise NotFound(f"job {job_id} ({job.state}) has no live estimate yet")
+    return {"job_id": job.id, **newest, "course": estimates.course(job.id)}
+
+
+@router.get(
+    "/{job_id}/result",
+    operation_id="get_result",
+    response_class=FileResponse,
+    responses=_file("application/json", "object"),
+)
+def get_result(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return `result.json`: error tables, squareness, uncertainty, observability."""
+    return FileResponse(
+        _result_file(service, job_id, "result.json"), media_type="application/json"
+    )
+
+
+@router.get(
+    "/{job_id}/result/error-tables.json",
+    operation_id="get_error_tables",
+    responses=answers(404),
+)
+def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
+    """Return the error tables and squarenesses alone."""
+    file = _result_file(service, job_id, "result.json")
+    result = json.loads(file.read_text(encoding="utf-8"))
+    return {
+        "schema": "error-tables/1",
+        "machine": result["machine"],
+        "error_tables": result["error_tables"],
+        "squareness_urad": result["squareness_urad"],
+    }
+
+
+@router.get(
+    "/{job_id}/result/error-tables.csv",
+    operation_id="download_error_tables",
+    response_class=FileResponse,
+    responses=_file("text/csv", "string"),
+)
+def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return the error tables as `error_tables.csv`."""
+    return FileResponse(
+        _result_file(service, job_id, "error_tables.csv"),
+        media_type="text/csv; charset=utf-8",
+        filename="error_tables.csv",
+    )
+
+
+@router.get(
+    "/{job_id}/result/report.html",
+    operation_id="get_report",
+    response_class=FileResponse,
+    responses=_file("text/html", "string"),
+)
+def get_report(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return the report, one page that needs nothing else."""
+    return _page(_result_file(service, job_id, "report.html"))
+
+
+@router.get(
+    "/{job_id}/discovery",
+    operation_id="get_discovery",
+    response_class=FileResponse,
+    responses=_file("application/json", "object"),
+)
+def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return `discovery.json`: the missing effects, the gap, where they disagree."""
+    return FileResponse(
+        _discovery_file(service, job_id, "discovery.json"),
+        media_type="application/json",
+    )
+
+
+@router.get(
+    "/{job_id}/discovery/report.html",
+    operation_id="get_discovery_report",
+    response_class=FileResponse,
+    responses=_file("text/html", "string"),
+)
+def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
+    """Return the report of a discovery, one page that needs nothing else."""
+    return _page(_discovery_file(service, job_id, "report.html"))
+
+
+def _page(report: Path) -> FileResponse:
+    return FileResponse(
+        report,
+        media_type="text/html; charset=utf-8",
+        headers={"Content-Security-Policy": _REPORT_POLICY},
+    )
+
+
+def _result_file(service: Service, job_id: str, name: str) -> Path:
+    job = service.store.get(job_id)
+    return _existing(service, job, name, made=job.has_result)
+
+
+def _discovery_file(service: Service, job_id: str, name: str) -> Path:
+    job = service.store.get(job_id)
+    return _existing(service, job, name, made=job.has_discovery)
+
+
+def _existing(service: Service, job: Job, name: str, *, made: bool) -> Path:
+    file = service.results / job.id / name
+    if not made or not file.is_file():
+        raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no {name}")
+    return file
