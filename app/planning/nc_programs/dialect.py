@@ -31,12 +31,13 @@ class Dialect(ABC):
     counts_degrees: ClassVar[bool] = False
     frame: ClassVar[str]
 
-    @abstractmethod
     def program_name(self, wanted: str, checksum: str) -> str:
-        """Return a name that the control accepts.
+        """Return a name that the control accepts: the wanted one unless overridden.
 
         wanted : in letters, digits and underscores, at most 16, a letter first
+        checksum : of the path, as `path_checksum`
         """
+        return wanted
 
     @abstractmethod
     def write(self, order: Order) -> str:

@@ -105,7 +105,7 @@ _GROUPS: Groups = {
     "the feed": ("G94", "G93", "G95"),
     "the work offset": ("G54", "G55", "G56", "G57", "G58", "G59"),
 }
-_PATH_MODE: Groups = {"the path mode": ("G61", "G62", "G64")}
+_PATH_MODE = ("G61", "G62", "G64")
 _COMMENT = re.compile(r"\([^()]*\)")
 _NUMBER = re.compile(r"O(\d{1,8})")
 _CHECK = re.compile(r"IF\s*\[ABS\[#(\d+)-#(\d+)\]\s*GT\s*0?\.\d+\]\s*THEN\s*#3000=\d+")
@@ -115,7 +115,7 @@ _INCREMENT = 0.001  # mm or deg; of a dwell in X, s
 class _Reader:
     def __init__(self, text: str) -> None:
         self._control = Control(text, counts_degrees=True)
-        self._modes, self._path_mode = Modes(_GROUPS), Modes(_PATH_MODE)
+        self._modes = Modes(_GROUPS, _PATH_MODE)
         self._feed: float | None = None
         self._checked: set[int] = set()  # axes, from 0, whose offset was checked
         lines = text.split("\n")
@@ -169,8 +169,8 @@ class _Reader:
     def _take(self, line: int, code: str) -> None:
         if code == "M0":
             self._control.halt()
-        elif not (self._modes.take(code) or self._path_mode.take(code)):
-            raise fault(line, f"{code} has no place in a measuring path")
+        else:
+            self._modes.take(line, code)
 
     def _drive(
         self, line: int, ends: dict[str, float], codes: set[str], row: int
@@ -180,8 +180,9 @@ class _Reader:
         if not set(range(len(ends))) <= self._checked:
             raise fault(line, "a position in G54 whose offset is not checked")
         self._modes.require(line)
-        exact = self._path_mode.active("the path mode") == "G61"
-        self._control.move(line, ends, self._feed, exact_stop=exact, row=row)
+        self._control.move(
+            line, ends, self._feed, exact_stop=self._modes.exact_stop, row=row
+        )
 
 
 def _in_millimetres(word: Word) -> float:

@@ -29,10 +29,6 @@ class Heidenhain(Dialect):
     counts_degrees: ClassVar[bool] = True
     frame: ClassVar[str] = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
 
-    def program_name(self, wanted: str, checksum: str) -> str:
-        """Return the name of file and program."""
-        return wanted
-
     def write(self, order: Order) -> str:
         """Return the program; blocks are numbered without a gap."""
         blocks = [f"{n} {block}" for n, block in enumerate(_blocks(order))]

@@ -48,31 +48,37 @@ def words_of(line: int, text: str) -> list[Word]:
 
 
 class Modes:
-    """Which code of each modal group is in force; none is until it is stated."""
+    """Which code of each modal group is in force; none is until it is stated.
 
-    def __init__(self, groups: Groups) -> None:
+    path_mode : codes of one more group, which no motion needs, the exact stop first
+    """
+
+    def __init__(self, groups: Groups, path_mode: Sequence[str]) -> None:
         self._groups = groups
+        self._exact_stop = path_mode[0]
         self._group_of = {
-            code: name for name, codes in groups.items() for code in codes
+            code: name
+            for name, codes in {**groups, "the path mode": path_mode}.items()
+            for code in codes
         }
         self._active: dict[str, str] = {}
 
-    def take(self, code: str) -> bool:
-        """Put a code in force; tell whether it belongs to any group."""
-        group = self._group_of.get(code)
-        if group is not None:
-            self._active[group] = code
-        return group is not None
+    def take(self, line: int, code: str) -> None:
+        """Put a code in force. Raises PlanningError where it belongs to no group."""
+        if code not in self._group_of:
+            raise fault(line, f"{code} has no place in a measuring path")
+        self._active[self._group_of[code]] = code
 
-    def active(self, group: str) -> str:
-        """Return the code in force, empty if none was stated."""
-        return self._active.get(group, "")
+    @property
+    def exact_stop(self) -> bool:
+        """Whether the axes come to a stand at the end of each motion."""
+        return self._active.get("the path mode") == self._exact_stop
 
     def require(self, line: int) -> None:
         """Raise PlanningError unless every group is as a motion needs it."""
         for name, codes in self._groups.items():
-            if self.active(name) != codes[0]:
-                found = self.active(name) or "not set"
+            found = self._active.get(name, "not set")
+            if found != codes[0]:
                 raise fault(
                     line, f"a motion while {name} is {found}; {codes[0]} is needed"
                 )

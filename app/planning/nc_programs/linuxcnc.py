@@ -29,10 +29,6 @@ class LinuxCnc(Dialect):
     suffix: ClassVar[str] = ".ngc"
     frame: ClassVar[str] = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
 
-    def program_name(self, wanted: str, checksum: str) -> str:
-        """Return the name: files are called by it."""
-        return wanted
-
     def write(self, order: Order) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
         return "\n".join(_blocks(order)) + "\n"
@@ -81,7 +77,7 @@ _GROUPS: Groups = {
     "the dimension": ("G90", "G91"),
     "the feed": ("G94", "G93", "G95"),
 }
-_PATH_MODE: Groups = {"the path mode": ("G61.1", "G61", "G64")}
+_PATH_MODE = ("G61.1", "G61", "G64")
 _NAME = re.compile(r"^\(PROGRAM (\w+)\)$", re.MULTILINE)
 _COMMENT = re.compile(r"\([^()]*\)")
 
@@ -91,7 +87,7 @@ class _Reader:
         self._control = Control(text, counts_degrees=False)
         named = _NAME.search(text)
         self._control.name = named.group(1) if named else ""
-        self._modes, self._path_mode = Modes(_GROUPS), Modes(_PATH_MODE)
+        self._modes = Modes(_GROUPS, _PATH_MODE)
         self._feed: float | None = None
         self._ended = False
         for number, line in enumerate(text.splitlines(), 1):
@@ -121,8 +117,8 @@ class _Reader:
             self._ended = True
         elif code == "M0":
             self._control.halt()
-        elif not (self._modes.take(code) or self._path_mode.take(code)):
-            raise fault(line, f"{code} has no place in a measuring path")
+        else:
+            self._modes.take(line, code)
 
     def _drive(
         self, line: int, ends: dict[str, float], codes: set[str], row: int
@@ -132,5 +128,6 @@ class _Reader:
         if "G53" not in codes:
             raise fault(line, "a position in a work offset; G53 is needed")
         self._modes.require(line)
-        exact = self._path_mode.active("the path mode") == "G61.1"
-        self._control.move(line, ends, self._feed, exact_stop=exact, row=row)
+        self._control.move(
+            line, ends, self._feed, exact_stop=self._modes.exact_stop, row=row
+        )

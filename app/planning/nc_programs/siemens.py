@@ -36,10 +36,6 @@ class Siemens(Dialect):
     suffix: ClassVar[str] = ".mpf"
     frame: ClassVar[str] = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
 
-    def program_name(self, wanted: str, checksum: str) -> str:
-        """Return the name: files are called by it."""
-        return wanted
-
     def write(self, order: Order) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
         return "\n".join(_blocks(order)) + "\n"
@@ -100,7 +96,7 @@ _GROUPS: Groups = {
     "the transformation": ("TRAFOOF", "TRAORI"),
     "the programmable frame": ("TRANS",),
 }
-_PATH_MODE: Groups = {"the path mode": ("G60", "G64", "G641", "G642")}
+_PATH_MODE = ("G60", "G64", "G641", "G642")
 _WINDOW = {"G601", "G602", "G603"}
 _NAME = re.compile(r"^; PROGRAM (\w+)$", re.MULTILINE)
 _MESSAGE = re.compile(r'MSG\s*\(("[^"]*")?\)')
@@ -113,7 +109,7 @@ class _Reader:
         self._control = Control(text, counts_degrees=False)
         named = _NAME.search(text)
         self._control.name = named.group(1) if named else ""
-        self._modes, self._path_mode = Modes(_GROUPS), Modes(_PATH_MODE)
+        self._modes = Modes(_GROUPS, _PATH_MODE)
         self._feed: float | None = None
         self._feed_group = ""
         self._ended = False
@@ -152,8 +148,8 @@ class _Reader:
                 self._ended = True
             elif code == "M0":
                 self._control.halt()
-            elif not (self._modes.take(code) or self._path_mode.take(code)):
-                raise fault(line, f"{code} has no place in a measuring path")
+            else:
+                self._modes.take(line, code)
 
     def _drive(
         self, line: int, ends: dict[str, float], codes: set[str], row: int
@@ -170,5 +166,6 @@ class _Reader:
             raise fault(
                 line, f"F belongs to FGROUP({self._feed_group}), which does not move"
             )
-        exact = self._path_mode.active("the path mode") == "G60"
-        self._control.move(line, ends, self._feed, exact_stop=exact, row=row)
+        self._control.move(
+            line, ends, self._feed, exact_stop=self._modes.exact_stop, row=row
+        )
