@@ -156,22 +156,6 @@ class Family(ABC):
         """
 
 
-def amplitude_and_phase(
-    theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
-) -> tuple[Measured, Measured]:
-    """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase)."""
-    amplitude = float(np.hypot(theta[0], theta[1]))
-    along = theta / max(amplitude, 1e-300)
-    across = np.array([-along[1], along[0]])
-    phase = float(np.mod(np.arctan2(theta[1], theta[0]), 2.0 * np.pi))
-    return (
-        Measured(amplitude, float(np.sqrt(along @ covariance @ along))),
-        Measured(
-            phase, float(np.sqrt(across @ covariance @ across)) / max(amplitude, 1e-300)
-        ),
-    )
-
-
 def rate_of(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
     """Return how fast an axis moves in each cell."""
     if at.around is None:

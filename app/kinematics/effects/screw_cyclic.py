@@ -17,11 +17,11 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Signature,
     Wave,
-    amplitude_and_phase,
     averaged,
     rate_of,
 )
 from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.effects.sinusoid import measured_wave
 from app.kinematics.machine import LinearAxis, Machine
 
 _SHORTEST_MM, _LONGEST_MM = 2.5, 45.0
@@ -127,11 +127,6 @@ class ScrewCyclicFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return lead, amplitude and phase at the axis zero."""
-        amplitude, phase = amplitude_and_phase(theta[:2], covariance[:2, :2])
-        return {
-            "lead_mm": Measured(candidate.value or 0.0, value_sigma),
-            "amplitude_um": Measured(
-                amplitude.value * 1e3, amplitude.uncertainty * 1e3
-            ),
-            "phase_rad": phase,
-        }
+        return measured_wave(
+            self.scanned, candidate, theta[:2], covariance[:2, :2], value_sigma
+        )

@@ -14,8 +14,8 @@ from app.kinematics.effects.catalogue import (
     Family,
     Measured,
     Signature,
-    amplitude_and_phase,
 )
+from app.kinematics.effects.sinusoid import amplitude_and_phase, sine_and_cosine
 
 _USUAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")
@@ -35,9 +35,7 @@ class TrackerEccentricity(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in rad."""
-        return tuple(
-            Parameter(f"{self.name}-{p}", "rad", nuisance=True) for p in ("sin", "cos")
-        )
+        return sine_and_cosine(self.name, "rad")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return how the target seems to move in the frame the tracker stands on."""

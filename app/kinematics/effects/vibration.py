@@ -17,9 +17,9 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Signature,
     Wave,
-    amplitude_and_phase,
     averaged,
 )
+from app.kinematics.effects.sinusoid import measured_wave, sine_and_cosine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
 _SLOWEST_HZ = 1.0
@@ -41,9 +41,7 @@ class Vibration(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in mm."""
-        return tuple(
-            Parameter(f"{self.name}-{p}", "mm", nuisance=True) for p in ("sin", "cos")
-        )
+        return sine_and_cosine(self.name, "mm")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves, averaged over each cell."""
@@ -121,11 +119,4 @@ class VibrationFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return frequency and amplitude."""
-        amplitude, phase = amplitude_and_phase(theta, covariance)
-        return {
-            "frequency_hz": Measured(candidate.value or 0.0, value_sigma),
-            "amplitude_um": Measured(
-                amplitude.value * 1e3, amplitude.uncertainty * 1e3
-            ),
-            "phase_rad": phase,
-        }
+        return measured_wave("frequency_hz", candidate, theta, covariance, value_sigma)

@@ -17,10 +17,10 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Signature,
     Wave,
-    amplitude_and_phase,
     averaged,
     rate_of,
 )
+from app.kinematics.effects.sinusoid import measured_wave, sine_and_cosine
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
@@ -43,7 +43,7 @@ class TimeWave(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in mm."""
-        return _sine_and_cosine(self.name)
+        return sine_and_cosine(self.name, "mm")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
@@ -71,7 +71,7 @@ class PositionWave(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in mm."""
-        return _sine_and_cosine(self.name)
+        return sine_and_cosine(self.name, "mm")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
@@ -82,10 +82,6 @@ class PositionWave(Effect):
             rate = at.around.rate[:, at.machine.axis_names.index(self.axis.name)]
             wave *= averaged(turn * rate, at.around.span_s)[:, None]
         return np.eye(3)[DIRECTION[self.direction]][None, :, None] * wave[:, None, :]
-
-
-def _sine_and_cosine(name: str) -> tuple[Parameter, ...]:
-    return tuple(Parameter(f"{name}-{p}", "mm", nuisance=True) for p in ("sin", "cos"))
 
 
 class TimeWaveFamily(Family):
@@ -137,7 +133,7 @@ class TimeWaveFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return period and amplitude."""
-        return _wave_found("period_s", candidate, theta, covariance, value_sigma)
+        return measured_wave("period_s", candidate, theta, covariance, value_sigma)
 
 
 class PositionWaveFamily(Family):
@@ -205,20 +201,4 @@ class PositionWaveFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return period and amplitude."""
-        return _wave_found("period_mm", candidate, theta, covariance, value_sigma)
-
-
-def _wave_found(
-    what: str,
-    candidate: Candidate,
-    theta: Float64[np.ndarray, "2"],
-    covariance: Float64[np.ndarray, "2 2"],
-    value_sigma: float,
-) -> dict[str, Measured]:
-    amplitude, phase = amplitude_and_phase(theta, covariance)
-    um = Measured(amplitude.value * 1e3, amplitude.uncertainty * 1e3)
-    return {
-        what: Measured(candidate.value or 0.0, value_sigma),
-        "amplitude_um": um,
-        "phase_rad": phase,
-    }
+        return measured_wave(self.scanned, candidate, theta, covariance, value_sigma)

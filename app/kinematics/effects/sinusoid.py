@@ -1,0 +1,52 @@
+"""Effects that are a sine and a cosine of one coordinate: how both are stated."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Parameter
+from app.kinematics.effects.catalogue import Candidate, Measured
+
+
+def sine_and_cosine(effect: str, unit: str) -> tuple[Parameter, ...]:
+    """Return the two parameters of an effect of the measurement."""
+    return tuple(
+        Parameter(f"{effect}-{p}", unit, nuisance=True) for p in ("sin", "cos")
+    )
+
+
+def amplitude_and_phase(
+    theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
+) -> tuple[Measured, Measured]:
+    """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase)."""
+    amplitude = float(np.hypot(theta[0], theta[1]))
+    along = theta / max(amplitude, 1e-300)
+    across = np.array([-along[1], along[0]])
+    phase = float(np.mod(np.arctan2(theta[1], theta[0]), 2.0 * np.pi))
+    return (
+        Measured(amplitude, float(np.sqrt(along @ covariance @ along))),
+        Measured(
+            phase, float(np.sqrt(across @ covariance @ across)) / max(amplitude, 1e-300)
+        ),
+    )
+
+
+def measured_wave(
+    scanned: str,
+    candidate: Candidate,
+    theta: Float64[np.ndarray, "2"],
+    covariance: Float64[np.ndarray, "2 2"],
+    value_sigma: float,
+) -> dict[str, Measured]:
+    """Return what files state of a wave: what was scanned, amplitude and phase.
+
+    theta, covariance : of sine and cosine, mm
+    value_sigma : standard uncertainty of what was scanned
+    """
+    amplitude, phase = amplitude_and_phase(theta, covariance)
+    return {
+        scanned: Measured(candidate.value or 0.0, value_sigma),
+        "amplitude_um": Measured(amplitude.value * 1e3, amplitude.uncertainty * 1e3),
+        "phase_rad": phase,
+    }
