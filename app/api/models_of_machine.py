@@ -42,7 +42,7 @@ def list_models(
         limit + 1,
         before_seq=place(after),
         states=[State.SUCCEEDED],
-        kinds=[Kind.DISCOVER],
+        kinds=[kind for kind in Kind if kind.discovers],
     )
     rest = cursor(jobs[limit - 1].seq) if len(jobs) > limit else None
     link_next(request, response, rest)

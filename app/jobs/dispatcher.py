@@ -14,6 +14,7 @@ import structlog
 from app.errors import IllegalTransition, NotFound
 from app.jobs.control import Control
 from app.jobs.errors import CellDown, NoMachine, QueueFull
+from app.jobs.extra_lines import extra_lines
 from app.jobs.feed import Feed
 from app.jobs.job import Failure, Job, Json, Kind, NewJob, Stage
 from app.jobs.models import model_file
@@ -40,6 +41,7 @@ class Wish:
     monte_carlo : trials to hold the uncertainty of an analysis against
     plan_id : of a plan whose rows are driven
     model_id : of the job whose model or result a discovery holds its Runs against
+    discovery_id : of the job whose discovery asks for the extra lines to drive
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it
     """
@@ -53,6 +55,7 @@ class Wish:
     monte_carlo: TrialPlan | None = None
     plan_id: str | None = None
     model_id: str | None = None
+    discovery_id: str | None = None
     plan_request: Json | None = None
 
 
@@ -170,6 +173,8 @@ class Dispatcher:
         machine = self._shop.machine
         if machine is None or self._shop.cell is None:
             raise NoMachine("no machine is set up; give the service a machine_file")
+        if wish.kind is Kind.MEASURE_EXTRA:
+            return self._asked_for(wish.discovery_id or "", machine)
         if wish.kind is Kind.MEASURE_ADAPTIVE:
             plan = {"request": dict(wish.plan_request or {})}
             refuse_several_targets(machine, plan["request"])
@@ -189,6 +194,16 @@ class Dispatcher:
         if plan is None:
             raise IllegalTransition(f"plan {plan_id} is {job.state}; it has no rows")
         return driven_plan(machine, kind, plan)
+
+    def _asked_for(self, discovery_id: str, machine: Machine) -> NewJob:
+        """Return the job that drives the extra lines and discovers in all Runs."""
+        job = self._shop.store.get(discovery_id)
+        if not job.has_discovery:
+            raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
+        model_id = self._shop.store.plan_request(job.id).get("model_id")
+        rows = extra_lines(machine, self._shop.results / job.id, job.id)
+        plan = {**rows, "request": {"model_id": model_id}}
+        return NewJob(Kind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)
 
     def _held_against(self, wish: Wish) -> Json | None:
         """Return the order of a discovery: the model, which has to be there."""

@@ -21,12 +21,14 @@ class Kind(StrEnum):
     """What a job does. The first three drive the machine and end with an analysis.
 
     `PLAN` chooses what a measuring job may then drive; an adaptive one chooses itself,
-    part after part.
+    part after part. `MEASURE_EXTRA` drives the lines that a discovery asks for and ends
+    with a discovery in all their Runs.
     """
 
     MEASURE_OTF = "measure-otf"
     MEASURE_STANDSTILL = "measure-standstill"
     MEASURE_ADAPTIVE = "measure-adaptive"
+    MEASURE_EXTRA = "measure-extra"
     ANALYSE = "analyse"
     DISCOVER = "discover"
     PLAN = "plan"
@@ -35,6 +37,11 @@ class Kind(StrEnum):
     def measures(self) -> bool:
         """Whether the job drives the machine."""
         return self not in (Kind.ANALYSE, Kind.DISCOVER, Kind.PLAN)
+
+    @property
+    def discovers(self) -> bool:
+        """Whether the job ends with what a model lacks, in place of error tables."""
+        return self in (Kind.DISCOVER, Kind.MEASURE_EXTRA)
 
 
 class Stage(StrEnum):
@@ -103,7 +110,8 @@ class Job:
     """One job. `seq` orders jobs; wall-clock times are for people.
 
     run_id : the Run that it made, or the first that it analyses
-    further_run_ids : those that are analysed together with it
+    further_run_ids : those that are analysed together with it; of extra lines, those
+        of the discovery that asks for them
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
     monte_carlo : the trials that an analysis holds its uncertainty against
     """
@@ -130,8 +138,11 @@ class Job:
 
     @property
     def run_ids(self) -> tuple[str, ...]:
-        """All its Runs."""
-        return (self.run_id, *self.further_run_ids) if self.run_id else ()
+        """All its Runs, in the order in which they were measured or named."""
+        own = (self.run_id,) if self.run_id else ()
+        if self.kind is Kind.MEASURE_EXTRA:
+            return (*self.further_run_ids, *own)
+        return (*own, *self.further_run_ids)
 
     @property
     def is_final(self) -> bool:
@@ -141,13 +152,13 @@ class Job:
     @property
     def has_result(self) -> bool:
         """Whether error tables stand."""
-        silent = (Kind.PLAN, Kind.DISCOVER)
-        return self.state is State.SUCCEEDED and self.kind not in silent
+        silent = self.kind is Kind.PLAN or self.kind.discovers
+        return self.state is State.SUCCEEDED and not silent
 
     @property
     def has_discovery(self) -> bool:
         """Whether it has found what a model lacks, or that nothing is missing."""
-        return self.state is State.SUCCEEDED and self.kind is Kind.DISCOVER
+        return self.state is State.SUCCEEDED and self.kind.discovers
 
 
 @dataclass(frozen=True, slots=True)

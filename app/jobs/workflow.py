@@ -85,12 +85,12 @@ def carry_out(job: Job, control: Control, shop: Workshop) -> None:
         try:
             if job.kind is Kind.PLAN:
                 plan(job, control, shop)
-            elif job.kind is Kind.DISCOVER:
-                discover(job, control, shop)
             else:
-                measures = job.kind.measures
-                run_ids = (measure(job, control, shop),) if measures else job.run_ids
-                analyse(job, run_ids, control, shop)
+                run_ids = job.run_ids
+                if job.kind.measures:
+                    run_ids = (*run_ids, measure(job, control, shop))
+                conclude = discover if job.kind.discovers else analyse
+                conclude(job, run_ids, control, shop)
         except Exception as error:
             _end(control, *_outcome(error))
         else:
@@ -166,8 +166,11 @@ def measure(job: Job, control: Control, shop: Workshop) -> str:
 def _live_estimation(
     job: Job, control: Control, shop: Workshop, commanded: Commanded
 ) -> LiveEstimation | None:
-    """Start the live estimate. The measurement goes on without it if need be."""
-    if shop.live is None or shop.machine is None:
+    """Start the live estimate. The measurement goes on without it if need be.
+
+    A few extra lines on their own would tell little of the machine.
+    """
+    if shop.live is None or shop.machine is None or job.kind is Kind.MEASURE_EXTRA:
         return None
     request = shop.store.plan_request(job.id)
     order = LiveOrder(shop.machine, commanded, job.perpendicular_only, request)
@@ -228,9 +231,11 @@ def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) 
     control.checkpoint()
 
 
-def discover(job: Job, control: Control, shop: Workshop) -> None:
+def discover(
+    job: Job, run_ids: Sequence[str], control: Control, shop: Workshop
+) -> None:
     """Find what a model of Runs lacks: one of ours, or the one fitted to them."""
-    files = [str(shop.runs.file(run_id)) for run_id in job.run_ids]
+    files = [str(shop.runs.file(run_id)) for run_id in run_ids]
     model_id = shop.store.plan_request(job.id).get("model_id")
     model = None if model_id is None else str(model_file(shop.results, model_id))
 

@@ -81,6 +81,12 @@ def science():
 
 
 @pytest.fixture
+def explorer():
+    """Finds backlash and, where a test gives it rows, asks for extra lines."""
+    return Explorer()
+
+
+@pytest.fixture
 def has_machine():
     """Whether the service drives a machine; overridden by tests without one."""
     return True
@@ -117,7 +123,14 @@ def estimates():
 
 @pytest.fixture
 def service(
-    make_cell, science, planner, has_machine, empty_catalogue, tmp_path, estimates
+    make_cell,
+    science,
+    explorer,
+    planner,
+    has_machine,
+    empty_catalogue,
+    tmp_path,
+    estimates,
 ):
     """Everything behind the routes."""
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
@@ -141,7 +154,7 @@ def service(
         cell=cell,
         live=live_estimation,
         planner=planner,
-        discoverer=Explorer(),
+        discoverer=explorer,
     )
     dispatcher = Dispatcher(shop, feed)
     if cell is not None:

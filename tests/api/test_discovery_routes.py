@@ -75,6 +75,47 @@ def test_a_model_knows_the_versions_it_came_from(client, discover):
     assert told["changes"][0]["kind"] == "added"
 
 
+ROWS = [
+    {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},
+    {"x_mm": 400.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 900.0, "dwell_s": 0.35},
+]
+
+
+def test_extra_lines_end_with_a_discovery_and_a_model_of_their_own(
+    client, run, discover, explorer, until, make_cell
+):
+    explorer.rows = ROWS
+    first = discover()
+    order = {"kind": "measure-extra", "discovery_id": first["id"]}
+    job = until(client.post(JOBS, json=order).json(), "ready")
+    plan = client.get(job["links"]["plan"]).json()
+    assert plan["position"][1] == [400.0, 10.0, 10.0]
+    assert plan["discovery_id"] == first["id"]
+    version = {"If-Match": f'"{job["version"]}"'}
+    client.post(f"{JOBS}/{job['id']}/arm", headers=version)
+    assert make_cell.cell.begun.wait(5)
+    make_cell.cell.end()
+    job = until(job, "succeeded")
+    assert job["result"] is None
+    assert job["run_ids"] == [run["id"], job["run_id"]]
+    assert client.get(job["discovery"]["discovery"]).json()["effects"]
+    listed = [m["id"] for m in client.get(MODELS).json()["items"]]
+    assert listed == [job["id"], first["id"]]
+
+
+def test_extra_lines_that_nobody_asks_for_are_refused(client, discover, is_problem):
+    def asked(**order):
+        return client.post(JOBS, json={"kind": "measure-extra", **order})
+
+    is_problem(asked(), 422, "validation")
+    is_problem(asked(discovery_id="no-such-job"), 404, "not-found")
+    nothing = discover()["id"]
+    problem = is_problem(asked(discovery_id=nothing), 422, "plan")
+    assert "asks for no extra lines" in problem["detail"]
+    lines = {"discovery_id": nothing, "path": ROWS}
+    is_problem(asked(**lines), 422, "validation")
+
+
 def test_what_cannot_be_is_refused(client, run, discover, is_problem):
     def asked(**order):
         return client.post(JOBS, json={"kind": "discover", **order})

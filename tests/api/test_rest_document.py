@@ -246,6 +246,33 @@ def test_a_discovery_and_its_model_are_taken_away(curl, follow, bundle, tmp_path
     assert (tmp_path / "model.json").stat().st_size > 0
 
 
+def test_the_machine_is_asked_for_extra_lines(
+    curl, follow, bundle, tmp_path, explorer, make_cell
+):
+    explorer.rows = [
+        {"x_mm": x, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35}
+        for x in (10.0, 400.0)
+    ]
+    (tmp_path / "run.zip").write_bytes(bundle())
+    upload, *_ = section("Analyse a measurement from elsewhere")
+    curl.names["RUN"] = curl(upload).json()["id"]
+    curl.take(curl(section("Discover what the model lacks")[0]).json())
+    follow("succeeded")
+    discovery_id = curl.names["JOB"]
+    create, plan, look, arm, found = section("Ask the machine")
+    answer = curl(create)
+    assert answer.status_code == 202, answer.text
+    curl.take(answer.json())
+    follow("ready")
+    assert curl(plan).json()["discovery_id"] == discovery_id
+    assert curl(look).headers["etag"] == f'"{curl.names["VERSION"]}"'
+    assert curl(arm).status_code == 202
+    assert make_cell.cell.begun.wait(5)
+    make_cell.cell.end()
+    follow("succeeded")
+    assert curl(found).json()["schema"] == "discovery/1"
+
+
 def test_every_code_of_the_document_exists_with_its_status():
     table = TEXT.split("\n## Refusals\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| ([\d, ]+) \| (.*) \|$", table, re.MULTILINE)

@@ -20,6 +20,7 @@ from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Identity, Path, TrackerSamples
+from simulators.scenario import load_machine
 
 DEADLINE_S = 25.0  # of what comes at once unless the computer is busy
 DEVICES = {
@@ -351,11 +352,15 @@ class Explorer:
 
     hold : set it to let the task wait at its first report until it is released
     raises : what the task ends with instead
+    machine : content of the machine file of the Runs
+    rows : of the lines that it asks for; nothing is asked without them
     """
 
     def __init__(self):
         self.hold: threading.Event | None = None
         self.raises: Exception | None = None
+        self.machine = load_machine("demo")
+        self.rows: list[dict] = []
         self.calls: list[tuple] = []
 
     def __call__(self, run_files, folder, model_file, model_id, *, progress):
@@ -380,11 +385,13 @@ class Explorer:
             "effects": [{"name": "backlash", "axis": "X"}],
             "gap": {"unit": "um", "before": 2.0, "after": 1.0, "noise_floor": 1.0},
             "model": grown,
+            "ask": {"rows": self.rows} if self.rows else None,
         }
         place = FilePath(folder)
         place.mkdir(parents=True)
         page = "<!DOCTYPE html><title>Discovery</title>"
         (place / "discovery.json").write_text(json.dumps(found))
-        (place / "model.json").write_text(json.dumps(grown))
+        model = {**grown, "machine": self.machine}
+        (place / "model.json").write_text(json.dumps(model))
         (place / "report.html").write_text(page)
         progress(1.0, "reporting")

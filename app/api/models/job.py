@@ -94,10 +94,13 @@ class JobOut(BaseModel):
     started: str | None
     ended: str | None
     run_id: str | None
-    run_ids: list[str] = Field(description="All its Runs, `run_id` the first.")
+    run_ids: list[str] = Field(
+        description="All its Runs, in order: `run_id` is the first, of extra lines "
+        "the last."
+    )
     result: ResultLinks | None
     discovery: DiscoveryLinks | None = Field(
-        description="Of a job of kind discover that has succeeded."
+        description="Of a job of kind discover or measure-extra that has succeeded."
     )
     error: Problem | None = Field(
         description="Why it ended badly; in an unfinished job, why it stands."

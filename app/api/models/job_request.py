@@ -20,6 +20,7 @@ _ALLOWED = {
     "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um"},
     "measure-standstill": {"points", "plan_id", "target_um"},
     "measure-adaptive": {"planning", "target_um"},
+    "measure-extra": {"discovery_id"},
     "analyse": {"run_id", "run_ids", "monte_carlo"},
     "discover": {"run_id", "run_ids", "model_id"},
 }
@@ -39,6 +40,7 @@ class JobRequest(Taken):
                 {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
                 {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
                 {"kind": "discover", "run_id": JOB_ID},
+                {"kind": "measure-extra", "discovery_id": JOB_ID},
                 {
                     "kind": "measure-otf",
                     "feed_mm_min": 2500,
@@ -52,7 +54,12 @@ class JobRequest(Taken):
     )
 
     kind: Literal[
-        "measure-otf", "measure-standstill", "measure-adaptive", "analyse", "discover"
+        "measure-otf",
+        "measure-standstill",
+        "measure-adaptive",
+        "measure-extra",
+        "analyse",
+        "discover",
     ]
     run_id: Identifier | None = Field(
         None, description="The Run to analyse, or to discover in."
@@ -80,6 +87,11 @@ class JobRequest(Taken):
         None,
         description="Job whose model, or result, the Runs are held against. Without it "
         "the rigid-body model fitted to them.",
+    )
+    discovery_id: Identifier | None = Field(
+        None,
+        description="Job whose discovery asks for extra lines: they are driven, then "
+        "discovery goes on in its Runs and the new one.",
     )
     plan_id: Identifier | None = Field(
         None, description="A plan whose rows are driven, in place of rows sent in."
@@ -114,6 +126,8 @@ class JobRequest(Taken):
         runs = [self.run_id, *(self.run_ids or ())]
         if self.kind in ("analyse", "discover") and runs == [None]:
             raise ValueError(f"a job of kind {self.kind} needs a run_id, or run_ids")
+        if self.kind == "measure-extra" and self.discovery_id is None:
+            raise ValueError("a job of kind measure-extra needs a discovery_id")
         if self.run_id is not None and self.run_ids is not None:
             raise ValueError("run_id stands beside run_ids; give one of the two")
         planning = self.planning
@@ -149,5 +163,6 @@ class JobRequest(Taken):
             monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
             plan_id=self.plan_id,
             model_id=self.model_id,
+            discovery_id=self.discovery_id,
             plan_request=self._order(),
         )

@@ -49,3 +49,6 @@ class PlanOut(BaseModel):
         description="Where it was planned: the volumetric uncertainty (k = 1) that it "
         "is foretold to leave.",
     )
+    discovery_id: str | None = Field(
+        None, description="Of extra lines: the job whose discovery asks for them."
+    )

@@ -1,0 +1,165 @@
+"""Extra lines of a discovery: driven when armed, then explained with all before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scripted_cell import Explorer, wait_until
+
+from app.errors import NotFound, OutOfTravel, PlanningError
+from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.job import Kind
+from app.jobs.transitions import State
+from app.measurement.bundle import zip_bundle
+from app.measurement.run import Run
+from app.planning.configurations import Configurations
+from drivers.interfaces.records import TrackerSamples
+
+ROWS = [
+    {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 6000.0, "dwell_s": 0.35},
+    {"x_mm": 400.0, "y_mm": 10.0, "z_mm": 10.0, "feed_mm_min": 900.0, "dwell_s": 0.35},
+]
+
+
+@pytest.fixture
+def explorer():
+    asking = Explorer()
+    asking.rows = ROWS
+    return asking
+
+
+@pytest.fixture
+def lives():
+    """Live estimates that were started; none may be."""
+    return []
+
+
+@pytest.fixture
+def asking(shop, feed, explorer, lives):
+    """A dispatcher whose discoveries ask for extra lines."""
+    shop.cell.start()
+    full = replace(shop, discoverer=explorer, live=lambda *_: lives.append(1))
+    dispatcher = Dispatcher(full, feed)
+    yield dispatcher
+    dispatcher.close()
+
+
+@pytest.fixture
+def run(shop, machine, tmp_path):
+    samples = TrackerSamples(
+        np.arange(10), np.arange(10) / 500.0, np.ones((10, 3)), np.zeros(10, np.int64)
+    )
+    points = Configurations(machine.axis_names, np.ones((1, 3)), np.array([1.0]))
+    packed = tmp_path / "bundle.zip"
+    packed.write_bytes(zip_bundle(Run("b", machine, points, samples)))
+    return shop.runs.add_uploaded(packed, "from the shop floor")
+
+
+@pytest.fixture
+def until(shop):
+    """Wait until a job is in a state; return it."""
+
+    def wait(job, *states):
+        def reached():
+            now = shop.store.get(job.id)
+            return now if now.state in states else None
+
+        return wait_until(reached, f"{states}, is {shop.store.get(job.id)}")
+
+    return wait
+
+
+@pytest.fixture
+def discover(asking, run, until):
+    """Discover in the Run and wait for the end."""
+
+    def done(**more):
+        job, _ = asking.create(Wish(Kind.DISCOVER, [run.id], **more))
+        return until(job, State.SUCCEEDED)
+
+    return done
+
+
+@pytest.fixture
+def drive(asking, until, make_cell):
+    """Drive the extra lines of a discovery to the end."""
+
+    def done(discovery):
+        wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discovery.id)
+        job = until(asking.create(wish)[0], State.READY)
+        make_cell.cell.begun.clear()
+        asking.arm(job.id, job.version)
+        assert make_cell.cell.begun.wait(5)
+        make_cell.cell.end()
+        return until(job, State.SUCCEEDED)
+
+    return done
+
+
+def test_the_lines_are_driven_and_all_runs_are_explained_together(
+    shop, run, discover, drive, explorer, make_cell, lives
+):
+    job = drive(discover())
+    path = make_cell.cell.order.commanded
+    assert path.position.tolist() == [[10.0, 10.0, 10.0], [400.0, 10.0, 10.0]]
+    assert path.feed_mm_min.tolist() == [6000.0, 900.0]
+    assert job.has_discovery
+    assert not job.has_result
+    assert job.run_ids == (run.id, job.run_id)
+    files, _, _ = explorer.calls[-1]
+    assert files == [str(shop.runs.file(i)) for i in (run.id, job.run_id)]
+    assert not lives
+
+
+def test_nothing_moves_before_it_is_armed(asking, discover, until, make_cell):
+    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    job = until(asking.create(wish)[0], State.READY)
+    assert "begin" not in make_cell.cell.heard
+    asking.abort(job.id)
+    assert until(job, State.ABORTED).run_ids
+    assert "begin" not in make_cell.cell.heard
+
+
+def test_the_model_stays_the_one_that_the_discovery_was_held_against(
+    discover, drive, explorer
+):
+    model = discover()
+    drive(discover(model_id=model.id))
+    assert explorer.calls[-1][2] == model.id
+
+
+def test_what_is_still_open_is_asked_again(run, discover, drive, explorer):
+    first = drive(discover())
+    second = drive(first)
+    assert second.run_ids == (run.id, first.run_id, second.run_id)
+    assert len(explorer.calls[-1][0]) == 3
+
+
+def test_where_nothing_is_asked_nothing_is_driven(asking, discover, explorer):
+    explorer.rows = []
+    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    with pytest.raises(PlanningError, match="asks for no extra lines"):
+        asking.create(wish)
+
+
+def test_a_job_without_a_discovery_is_refused(asking, run, until):
+    analysed = until(asking.create(Wish(Kind.ANALYSE, [run.id]))[0], State.SUCCEEDED)
+    for job_id, said in ((analysed.id, "has no discovery"), ("nowhere", "no job")):
+        with pytest.raises(NotFound, match=said):
+            asking.create(Wish(Kind.MEASURE_EXTRA, discovery_id=job_id))
+
+
+def test_lines_for_another_machine_are_refused(asking, discover, explorer):
+    explorer.machine = {**explorer.machine, "name": "lathe"}
+    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
+        asking.create(wish)
+
+
+def test_lines_that_leave_the_travel_are_refused(asking, discover, explorer):
+    explorer.rows = [ROWS[0], {**ROWS[1], "x_mm": 501.0}]
+    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    with pytest.raises(OutOfTravel, match="row 2: X = 501"):
+        asking.create(wish)
