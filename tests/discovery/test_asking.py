@@ -211,6 +211,18 @@ def test_nothing_is_asked_where_nothing_is_missing(record):
     assert ask(discover([record(11)[0]])) is None
 
 
+def test_an_axis_may_stand_in_a_further_run(record, run_of):
+    flat = Program(
+        np.array([[20.0, 20.0, 50.0], [450.0, 350.0, 50.0], [20.0, 350.0, 50.0]] * 2),
+        np.full(6, 100.0),
+        np.full(6, 0.35),
+    )
+    content = {**CONTENT, "kinematic_chain": "w-b-X-Y-Z-t"}
+    setting = Setting(machine_seed=11)
+    extra = run_of(synthetic.record(content, flat, 78, setting=setting))
+    assert not discover([record(11)[0], extra]).findings
+
+
 def test_both_runs_must_be_of_one_machine(record):
     ours = record(11, rows=14)[0]
     other = record(11, rows=14, chain="w-X-b-Y-Z-t")[0]

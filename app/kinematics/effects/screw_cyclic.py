@@ -94,7 +94,8 @@ class ScrewCyclicFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return leads at equal steps of turns, four to a period over the travel."""
-        travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
+        # In a further Run the axis may stand.
+        travel = max(float(np.ptp(at.axis_mm(candidate.keys["axis"]))), _LONGEST_MM)
         turns = np.arange(1.0 / _LONGEST_MM, 1.0 / _SHORTEST_MM, 0.25 / travel)
         return Scan("lead_mm", 1.0 / turns[::-1])
 

@@ -165,7 +165,8 @@ class PositionWaveFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return periods at equal steps of waves, four to one over the travel."""
-        travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
+        # In a further Run the axis may stand.
+        travel = max(float(np.ptp(at.axis_mm(candidate.keys["axis"]))), _LONGEST_MM)
         waves = np.arange(1.0 / _LONGEST_MM, 1.0 / _SHORTEST_MM, 0.25 / travel)
         return Scan("period_mm", 1.0 / waves[::-1])
 
