@@ -94,6 +94,23 @@ DISCOVERY = {
 }
 
 
+ASK = {
+    "reason": "backlash Y and servo-mismatch Y explain the measurement alike. …",
+    "questions": [
+        {"between": ["backlash Y", "servo-mismatch Y"], "expected_log_bayes": 23.4},
+        {"between": ["setup-step", ""], "expected_log_bayes": 15.2},
+    ],
+    "decides": True,
+    "path": "ask/path.csv",
+    "rows": [
+        {"x_mm": x, "y_mm": y, "z_mm": -290.0, "feed_mm_min": feed, "dwell_s": 0.35}
+        for x, y, feed in [(10, 10, 6000), (94, 390, 6000), (10, 10, 2400)]
+    ],
+    "lines": 2,
+    "duration_s": 16.4,
+}
+
+
 def planned_path(lines: int = 22) -> dict[str, Any]:
     """Return chords through the travel, ends on its faces."""
     rng = np.random.default_rng(5)

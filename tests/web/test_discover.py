@@ -6,8 +6,9 @@ import copy
 
 import pytest
 from playwright.sync_api import expect
-from scripted_data import DISCOVERY
+from scripted_data import ASK, DISCOVERY
 
+NEXT = "#next button"
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
 
@@ -67,6 +68,78 @@ def test_nothing_missing_is_said_in_so_many_words(panel, service):
     page = panel.open(f"#/discover/{discovered(service)}")
     expect(page.locator(".notice")).to_contain_text("Nothing is missing")
     expect(page.locator("[data-effect]")).to_have_count(0)
+
+
+def test_extra_lines_are_asked_for_with_the_reason_and_driven_once_held(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY) | {"ask": ASK}
+    job = discovered(service)
+    page = panel.open(f"#/discover/{job}")
+    card = page.locator("[data-ask]")
+    expect(card.locator("li").first).to_have_text(
+        "Backlash Y or Servo mismatch Y? Both explain the measurement alike."
+    )
+    expect(card.locator("li").last).to_have_text(
+        "Step of the set-up? The evidence for it is thin."
+    )
+    expect(card).to_contain_text("0:16 min")
+    expect(card).to_contain_text("2,400 mm/min, 6,000 mm/min")
+    expect(card).to_contain_text("log Bayes factor 15; 12 decides")
+    expect(card).to_contain_text("expected to decide.")
+    page.locator(NEXT, has_text="Drive the extra lines").click()
+    page.wait_for_url("**/#/check/*")
+    (order,) = [body for _, path, body in service.requests if path == "/jobs"]
+    assert order == {"kind": "measure-extra", "discovery_id": job}
+    extra = page.url.rsplit("/", 1)[1]
+    service.change(extra, state="ready")
+    expect(page.locator(".pairs").first).to_contain_text("Extra lines")
+    expect(page.locator(".planned-grade")).to_be_hidden()
+    assert service.jobs[extra]["state"] == "ready"
+    button = page.locator(NEXT, has_text="Hold to start motion")
+    expect(button).to_be_enabled()
+    button.focus()
+    page.keyboard.down("Enter")
+    page.wait_for_url(f"**/#/run/{extra}")
+    page.keyboard.up("Enter")
+    stages = ["Planning", "Measuring", "Discovering", "Reporting"]
+    expect(page.locator(".stages li")).to_have_text(stages)
+    expect(page.locator(".run-chooser")).to_have_count(0)
+    service.discovery = DISCOVERY | {"effects": DISCOVERY["effects"][:1], "ask": None}
+    service.finish(extra)
+    page.wait_for_url(f"**/#/discover/{extra}")
+    expect(page.locator("[data-effect=backlash] h2")).to_have_text("Backlash Y")
+    expect(page.locator("[data-ask]")).to_have_count(0)
+    expect(page.locator(NEXT)).to_have_text("New measurement")
+
+
+def test_extra_lines_wait_for_the_devices_and_for_each_other(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY) | {"ask": ASK | {"decides": False}}
+    job = discovered(service)
+    service.connected = False
+    page = panel.open(f"#/discover/{job}")
+    expect(page.locator("[data-ask]")).to_contain_text("not expected to decide")
+    expect(page.locator(NEXT)).to_be_disabled()
+    expect(page.locator("#reason")).to_have_text("Connect the devices first.")
+    service.connected = True
+    other = service.new_job("measure-otf", state="running", stage="measuring")["id"]
+    page = panel.open(f"#/discover/{job}")
+    expect(page.locator("#reason")).to_contain_text("A job is under way")
+    service.finish(other)
+    expect(page.locator(NEXT)).to_be_enabled()
+
+
+def test_extra_lines_that_are_discarded_lead_back_to_their_discovery(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY) | {"ask": ASK}
+    job = discovered(service)
+    service.plan["discovery_id"] = job
+    extra = service.new_job("measure-extra", state="ready")["id"]
+    page = panel.open(f"#/check/{extra}")
+    expect(page.locator(".path-view[data-drawn]")).to_be_visible()
+    page.get_by_role("button", name="Discard").click()
+    page.wait_for_url(f"**/#/discover/{job}")
+    assert service.jobs[extra]["state"] == "aborted"
+    page = panel.open(f"#/run/{extra}")
+    page.locator(NEXT, has_text="Back to the discovery").click()
+    page.wait_for_url(f"**/#/discover/{job}")
 
 
 def test_it_speaks_german_and_fits_a_dark_telephone(panel, service):

@@ -6,7 +6,8 @@ const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted
 const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "reporting"]);
 
 export const isMeasuring = (job) => Boolean(job?.kind.startsWith("measure-"));
-export const isDiscovery = (job) => job?.kind === "discover";
+export const isExtra = (job) => job?.kind === "measure-extra";
+export const isDiscovery = (job) => job?.kind === "discover" || isExtra(job);
 export const hasEnded = (job) => ENDED.has(job.state);
 export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);

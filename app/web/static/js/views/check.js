@@ -1,6 +1,6 @@
 /* Step 3: what will move, and the hold that starts it. */
 import { h, icon } from "../dom.js";
-import { addressOf, hasEnded, stepOf } from "../flow.js";
+import { addressOf, hasEnded, isExtra, stepOf } from "../flow.js";
 import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
@@ -8,17 +8,16 @@ import { quantity } from "../units.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
 import { programCard } from "./program-card.js";
+import { again } from "./run.js";
 
 /** Button that leads on: held, because the machine moves. */
-export function lead({ job, link, asked }, { actions, go }) {
-  if (!job || hasEnded(job)) {
-    return { next: { key: "again", label: t("run.again"), run: () => go("#/plan") } };
-  }
+export function lead({ job, plan, link, asked }, { actions, go }) {
+  if (!job || hasEnded(job)) return { next: again(job, plan, go) };
   if (stepOf(job) !== "check") {
     return { next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
   }
   const reason = refusal(job, link, asked);
-  const back = { label: t("check.discard"), run: () => discard(actions, go) };
+  const back = { label: t("check.discard"), run: () => discard(actions, again(job, plan, go)) };
   return { back, reason: reason || t("check.hold_reason"),
     next: { key: "arm", label: t("check.hold"), icon: "hold", hold: true,
       disabled: Boolean(reason), run: actions.arm } };
@@ -30,9 +29,9 @@ function refusal(job, link, asked) {
   return link.stale ? t("check.stale") : "";
 }
 
-async function discard(actions, go) {
+async function discard(actions, { run }) {
   await actions.abort();
-  go("#/plan");
+  run();
 }
 
 /** Show the plan. */
@@ -53,7 +52,7 @@ export function mount(root) {
   return {
     update({ job, plan, machine }) {
       path.update(plan, machine);
-      grade.update(job, plan);
+      if (!isExtra(job)) grade.update(job, plan);
       program.update(job, plan);
       const key = [job?.id, job?.state, Boolean(plan), Boolean(machine)].join();
       if (key === described || !job) return;

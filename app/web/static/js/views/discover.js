@@ -6,6 +6,7 @@ import { card, head, linkButton, notice, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { extraCard, extraLead } from "./extra-card.js";
 
 const UNITS = {
   um_per_m_K: "µm/m/K", um_per_m: "µm/m", um_per_s: "µm/s",
@@ -13,11 +14,13 @@ const UNITS = {
 };
 
 /** Button that leads on. */
-export function lead({ job }, { go }) {
+export function lead(state, { actions, go }) {
+  const { job } = state;
   if (!job) return { next: null };
   const back = isDiscovery(job) ? { label: t("discover.to_run"), run: () => go(`#/run/${job.id}`) }
     : { label: t("discover.to_result"), run: () => go(`#/result/${job.id}`) };
-  return { next: { key: "measure", label: t("discover.next"), run: () => go("#/connect") }, back };
+  const next = { key: "measure", label: t("discover.next"), run: () => go("#/connect") };
+  return { next, back, ...extraLead(state, actions) };
 }
 
 /** Show what was found; before that, the button that asks for it. */
@@ -47,10 +50,10 @@ export function askCard(job, actions) {
       icon("check"), h("span", {}, t("discover.ask")))));
 }
 
-function found(job, { effects, unnamed, gap }) {
+function found(job, { effects, unnamed, gap, ask }) {
   const cards = effects.length || unnamed.length ? effects.map(effectCard)
     : [notice(null, t("discover.none"), t("discover.none_text"))];
-  return [downloads(job), gapCard(gap), ...cards, unnamedCard(unnamed)].filter(Boolean);
+  return [downloads(job), gapCard(gap), extraCard(ask), ...cards, unnamedCard(unnamed)].filter(Boolean);
 }
 
 function downloads({ id }) {

@@ -1,6 +1,8 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
 import { h, icon, mark, write } from "../dom.js";
-import { addressOf, hasEnded, isActive, isComputing, isDiscovery, isMeasuring, isMoving } from "../flow.js";
+import {
+  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving,
+} from "../flow.js";
 import { holdToConfirm } from "../hold.js";
 import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
 import { drawStrip } from "../plots/strip-chart.js";
@@ -14,19 +16,20 @@ const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
   analyse: ["aligning", "estimating", "reporting"],
   discover: ["discovering", "reporting"],
+  extra: ["planning", "measuring", "discovering", "reporting"],
   validate: ["aligning", "estimating", "validating", "reporting"],
 };
 
 let looksAt = "path";
 
 /** Button that leads on. */
-export function lead({ job, link }, { actions, go }) {
+export function lead({ job, plan, link }, { actions, go }) {
   if (!job) return { next: null };
   if (job.state === "succeeded") {
     return { next: { key: "result", label: nextOf(job), run: () => go(addressOf(job)) } };
   }
   if (hasEnded(job)) {
-    return { next: { key: "again", label: t("run.again"), run: () => go("#/plan") } };
+    return { next: again(job, plan, go) };
   }
   const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.abort };
   const wait = t(isMeasuring(job) ? "run.wait" : "run.wait_analysis");
@@ -34,19 +37,25 @@ export function lead({ job, link }, { actions, go }) {
     next: { key: "result", label: nextOf(job), disabled: true } };
 }
 
+/** Extra lines go back to the discovery that asks for them. */
+export const again = (job, plan, go) => (isExtra(job) && plan?.discovery_id
+  ? { key: "asked", label: t("run.asked"), run: () => go(`#/discover/${plan.discovery_id}`) }
+  : { key: "again", label: t("run.again"), run: () => go("#/plan") });
+
 const nextOf = (job) => t(isDiscovery(job) ? "run.next_discovery" : "run.next");
 
 /** Show the job under way. */
 export function mount(root, context) {
   const { job } = context.store.get();
   const measuring = job ? isMeasuring(job) : true;
-  return measuring ? mountMeasuring(root, context) : mountAnalysis(root, job);
+  return measuring ? mountMeasuring(root, context, isExtra(job)) : mountAnalysis(root, job);
 }
 
-function mountMeasuring(root, { store, actions }) {
+/** A machine that moves; a few extra lines have no tables of their own. */
+function mountMeasuring(root, { store, actions }, extra) {
   const path = pathCard(true);
   const estimate = estimateCard();
-  const progress = progressCard(STAGES.measure);
+  const progress = progressCard(extra ? STAGES.extra : STAGES.measure);
   const position = positionCard();
   const strip = h("div", { class: "strip" });
   const health = healthCard(strip);
@@ -56,13 +65,13 @@ function mountMeasuring(root, { store, actions }) {
     h("h1", { class: "unseen" }, t("run.title")), ending,
     h("div", { class: "columns is-main-left is-run" },
       h("div", { class: "stack" },
-        h("div", { class: "run-main" }, chooser(look), path.element, estimate.element), health.element),
+        h("div", { class: "run-main" }, extra ? null : chooser(look), path.element, estimate.element), health.element),
       h("div", { class: "stack" }, progress.element, buttons.element, position.element)),
   );
   const chart = drawStrip(strip);
   let live = null;
   let ended = "";
-  look(looksAt);
+  look(extra ? "path" : looksAt);
 
   /** Show the path or the tables; what is hidden rests. */
   function look(at) {
