@@ -18,8 +18,8 @@ from app.estimation.rehearsal import rehearsed
 from app.measurement.run import Run
 from app.planning.motion_times import Drive, drive_of
 from app.planning.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN, check_travel
-from app.planning.planner import MARGIN_MM, MARGIN_SHARE, with_resting_axes
-from app.planning.workspace import inner_travel
+from app.planning.planner import with_resting_axes
+from app.planning.travel import DECIMALS, inner_travel
 from drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: one in twenty falls short of 4
@@ -30,7 +30,6 @@ _SLOWER = (1.0, 0.4, 0.15)  # of the highest feed of the Runs
 _ANYWHERE = 10  # ends of lines that are drawn at random
 _CREEPS = 30.0  # an axis that moves less, mm, stands: it may lose its motion on the way
 _SPREAD_MM = 40.0  # of the stops off one line: how they are recognised
-_DECIMALS = 4
 ANY_POSE = (1.0, 1e-3)
 # The first lines tell nothing where the tracker's place is open: what they will tell
 # once it is known leads them.
@@ -143,7 +142,7 @@ class ExtraLines:
         along = [here + one * (place - here) for place in (low, high, inside)]
         ends = np.vstack([low + share * (high - low), draft.position[-2:-1], *along])
         away = np.abs(ends - here) >= _CREEPS
-        for end in np.where(away, np.round(ends, _DECIMALS), here):
+        for end in np.where(away, np.round(ends, DECIMALS), here):
             for slower in _SLOWER:
                 feed = round(slower * self.feed_mm_min, 1)
                 length = float(self.drive.length(here[None], end[None])[0])
@@ -153,9 +152,9 @@ class ExtraLines:
     def _travel(self) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
         """Return the travel of the straight axes less a margin."""
         machine = self.scene.run.machine
-        low, high = inner_travel(machine, MARGIN_MM, MARGIN_SHARE)
+        low, high = inner_travel(machine)
         count = len(machine.linear_axes)
-        return np.round(low[:count], _DECIMALS), np.round(high[:count], _DECIMALS)
+        return low[:count], high[:count]
 
     def _path(
         self, linear: Float64[np.ndarray, "s a"], feed: Float64[np.ndarray, " s"]

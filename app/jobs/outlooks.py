@@ -25,7 +25,7 @@ from app.estimation.weak_shapes import usual_precision
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.machine import Machine, Target
+from app.kinematics.machine import Machine, Target, linear_part
 from app.kinematics.model import MachineModel
 from app.planning.line_outlook import LineOutlook
 from app.planning.outlook import ExpectedNoise, Outlook, inverse
@@ -68,17 +68,6 @@ def stand_of(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
     if workspace.tracker_mm is not None:
         return np.array(workspace.tracker_mm, np.float64)
     return usual_stands_mm(machine)[2]
-
-
-def linear_part(machine: Machine) -> Machine:
-    """Return the machine without its rotary axes: they stand on the fly."""
-    names = {axis.name for axis in machine.linear_axes}
-    return replace(
-        machine,
-        axes=machine.linear_axes,
-        workpiece_side=tuple(n for n in machine.workpiece_side if n in names),
-        tool_side=tuple(n for n in machine.tool_side if n in names),
-    )
 
 
 def line_outlook(

@@ -16,9 +16,9 @@ import numpy as np
 from app.errors import PlanningError
 from app.estimation.live import Findings
 from app.estimation.rehearsal import EXPECTED_NOISE
-from app.jobs.outlooks import line_outlook, linear_part, point_outlook
+from app.jobs.outlooks import line_outlook, point_outlook
 from app.jobs.planning import LINE_DWELL_S, POINT_DWELL_S, PlanRequest
-from app.kinematics.machine import Machine
+from app.kinematics.machine import Machine, linear_part
 from app.measurement.parts import Commanded, extended
 from app.measurement.progress import schedule_of
 from app.planning.configurations import Configurations

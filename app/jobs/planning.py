@@ -16,12 +16,11 @@ from app.errors import PlanningError
 from app.estimation.forecast import Forecast, forecast
 from app.jobs.outlooks import (
     line_outlook,
-    linear_part,
     mismatch_sigma_s,
     point_outlook,
     stand_of,
 )
-from app.kinematics.machine import Machine
+from app.kinematics.machine import Machine, linear_part
 from app.planning.configurations import Configurations
 from app.planning.corner_path import corner_path
 from app.planning.motion_times import Drive, drive_of

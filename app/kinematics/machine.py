@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -145,3 +145,14 @@ class Machine:
             if target.name == name or not name:
                 return target
         raise KeyError(name)
+
+
+def linear_part(machine: Machine) -> Machine:
+    """Return the machine without its rotary axes, as while they stand."""
+    names = {axis.name for axis in machine.linear_axes}
+    return replace(
+        machine,
+        axes=machine.linear_axes,
+        workpiece_side=tuple(n for n in machine.workpiece_side if n in names),
+        tool_side=tuple(n for n in machine.tool_side if n in names),
+    )

@@ -50,11 +50,12 @@ class Belief:
         return float(np.sum(self.gram * self.covariance))
 
     def drops(
-        self, rows: Float64[np.ndarray, "n *r p"], noise_variance: float
+        self, rows: Float64[np.ndarray, "n *r p"], noise_variance: float = 1.0
     ) -> Float64[np.ndarray, " n"]:
         """Return by how much J falls for each measurement, made alone.
 
         rows : (n, p), or (n, r, p) for r values at once
+        noise_variance : of each value; 1 for rows in units of their noise
         """
         flat = rows.reshape(-1, rows.shape[-1])
         moved = flat @ self.covariance
@@ -67,7 +68,9 @@ class Belief:
         spread += noise_variance * np.eye(rows.shape[1])
         return _traces(spread, gained @ np.swapaxes(moved, 1, 2))
 
-    def after(self, rows: Float64[np.ndarray, "*r p"], noise_variance: float) -> Belief:
+    def after(
+        self, rows: Float64[np.ndarray, "*r p"], noise_variance: float = 1.0
+    ) -> Belief:
         """Return what is known after one measurement (eq. 22–23, 32–33).
 
         rows : (p,), or (r, p) for r values at once

@@ -6,9 +6,8 @@ takes. What is believed of the machine (`outlook`) is handed in from the estimat
 that a plan is judged as its measurement will be.
 
     next_configuration   the paper's own question: the best place to measure next
-    several_ahead        several at once: greedy, then exchange
     outlook              what is known, and what a leg would tell; of lines, of points
-    leg_choice           stops whose legs tell most per second
+    leg_choice           stops whose legs tell most per second: greedy, then exchange
     planner              a plan within a time, from where the machine is, within limits
     workspace, travel    keep-out boxes, range and line of sight; the travel
     motion_times         how long motions take, what of a line is steady

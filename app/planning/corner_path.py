@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.machine import Machine
-from app.planning.workspace import inner_travel
+from app.planning.travel import DECIMALS, inner_travel
 from drivers.interfaces.records import Path
 
 # Through the middle of the volume along each axis, reached parallel to the axes.
@@ -31,23 +31,15 @@ _MIDDLE = np.array(
         [0.5, 0.5, 1.0],
     ]
 )
-_DECIMALS = 4
 
 
-def corner_path(
-    machine: Machine,
-    feed_mm_min: float,
-    dwell_s: float,
-    *,
-    margin_mm: float = 10.0,
-    margin_share: float = 0.02,
-) -> Path:
+def corner_path(machine: Machine, feed_mm_min: float, dwell_s: float) -> Path:
     """Return all 28 lines between corners, then the three through the middle.
 
     Rotary axes stand at 0, or at the near end of their travel. Seven lines meet in each
     corner, an odd number, so some are driven twice.
     """
-    low, high = inner_travel(machine, margin_mm, margin_share)
+    low, high = inner_travel(machine)
     unit = np.vstack([_tour(), _MIDDLE])
     position = np.tile(np.clip(0.0, low, high), (len(unit), 1))
     linear = len(machine.linear_axes)
@@ -55,7 +47,7 @@ def corner_path(
     n = len(position)
     return Path(
         machine.axis_names,
-        np.round(position, _DECIMALS).astype(np.float64),
+        np.round(position, DECIMALS).astype(np.float64),
         np.full(n, feed_mm_min),
         np.full(n, dwell_s),
     )

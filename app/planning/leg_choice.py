@@ -16,9 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
+from app.numerics.design_criteria import Belief
 from app.planning.motion_times import Drive
 from app.planning.outlook import Outlook, inverse
 from app.planning.short_order import short_order
+from app.planning.travel import DECIMALS
 
 Allowed = Callable[
     [Float64[np.ndarray, "n a"], Float64[np.ndarray, "n a"]], Bool[np.ndarray, " n"]
@@ -30,7 +32,6 @@ _MOVES = 24  # places that are judged for each stop, half of them near it
 _NEAR = 0.15  # of the travel
 _PINNED = 0.55  # share of coordinates at an end of their travel
 _WORTH = 2e-3  # of J · T that a round of moves must bring
-_DECIMALS = 4  # of a mm: rows survive a CSV file and a controller's counts unchanged
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +135,8 @@ class LegChoice:
             return None
         begin, ends, feed, times = begin[ok], ends[ok], feed[ok], times[ok]
         rows = self.outlook.rows(begin, ends, feed, self.drive)
-        gained = gains(inverse(precision), self.outlook.gram, rows)
-        best = int(np.argmax(gained / times))
+        known = Belief(inverse(precision), self.outlook.gram)
+        best = int(np.argmax(known.drops(rows) / times))
         return ends[best], rows[best], float(times[best])
 
     def _moved(self, stops: Stops) -> tuple[Stops, float]:
@@ -159,8 +160,8 @@ class LegChoice:
         if not len(places):
             return stops, total, cost
         rows, times = self._legs_that_meet(stops, k, places)
-        gram = self.outlook.gram
-        left = float(np.sum(C * gram)) - gains(C, gram, rows)
+        known = Belief(C, self.outlook.gram)
+        left = known.integrated_variance - known.drops(rows)
         costs = left * (rest_s + times)
         best = int(np.argmin(costs))
         if costs[best] >= cost * (1.0 - 1e-9):
@@ -219,7 +220,7 @@ class LegChoice:
         share = self.rng.random((count, len(low)))
         pinned = self.rng.random(share.shape) < _PINNED
         share[pinned] = np.rint(share[pinned])
-        return np.round(low + share * (high - low), _DECIMALS)
+        return np.round(low + share * (high - low), DECIMALS)
 
     def _places_for(
         self, here: Float64[np.ndarray, " a"], C: Float64[np.ndarray, "p p"]
@@ -228,9 +229,7 @@ class LegChoice:
         low, high = self.region.low, self.region.high
         step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
         better = self.outlook.better_places(C, here, self.drive)
-        known = np.round(
-            np.clip(np.vstack([here + step, better]), low, high), _DECIMALS
-        )
+        known = np.round(np.clip(np.vstack([here + step, better]), low, high), DECIMALS)
         return np.vstack([here[None], known, self._anywhere(_MOVES // 2)])
 
     def _cost(self, stops: Stops) -> float:
@@ -245,20 +244,3 @@ class LegChoice:
     def _times(self, stops: Stops) -> Float64[np.ndarray, " l"]:
         position = stops.position
         return self.drive.times_s(position[:-1], position[1:], stops.feed_mm_min[1:])
-
-
-def gains(
-    C: Float64[np.ndarray, "p p"],
-    G: Float64[np.ndarray, "p p"],
-    rows: Float64[np.ndarray, "n r p"],
-) -> Float64[np.ndarray, " n"]:
-    """Return by how much J = tr(G C) falls for each block of rows, measured alone.
-
-    tr(S⁻¹ M) with S = I + H C Hᵀ, M = H C G C Hᵀ; rows are in units of their noise.
-    """
-    n, r, p = rows.shape
-    moved = rows.reshape(n * r, p) @ C
-    gained = (moved @ G).reshape(n, r, p)
-    moved = moved.reshape(n, r, p)
-    solved = np.linalg.solve(np.eye(r) + moved @ np.swapaxes(rows, 1, 2), moved)
-    return np.einsum("nrp,nrp->n", np.asarray(solved, np.float64), gained)

@@ -22,9 +22,10 @@ from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import error_motion, usual_size
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import LinearAxis, Machine, linear_part
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions
+from app.numerics.design_criteria import Belief
 
 SIGMA_MM = 0.004
 EXPECTED_ERROR_MM = 0.02
@@ -36,13 +37,12 @@ GRID = 5
 class Knowledge:
     """What is known of the machine so far.
 
-    covariance : (p, p) of the model's θ
-    gram : (p, p), θᵀ G θ = mean square of the volumetric error over the travel
+    belief : covariance of the model's θ, mm and rad, and G, with θᵀ G θ the mean square
+        of the volumetric error over the travel, mm²
     """
 
     model: MachineModel
-    covariance: Float64[np.ndarray, "p p"]
-    gram: Float64[np.ndarray, "p p"]
+    belief: Belief
 
     def rows(
         self, begin_mm: Float64[np.ndarray, "m 3"], end_mm: Float64[np.ndarray, "m 3"]
@@ -61,39 +61,15 @@ class Knowledge:
         both = np.concatenate([across, along[:, :, None]], axis=2)
         return both.reshape(len(begin_mm), 4 * POINTS_A_LINE, -1) / SIGMA_MM
 
-    def gain(self, rows: Float64[np.ndarray, "r p"]) -> float:
-        """Return by how much J falls when these rows are measured."""
-        moved = rows @ self.covariance
-        spread = np.eye(len(rows)) + moved @ rows.T
-        return float(np.sum(np.linalg.solve(spread, moved @ self.gram) * moved))
-
     def after(self, rows: Float64[np.ndarray, "r p"]) -> Knowledge:
         """Return what is known once these rows are measured."""
-        moved = rows @ self.covariance
-        spread = np.eye(len(rows)) + moved @ rows.T
-        left = self.covariance - moved.T @ np.linalg.solve(spread, moved)
-        return replace(self, covariance=(left + left.T) / 2)
-
-    @property
-    def variance_mm2(self) -> float:
-        """J: mean variance of the volumetric error over the travel."""
-        return float(np.sum(self.gram * self.covariance))
+        return replace(self, belief=self.belief.after(rows))
 
 
 def nothing_known(machine: Machine) -> Knowledge:
     """Return the state before the first line. Only the linear axes are looked at."""
-    model = _model(_linear_part(machine))
-    return Knowledge(model, prior_covariance(model), _gram(model))
-
-
-def _linear_part(machine: Machine) -> Machine:
-    names = {axis.name for axis in machine.linear_axes}
-    return replace(
-        machine,
-        axes=machine.linear_axes,
-        workpiece_side=tuple(n for n in machine.workpiece_side if n in names),
-        tool_side=tuple(n for n in machine.tool_side if n in names),
-    )
+    model = _model(linear_part(machine))
+    return Knowledge(model, Belief(prior_covariance(model), _gram(model)))
 
 
 def _model(machine: Machine) -> MachineModel:

@@ -20,12 +20,11 @@ from app.planning.leg_choice import LegChoice, Region
 from app.planning.motion_times import Drive
 from app.planning.outlook import Outlook
 from app.planning.paths import check_travel
-from app.planning.workspace import Workspace, inner_travel
+from app.planning.travel import DECIMALS, inner_travel
+from app.planning.workspace import Workspace
 from drivers.interfaces.records import Path
 
-MARGIN_MM, MARGIN_SHARE = 10.0, 0.02
 _STARTS = 400  # places that are tried where no corner is allowed
-_DECIMALS = 4
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Planner:
 
     def _region(self) -> Region:
         machine, feed = self.outlook.model.machine, max(self.feeds_mm_min)
-        low, high = inner_travel(machine, MARGIN_MM, MARGIN_SHARE)
+        low, high = inner_travel(machine)
 
         def allowed(
             begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
@@ -113,7 +112,7 @@ class Planner:
             fits = self.outlook.fits(begin, end, feed, self.drive)
             return fits & self.workspace.allowed(machine, begin, end)
 
-        return Region(np.round(low, _DECIMALS), np.round(high, _DECIMALS), allowed)
+        return Region(low, high, allowed)
 
     def _first_stop(
         self, region: Region, rng: np.random.Generator
@@ -121,7 +120,7 @@ class Planner:
         """Return the first corner that may be stood at, or else any place."""
         low, high = region.low, region.high
         corners = np.array(list(product(*zip(low, high, strict=True))))
-        anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), _DECIMALS)
+        anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), DECIMALS)
         places = np.vstack([corners, anywhere])
         free = self.workspace.allowed(self.outlook.model.machine, places, places)
         if not free.any():

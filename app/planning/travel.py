@@ -9,13 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 
-from app.kinematics.machine import Axis, LinearAxis, Machine
+from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 
 # Rows are written with three or four decimals: a limit may be overrun by the rounding.
 ROUNDING = 1e-3
+DECIMALS = 4  # of mm and deg: rows survive a CSV file and a controller's counts
+_MARGIN, _MARGIN_SHARE = 10.0, 0.02  # mm or deg, of the travel; the less counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,7 @@ class Breach:
 def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach | None:
     """Return the first row beyond the travel, or None. Every axis must be known."""
     axes = {axis.name: axis for axis in machine.axes}
-    limits = [limits_of(axes[name]) for name in commanded.axes]
+    limits = [(axes[name].low, axes[name].high) for name in commanded.axes]
     low, high = np.array(limits).T
     outside = (commanded.position < low - ROUNDING) | (
         commanded.position > high + ROUNDING
@@ -59,8 +62,18 @@ def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach |
     return Breach(row, name, unit, value, *limits[column])
 
 
-def limits_of(axis: Axis) -> tuple[float, float]:
-    """Return the travel of an axis, mm or deg."""
-    if isinstance(axis, LinearAxis):
-        return axis.min_mm, axis.max_mm
-    return axis.min_deg, axis.max_deg
+def inner_travel(
+    machine: Machine,
+) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
+    """Return the travel of all axes less a margin at both ends, mm or deg.
+
+    It is rounded as rows are written. A full turn has no ends, and so no margin.
+    """
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    is_round = [
+        isinstance(axis, RotaryAxis) and axis.turns_fully for axis in machine.axes
+    ]
+    margin = np.minimum(_MARGIN, _MARGIN_SHARE * (high - low))
+    margin = np.where(is_round, 0.0, margin)
+    return np.round(low + margin, DECIMALS), np.round(high - margin, DECIMALS)

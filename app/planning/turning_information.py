@@ -19,6 +19,7 @@ from app.kinematics.effects.workpiece_placement import workpiece_placement
 from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions
+from app.numerics.design_criteria import Belief
 from app.planning.line_information import SIGMA_MM, Knowledge, prior_covariance
 
 POINTS_A_LINE = 12
@@ -37,7 +38,8 @@ def nothing_known_of_turning(machine: Machine) -> Knowledge:
     columns = model.jacobian(volume).reshape(3 * len(volume), -1)
     pose = columns[:, model.slices["tracker-pose"]]
     columns = columns - pose @ (np.linalg.pinv(pose) @ columns)
-    return Knowledge(model, prior_covariance(model), columns.T @ columns / len(volume))
+    gram = columns.T @ columns / len(volume)
+    return Knowledge(model, Belief(prior_covariance(model), gram))
 
 
 def turning_conditions(

@@ -18,6 +18,7 @@ from jaxtyping import Float64
 from app.errors import PlanningError
 from app.kinematics.machine import Machine, RotaryAxis, Target
 from app.planning.line_information import Knowledge
+from app.planning.travel import DECIMALS, inner_travel
 from app.planning.turning_information import (
     nothing_known_of_turning,
     slopes_mm,
@@ -33,10 +34,8 @@ _CANDIDATES = 24
 _DRAWS = 4  # of candidates, if the target hardly moves on any of them
 _SHORTEST_MM = 100.0
 _PINNED = 0.4  # share of the ends of lines that are ends of the travel
-_MARGIN_SHARE = 0.02
 _STOP_S = 1.0  # ramps and dwell
 _CHANGE_S = 5.0  # for the tracker to turn to another target
-_DECIMALS = 4
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def _shares(lines: int, targets: int) -> list[int]:
 
 
 def _begin(machine: Machine) -> Float64[np.ndarray, " a"]:
-    low, high = _inner_travel(machine)
+    low, high = inner_travel(machine)
     rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
     return np.where(rotary, np.clip(0.0, low, high), low)
 
@@ -109,7 +108,7 @@ def _next(
         at = turning_conditions(machine, target, begins, lines.end)
         slope = slopes_mm(at)
         rows = turning_rows(known, at, slope)
-        gain = np.array([known.gain(one) for one in rows]) / lines.time_s
+        gain = known.belief.drops(rows) / lines.time_s
         gain[np.linalg.norm(slope, axis=2).mean(axis=1) < _SHORTEST_MM] = -1.0
         best = int(np.argmax(gain))
         if gain[best] > 0.0:
@@ -124,11 +123,11 @@ def _ends(
     rng: np.random.Generator, machine: Machine, begin: Float64[np.ndarray, " a"]
 ) -> Float64[np.ndarray, "m a"]:
     """Draw ends of lines: straight ones, turns, and everything together."""
-    low, high = _inner_travel(machine)
+    low, high = inner_travel(machine)
     share = rng.random((_CANDIDATES, len(low)))
     pinned = rng.random(share.shape) < _PINNED
     share[pinned] = np.rint(share[pinned])
-    end = np.round(low + share * (high - low), _DECIMALS)
+    end = np.round(low + share * (high - low), DECIMALS)
     rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
     kind = np.arange(_CANDIDATES) % 4
     moves = np.ones(end.shape, bool)
@@ -156,17 +155,3 @@ def _timed(
     length = straight + turn * (straight == 0.0)  # formats.md: what the feed counts
     feed = length / np.maximum(minutes, 1e-9)
     return _Lines(end, feed, 60.0 * minutes + _STOP_S)
-
-
-def _inner_travel(
-    machine: Machine,
-) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
-    """Return the travel of all axes less a margin at both ends."""
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
-    # A full turn has no ends.
-    is_round = [
-        isinstance(axis, RotaryAxis) and axis.turns_fully for axis in machine.axes
-    ]
-    margin = np.where(is_round, 0.0, _MARGIN_SHARE * (high - low))
-    return np.round(low + margin, _DECIMALS), np.round(high - margin, _DECIMALS)

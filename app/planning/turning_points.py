@@ -8,10 +8,9 @@ from jaxtyping import Float64
 from app.errors import PlanningError
 from app.kinematics.machine import Machine, Target
 from app.planning.configurations import Configurations
+from app.planning.travel import DECIMALS, inner_travel
 
-_MARGIN_SHARE = 0.02
 _LEAST_TURN_DEG = 10.0
-_DECIMALS = 4
 
 
 def turning_points(
@@ -33,7 +32,7 @@ def turning_points(
             places.append(place)
     return Configurations(
         machine.axis_names,
-        np.round(places, _DECIMALS),
+        np.round(places, DECIMALS),
         np.full(count, dwell_s),
         tuple(names) if any(names) else (),
     )
@@ -67,7 +66,5 @@ def moves_where_seen(machine: Machine, target: Target) -> bool:
 
 
 def _anywhere(rng: np.random.Generator, machine: Machine) -> Float64[np.ndarray, " a"]:
-    low = np.array([axis.low for axis in machine.axes])
-    high = np.array([axis.high for axis in machine.axes])
-    margin = _MARGIN_SHARE * (high - low)
-    return rng.uniform(low + margin, high - margin)
+    low, high = inner_travel(machine)
+    return rng.uniform(low, high)

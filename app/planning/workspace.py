@@ -17,7 +17,6 @@ from app.errors import PlanningError
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine
 from app.planning.configurations import Configurations
-from app.planning.travel import limits_of
 from drivers.interfaces.records import Path
 
 
@@ -108,15 +107,6 @@ class Workspace:
             if _triangle_touches(tracker[None], p, q, box)[0]:
                 return f"goes behind {_called(box)}, out of the tracker's sight"
         return "is allowed"
-
-
-def inner_travel(
-    machine: Machine, margin_mm: float, margin_share: float
-) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
-    """Return the travel of all axes less a margin at both ends, mm or deg."""
-    low, high = np.array([limits_of(axis) for axis in machine.axes], np.float64).T
-    margin = np.minimum(margin_mm, margin_share * (high - low))
-    return low + margin, high - margin
 
 
 def _called(box: Box) -> str:

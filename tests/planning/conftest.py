@@ -8,13 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.jobs.outlooks import line_outlook, linear_part, point_outlook
+from app.jobs.outlooks import line_outlook, point_outlook
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
     RotaryAxis,
     Target,
     TrackerNoise,
+    linear_part,
 )
 from app.planning.motion_times import drive_of
 from app.planning.outlook import Outlook

@@ -20,7 +20,6 @@ from app.planning.next_configuration import (
     point_rows,
     search_space,
 )
-from app.planning.several_ahead import configurations_ahead
 
 SPLINES = [natural_spline(np.linspace(0.0, 1.0, n)) for n in (5, 6, 7)]
 AXES = SearchSpace(tuple(s.knots for s in SPLINES), (3, 3, 3))
@@ -115,16 +114,3 @@ def test_rotary_axes_are_searched_between_their_knots_too():
     there = known.drops(rows(best.position[None]), VARIANCE)[0]
     assert best.drop == pytest.approx(there, rel=1e-6)
     assert best.drop >= dense(known, rows, axes, 13)
-
-
-def test_several_ahead_lower_the_variance_more_than_one_after_another():
-    known = stacked_belief()
-    greedy = configurations_ahead(known, stacked, AXES, VARIANCE, 6, rounds=0)
-    exchanged = configurations_ahead(known, stacked, AXES, VARIANCE, 6, rounds=3)
-    assert exchanged.known.integrated_variance < greedy.known.integrated_variance
-    told = known
-    for row in stacked(exchanged.position):
-        told = told.after(row, VARIANCE)
-    assert told.integrated_variance == pytest.approx(
-        exchanged.known.integrated_variance
-    )

@@ -55,7 +55,7 @@ def uncertainty_mm(path: Path) -> float:
     known = nothing_known(machine())
     for begin, end in zip(path.position, path.position[1:], strict=False):
         known = known.after(known.rows(begin[None], end[None])[0])
-    return known.variance_mm2**0.5
+    return known.belief.integrated_variance**0.5
 
 
 def at_corner(path: Path) -> np.ndarray:

@@ -127,7 +127,7 @@ def uncertainty_mm(machine: Machine, path: Path) -> float:
                 machine, machine.target(path.target[row]), begin, end
             )
             known = known.after(turning_rows(known, at, slopes_mm(at))[0])
-    return known.variance_mm2**0.5
+    return known.belief.integrated_variance**0.5
 
 
 def test_planned_lines_tell_more_than_random_ones_in_the_same_time(
