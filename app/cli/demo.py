@@ -46,7 +46,7 @@ class Demo:
     minutes : how long the path may take on the machine's clock; None for the usual path
     speed : the simulated devices' clock, times the real one
     faults : what goes wrong, in the words of the simulators
-    target_um : volumetric uncertainty at which the rest of the path is left out
+    target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
     adaptive : plan the lines on the way, for `minutes` at most
     """
 

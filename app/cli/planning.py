@@ -56,13 +56,13 @@ def _print_plan(document: Mapping[str, Any], files: Sequence[str]) -> None:
     if document["tracker"]["assumed"]:
         place = ", ".join(f"{v:.0f}" for v in document["tracker"]["position_mm"])
         print(f"tracker taken to stand at {place} mm; state it in a workspace file")
-    expanded = predicted["expanded_volumetric_uncertainty_um"]
     print(
         f"{document['rows']} rows, {document['duration_s'] / 60.0:.1f} min, volumetric "
-        f"uncertainty {expanded:.2f} µm (k = 2)"
+        f"uncertainty {predicted['volumetric_uncertainty_um']:.2f} µm (k = 1), "
+        f"{predicted['expanded_volumetric_uncertainty_um']:.2f} µm (k = 2)"
     )
     if document["target"] is not None and not document["target"]["reached"]:
-        wanted = document["target"]["expanded_volumetric_uncertainty_um"]
-        print(f"the target of {wanted:g} µm is out of reach in that time")
+        wanted = document["target"]["volumetric_uncertainty_um"]
+        print(f"the target of {wanted:g} µm (k = 1) is out of reach in that time")
     for file in files:
         print(file)

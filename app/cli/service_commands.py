@@ -66,7 +66,7 @@ def demo(
     ] = None,
     target_um: Annotated[
         float | None,
-        typer.Option(min=0.01, help="End early at this volumetric uncertainty, µm."),
+        typer.Option(min=0.01, help="End early at this uncertainty (k = 1), µm."),
     ] = None,
     adaptive: Annotated[
         bool,

@@ -25,7 +25,7 @@ _PER_UNIT = {"um": 1e3, "urad": 1e6}
 
 
 def plan_document(planned: Planned) -> dict[str, Any]:
-    """Return the content of `plan.json`: µm, µrad and s; uncertainties are k = 1."""
+    """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
     request, found = planned.request, planned.forecast
     target_um = request.target_um
     return {
@@ -42,8 +42,7 @@ def plan_document(planned: Planned) -> dict[str, Any]:
             "assumed": request.workspace.tracker_mm is None,
         },
         "predicted": {
-            "volumetric_uncertainty_um": planned.expanded_um / 2.0,
-            "expanded_volumetric_uncertainty_um": planned.expanded_um,
+            **_both(planned.uncertainty_um),
             "errors": _errors(planned),
             "servo_mismatch": {
                 axis: {"uncertainty_ms": 1e3 * sigma}
@@ -52,16 +51,12 @@ def plan_document(planned: Planned) -> dict[str, Any]:
         },
         "target": None
         if target_um is None
-        else {
-            "expanded_volumetric_uncertainty_um": target_um,
-            "reached": planned.reached,
-        },
+        else {**_both(target_um), "reached": planned.reached},
         "curve": [
             {
                 "row": row + 1,
                 "time_s": round(float(planned.time_s[row]), 3),
-                "volumetric_uncertainty_um": 1e3 * sigma,
-                "expanded_volumetric_uncertainty_um": 2e3 * sigma,
+                **_both(1e3 * sigma),
             }
             for row, sigma in zip(found.row, found.sigma_mm, strict=True)
         ],
@@ -106,6 +101,14 @@ def write_plan(
         file.parent.mkdir(parents=True, exist_ok=True)
         replace_file(file, data)
     return document
+
+
+def _both(standard_um: float) -> dict[str, float]:
+    """Return a volumetric uncertainty as files state it: k = 1, and k = 2."""
+    return {
+        "volumetric_uncertainty_um": standard_um,
+        "expanded_volumetric_uncertainty_um": 2.0 * standard_um,
+    }
 
 
 def _errors(planned: Planned) -> dict[str, dict[str, float]]:

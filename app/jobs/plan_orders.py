@@ -35,7 +35,8 @@ from drivers.interfaces.records import Path
 if TYPE_CHECKING:
     from app.jobs.planning import PlanRequest
 
-_PLAIN = ("mode", "minutes", "dwell_s", "perpendicular_only", "corner_path", "seed")
+_PLAIN = ("mode", "minutes", "target_um", "dwell_s")
+_PLAIN += ("perpendicular_only", "corner_path", "seed")
 _FIRST_LINES, _FIRST_POINTS = 5, 4  # of the longest: two or three times as many
 _STANDS_S = 1.0  # at the end of each
 _POINTS = Kind.MEASURE_STANDSTILL
@@ -69,7 +70,7 @@ def plan_measurement(
     )
     return {
         **plan_json(planned.commanded),
-        "predicted_um": planned.expanded_um / 2.0,
+        "predicted_um": planned.uncertainty_um,
         "document": plan_document(planned) | {"grade": grade},
     }
 
@@ -78,13 +79,11 @@ def plan_request(order: Json) -> PlanRequest:
     """Return the request that an order states."""
     from app.jobs.planning import PlanRequest
 
-    target_um = order.get("target_um")
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):
         given["feeds_mm_min"] = tuple(order["feeds_mm_min"])
     return PlanRequest(
         **given,
-        target_um=None if target_um is None else 2.0 * target_um,
         workspace=workspace_from_json(order.get("workspace") or {}),
     )
 

@@ -45,7 +45,7 @@ class PlanRequest:
     """What is asked of a plan.
 
     mode : `otf` or `standstill`
-    minutes : at most; target_um : expanded (k = 2) volumetric uncertainty to reach
+    minutes : at most; target_um : volumetric uncertainty (k = 1) to reach
     feeds_mm_min : several to tell dynamic effects from static ones
     corner_path : the path of the 2023 paper instead, to compare with
     """
@@ -102,15 +102,15 @@ class Planned:
         return float(self.time_s[-1])
 
     @property
-    def expanded_um(self) -> float:
-        """Predicted volumetric uncertainty, k = 2."""
-        return 2e3 * self.forecast.volumetric_sigma_mm
+    def uncertainty_um(self) -> float:
+        """Predicted volumetric uncertainty, k = 1."""
+        return 1e3 * self.forecast.volumetric_sigma_mm
 
     @property
     def reached(self) -> bool | None:
         """Whether the target is reached, None without a target."""
         target_um = self.request.target_um
-        return None if target_um is None else self.expanded_um <= target_um
+        return None if target_um is None else self.uncertainty_um <= target_um
 
 
 def make_plan(
@@ -147,9 +147,10 @@ def _for_target(
     budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
     planned = attempt.within(budget_s)
     for number in range(1, _TRIES):
-        told(number / _TRIES, f"{budget_s:.0f} s reach {planned.expanded_um:.2f} µm")
+        reached_um = planned.uncertainty_um
+        told(number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)")
         # Uncertainty falls with the square root of time, slower where much is known.
-        wanted = float(np.clip((planned.expanded_um / target_um) ** 2, 0.3, 6.0))
+        wanted = float(np.clip((reached_um / target_um) ** 2, 0.3, 6.0))
         if planned.reached:
             found = planned
         elif budget_s >= longest_s:

@@ -82,23 +82,25 @@ def test_points_are_planned_for_standstills(machine_file, tmp_path, summary):
 def test_a_target_is_reached_in_no_more_time_than_it_takes(
     machine_file, tmp_path, summary
 ):
-    options = ["--target-um", "5", "--minutes", "2", "--control", "linuxcnc", "--json"]
+    options = ["--target-um", "2.5", "--minutes", "2"]
+    options += ["--control", "linuxcnc", "--json"]
     assert run(["plan", str(machine_file), "-o", str(tmp_path), *options]) == 0
     said = summary()
     assert said["target"] == {
+        "volumetric_uncertainty_um": 2.5,
         "expanded_volumetric_uncertainty_um": 5.0,
         "reached": True,
     }
-    assert said["predicted"]["expanded_volumetric_uncertainty_um"] <= 5.0
+    assert said["predicted"]["volumetric_uncertainty_um"] <= 2.5
     assert said["duration_s"] < 120.0
 
 
 def test_a_target_out_of_reach_in_the_minutes_says_how_far_they_come(
     machine_file, tmp_path, capsys
 ):
-    options = ["--target-um", "0.5", "--minutes", "0.6", "--control", "linuxcnc"]
+    options = ["--target-um", "0.25", "--minutes", "0.6", "--control", "linuxcnc"]
     assert run(["plan", str(machine_file), "-o", str(tmp_path), *options]) == 0
-    assert "the target of 0.5 µm is out of reach" in capsys.readouterr().out
+    assert "the target of 0.25 µm (k = 1) is out of reach" in capsys.readouterr().out
 
 
 def test_several_feeds_say_how_well_the_lags_of_the_axes_will_be_told(

@@ -42,7 +42,8 @@ class PlanOut(BaseModel):
     dwell_s: list[float]
     target: list[str]
     target_um: float | None = Field(
-        None, description="The volumetric uncertainty at which it may end early."
+        None,
+        description="`volumetric_uncertainty_um` (k = 1) at which it may end early.",
     )
     predicted_um: float | None = Field(
         None,
