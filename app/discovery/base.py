@@ -11,8 +11,7 @@ from jaxtyping import Float64
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.alignment.surroundings import with_surroundings
-from app.discovery.scene import at_pose
+from app.discovery.scene import at_pose, in_surroundings
 from app.discovery.sums import Base
 from app.errors import Unidentifiable
 from app.estimation.identifiable import identifiable_model
@@ -109,8 +108,7 @@ def grounds_of(runs: Sequence[Run], given: GivenModel | None) -> tuple[Ground, .
     """
     machine = one_machine([r.machine for r in runs], [r.name for r in runs])
     coarse = [
-        with_surroundings(align(run), run.commanded, run.temperature, number)
-        for number, run in enumerate(runs)
+        in_surroundings(run, align(run), number) for number, run in enumerate(runs)
     ]
     if given is None:
         model, _ = identifiable_model(machine, *(seen.at.offset_mm for seen in coarse))

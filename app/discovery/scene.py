@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.alignment.surroundings import with_surroundings
@@ -34,9 +36,18 @@ def scene_of(run: Run, number: int = 0) -> Scene:
 
     Raises AlignmentError if stream and path do not belong together.
     """
-    seen = align(run, cell_mm=CELL_MM)
-    seen = with_surroundings(seen, run.commanded, run.temperature, number)
-    return Scene(run, seen)
+    return Scene(run, in_surroundings(run, align(run, cell_mm=CELL_MM), number))
+
+
+def in_surroundings(run: Run, seen: Observations, number: int) -> Observations:
+    """Return observations of a Run with their surroundings.
+
+    The first point of a standstill Run is left out: nobody knows from which side the
+    machine came to it, and an axis with play stands elsewhere from either side.
+    """
+    if run.mode == "standstill":
+        seen = seen.taken(np.flatnonzero(seen.row > 0))
+    return with_surroundings(seen, run.commanded, run.temperature, number)
 
 
 def at_pose(seen: Observations, pose: RigidTransform) -> Observations:

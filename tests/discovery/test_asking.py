@@ -8,7 +8,7 @@ tracker, another clock and other noise.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -82,14 +82,15 @@ def even_in_x() -> Program:
     return Program(position, feed, np.full(n, 0.35))
 
 
-def two_sides_of_y() -> Program:
+def two_sides_of_y(n: int = 40, depth: float = 0.0) -> Program:
     """Points at both ends of Y, each approached from the other: play looks like a lean.
 
     The first point, approached from nowhere, is in the middle, where no lean shows.
+    depth : of the ends, as a share of the travel
     """
-    rng, n = np.random.default_rng(4), 40
-    share = rng.random((n, 3))
-    share[:, 1] = np.arange(n) % 2
+    share = np.random.default_rng(4).random((n, 3))
+    far = np.arange(n) % 2 == 1
+    share[:, 1] = np.where(far, 1.0 - depth * share[:, 1], depth * share[:, 1])
     share[0, 1] = 0.5
     position = np.round(LOW + 15.0 + share * (HIGH - LOW - 30.0), 3)
     return Program(position, np.full(n, 100.0), np.full(n, 0.8))
@@ -209,6 +210,22 @@ def test_nothing_is_asked_where_one_name_stands_clear(record):
 
 def test_nothing_is_asked_where_nothing_is_missing(record):
     assert ask(discover([record(11)[0]])) is None
+
+
+def test_from_which_side_the_first_point_was_reached_explains_nothing(
+    run_of, calibrated
+):
+    points = two_sides_of_y(24, 0.06)
+    home = np.vstack([LOW, points.position])
+    way = Program(home, np.full(len(home), 100.0), np.full(len(home), 0.8))
+    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
+    setting = Setting(machine_seed=MACHINE, hidden=(hidden,))
+    recording = synthetic.record(CONTENT, way, 7, "standstill", setting)
+    found = discover(
+        [run_of(replace(recording, program=points))], without(calibrated, "")
+    )
+    (finding,) = found.findings
+    assert finding.candidate.label == "lateral-backlash Y EXY"
 
 
 def test_an_axis_may_stand_in_a_further_run(record, run_of):
