@@ -54,7 +54,7 @@ def reason(asked: Ask) -> str:
     told = min(asked.expected)
     enough = "decides" if asked.decides else f"is less than the {DECIDED:.0f} wanted"
     return (
-        f"{'; '.join(_open(q) for q in asked.questions)}. {asked.lines} lines of "
+        f"{'; '.join(_open(q) for q in asked.questions)}. {asked.lines} lines in "
         f"{asked.duration_s:.0f} s, {turns} of them turning back, at "
         f"{', '.join(str(f) for f in feeds)} mm/min are expected to bring a log Bayes "
         f"factor of {told:.0f}, which {enough}."

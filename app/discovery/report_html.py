@@ -1,8 +1,8 @@
 """The report of a discovery: one HTML page that needs nothing else.
 
 Where simulation and measurement disagree, which effects explain it, what it may be
-instead, and the gap before and after on lines that the fit did not see. Uncertainties
-are expanded ones (k = 2).
+instead, the lines that would decide, and the gap before and after on lines that the fit
+did not see. Uncertainties are expanded ones (k = 2).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
+from app.discovery.asking import Ask
 from app.discovery.discover import Discovery, Finding
 from app.discovery.discovery_json import described
 from app.discovery.figures import (
@@ -20,6 +21,7 @@ from app.discovery.figures import (
     shares_figure,
 )
 from app.discovery.model_file import NextModel
+from app.discovery.report_ask import asked_section
 from app.discovery.where import Segment
 from app.discovery.wording import others, title
 from app.reporting.html_parts import (
@@ -45,11 +47,17 @@ _OWN_STYLE = (
 )
 
 
-def report_html(found: Discovery, model: NextModel) -> str:
-    """Return the report."""
+def report_html(
+    found: Discovery, model: NextModel, asked: Ask | None, ask_file: str
+) -> str:
+    """Return the report.
+
+    asked : lines to drive next, None where nothing is asked; in `ask_file` beside it
+    """
     name = escape(found.at.machine.name)
     parts = (
         _findings(found, model),
+        asked_section(asked, ask_file),
         _gap(found),
         _where(found),
         _unnamed(found),

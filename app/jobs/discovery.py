@@ -74,7 +74,8 @@ def discover_runs(
     content = {**discovery_json(found), "model": told_model}
     asked = ask(found)
     content["ask"] = None if asked is None else ask_json(asked, ASK)
-    return Discovered(found, content, model, report_html(found, model), asked)
+    report = report_html(found, model, asked, ASK)
+    return Discovered(found, content, model, report, asked)
 
 
 def write_discovery(discovered: Discovered, folder: str | Path) -> None:

@@ -19,6 +19,7 @@ from app.discovery.asking_json import ask_json
 from app.discovery.base import GivenModel
 from app.discovery.discover import Discovery, discover
 from app.discovery.extending import Extended, plain
+from app.discovery.report_ask import asked_section
 from app.errors import BundleError
 from app.kinematics.model import MachineModel
 from app.measurement.commanded_file import decode_path, encode_commanded
@@ -186,6 +187,18 @@ def test_the_reason_is_said_in_words(moved):
     assert f"{said['lines']} lines" in said["reason"]
     assert said["path"] == "ask/path.csv"
     assert said["decides"]
+
+
+def test_the_report_shows_questions_and_lines(moved):
+    _, done = moved
+    heading, *content = asked_section(done.asked, "ask/path.csv")
+    assert heading == "Ask the machine"
+    page = "".join(content)
+    question = done.asked.questions[0]
+    assert f"{question.left}, or {question.right}?" in page
+    assert f"{done.asked.expected[0]:.1f}" in page
+    assert page.count("<tr>") == 2 + 1 + len(done.asked.path)
+    assert "ask/path.csv" in page
 
 
 def test_a_measuring_job_takes_the_lines_as_they_are_stated(moved):

@@ -63,6 +63,11 @@ def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, page)
     assert "catalogued" not in kinds
 
 
+def test_where_nothing_is_asked_the_report_says_so(knocked, page):
+    assert knocked.asked is None
+    assert "Nothing is asked" in text_of(page)
+
+
 def test_the_page_needs_nothing_from_elsewhere(page):
     assert not re.search(r'(?:src|href)="', page)
     assert "nan" not in page
