@@ -2,9 +2,9 @@
 
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
 time: `on_the_fly` streams a path that the controller drives by itself, `step_through`
-stands at points. Both are made of the steps of `session`, whose `tick` is the only
-place that waits; it feeds the controller's watchdog, so an engine that hangs holds the
-feed.
+stands at points. Both are made of the steps of `session`; all their waiting is the
+`tick` of `watch`, which feeds the controller's watchdog, so an engine that hangs holds
+the feed.
 
 Time is the tracker's counter. Tracker and controller share no clock and none is
 assumed (sanders-2023): a Run begins and ends with the stream at a standstill, and the

@@ -25,6 +25,7 @@ from app.measurement.recorder import ClosedRun, Committed, Recorder
 from app.measurement.run_file import RunHeader
 from app.measurement.session import Session
 from app.measurement.step_through import step_through
+from app.measurement.watch import Watch
 from app.planning.configurations import Configurations
 from app.planning.paths import check_travel
 from drivers.interfaces.errors import DeviceError
@@ -58,6 +59,7 @@ class Measurement:
         self._devices, self._report, self._limits = dict(devices), report, limits
         self._clock = clock
         self._control = Control(self._state_changed)
+        self._watch: Watch | None = None
         self._session: Session | None = None
         self._recorder: Recorder | None = None
         self._halted = False
@@ -158,7 +160,7 @@ class Measurement:
             committed=self._shown_by(view),
             reserve_bytes=order.reserve_bytes,
         )
-        self._session = Session(
+        self._watch = Watch(
             self._tracker,
             self._motion,
             self._recorder,
@@ -168,6 +170,9 @@ class Measurement:
             schedule_of(order.commanded, order.feed_mm_min),
             limits=self._limits,
             clock=self._clock,
+        )
+        self._session = Session(
+            self._watch, self._motion, self._recorder, self._control, self._report
         )
         rate_hz, feed = order.rate_hz, order.feed_mm_min
         more = self._more(self._session, status.position)
@@ -219,8 +224,8 @@ class Measurement:
             time.sleep(0.05)
 
     def _close(self, state: CellState, text: str) -> ClosedRun:
-        if self._session is not None:
-            self._session.close_stream()
+        if self._watch is not None:
+            self._watch.end_stream()
         if self._recorder is None:
             return ClosedRun(FilePath(self._order.run_file), "", 0, 0)
         self._note("outcome", f"{state}: {text}")
