@@ -26,7 +26,8 @@ from app.jobs.database import Database
 from app.jobs.job import new_id, now_utc
 from app.jobs.plans import plan_json
 from app.jobs.schema import runs
-from app.measurement.bundle import read_bundle, write_bundle
+from app.measurement.bundle import read_bundle, zip_bundle
+from app.measurement.bundle_files import replace_file, sync_folder
 from app.measurement.recording import open_run, settle
 from app.measurement.run import Run
 
@@ -97,7 +98,7 @@ class RunCatalogue:
         run = read_bundle(bundle)
         file = self._folder / f"{run_id}.zip"
         os.replace(bundle, file)
-        _sync_folder(self._folder)
+        sync_folder(self._folder)
         return self._insert(run_id, run, file, "uploaded", complete=True, name=name)
 
     def get(self, run_id: str) -> RunRecord:
@@ -133,7 +134,7 @@ class RunCatalogue:
         with self._packing:
             if not packed.is_file():
                 packed.parent.mkdir(exist_ok=True)
-                _pack(open_run(file), packed)
+                replace_file(packed, zip_bundle(open_run(file)))
         return packed
 
     def upload_place(self) -> Path:
@@ -216,29 +217,6 @@ def _lost(run: Run) -> int:
 def _sha256(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _pack(run: Run, packed: Path) -> None:
-    """Write the bundle beside its place, then rename: it is whole or not there."""
-    with tempfile.TemporaryDirectory(dir=packed.parent) as work:
-        folder = Path(work) / "bundle"
-        write_bundle(run, folder)
-        part = Path(work) / "bundle.zip"
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
-            for file in sorted(folder.iterdir()):
-                archive.write(file, file.name)
-        with part.open("rb") as stream:
-            os.fsync(stream.fileno())
-        os.replace(part, packed)
-    _sync_folder(packed.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def free_bytes(folder: Path) -> int:
