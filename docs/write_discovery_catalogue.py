@@ -9,8 +9,8 @@ import re
 import sys
 from pathlib import Path
 
-from app.discovery.catalogue import DESCRIBED, families
-from app.kinematics.effects.catalogue import Family
+from app.discovery.catalogue import families
+from app.kinematics.effects.catalogue import Described, Family
 
 PAGE = Path(__file__).with_name("discovery.md")
 _PLACE = re.compile(
@@ -21,7 +21,7 @@ _PLACE = re.compile(
 def _row(family: Family) -> str:
     words = family.signature
     home = "machine" if family.in_machine else "measurement"
-    name = f"`{family.name}`" + (" *" if family.name in DESCRIBED else "")
+    name = f"`{family.name}`" + (" *" if isinstance(family, Described) else "")
     cells = (name, words.cause, words.looks_like, words.remedy, home)
     return f"| {' | '.join(cells)} |"
 

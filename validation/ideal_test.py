@@ -1,9 +1,10 @@
 """What an ideal test could see of a hidden effect.
 
-The ideal test is told what no real one knows: the noise, how strongly each error motion
-bends, and the effect's very shape, so that only its size is asked for. What machine,
-pose and timing can absorb is taken out first. The expected log-likelihood ratio between
-the effect and none is then half the squared signal-to-noise ratio.
+The ideal test is told what no real one knows: the noise, how strongly error motions of
+each kind bend in this machine, and the effect's very shape, so that only its size is
+asked for. What machine, pose and timing can absorb is taken out first: a sag that looks
+like a usual angular motion of the guide is one. The expected log-likelihood ratio
+between the effect and none is then half the squared signal-to-noise ratio.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from information_bound import true_noise, true_precision
+from information_bound import true_noise
 from judging import true_parameters
 from recordings import run_of
 
@@ -22,6 +23,8 @@ from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information
 from app.estimation.problem import pose_problem
 from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.model import MachineModel
 from simulators.recording import Recording
 from simulators.tracker_head import Air
 
@@ -72,8 +75,25 @@ def signal_to_noise(
     machine = model.with_effects(*shapes)
     data = information(pose_problem(seen, machine, seen.pose), true_noise(air)).matrix
     truth = true_parameters(model, recording.truth)
-    total = data + true_precision(model, truth, len(data))
+    total = data + _usual_precision(model, truth, len(data))
     return np.array([_left(total, k) for k in range(model.size, machine.size)])
+
+
+def _usual_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.ndarray:
+    """Return the prior precision of the strength that is usual for each kind."""
+    motions = [e for e in model.effects if isinstance(e, ErrorMotion)]
+    form = {e.name: e.gauge.T @ e.spline.bending() @ e.gauge for e in motions}
+    energy: dict[str, list[float]] = {}
+    for motion in motions:
+        part = truth[model.slices[motion.name]]
+        each = float(part @ form[motion.name] @ part) / (motion.spline.size - 2)
+        energy.setdefault(motion.charge().kind, []).append(each)
+    total = np.zeros((size, size))
+    for motion in motions:
+        part = model.slices[motion.name]
+        usual = float(np.mean(energy[motion.charge().kind]))
+        total[part, part] = form[motion.name] / usual
+    return total
 
 
 def _left(total: np.ndarray, k: int) -> float:

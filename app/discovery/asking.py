@@ -73,7 +73,7 @@ def ask(found: Discovery, *, seed: int = 0) -> Ask | None:
 def _questions(found: Discovery) -> Iterator[Question]:
     best, search = found.explanation, found.search
     gram = volumetric_gram(found.ground.base.model)
-    for finding in (f for f in found.findings if not f.is_described):
+    for finding in (f for f in found.findings if f.structure is None):
         others = [o for o in best.chosen if o is not finding.offer]
         for rival in finding.rivals:
             instead = search.explained([*others, rival])

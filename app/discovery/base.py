@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.discovery.scene import at_pose, in_surroundings
-from app.discovery.sums import Base
+from app.discovery.view import Base
 from app.errors import Unidentifiable
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, Posterior, posterior
@@ -148,7 +148,9 @@ def renoised(
         for g in grounds
     ]
     try:
-        better = looked_at(model.machine, runs, (*slow, *known, *effects))
+        better = looked_at(
+            model.machine, runs, (*slow, *known, *effects), longest_s=_SPLINE_S
+        )
     except Unidentifiable:
         if not effects:
             raise

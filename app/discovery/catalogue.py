@@ -7,9 +7,6 @@ from functools import cache
 from app.kinematics.effects.catalogue import Family
 from app.plugins import effect_families
 
-# Described by what they depend on; they name no cause.
-DESCRIBED = ("time-wave", "position-wave", "plane-error")
-
 
 @cache
 def families() -> tuple[Family, ...]:

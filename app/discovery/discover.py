@@ -14,16 +14,16 @@ from jaxtyping import Float64
 
 from app.alignment.reduction import beam_frame
 from app.discovery.base import GivenModel, Ground, grounds_of, renoised
-from app.discovery.catalogue import DESCRIBED, families
+from app.discovery.catalogue import families
 from app.discovery.scan import Offer
 from app.discovery.scene import Scene, at_pose, scene_of
 from app.discovery.search import Explanation, Search
-from app.discovery.sums import View
+from app.discovery.view import View
 from app.discovery.where import Where, where
 from app.discovery.within import within_cells
 from app.estimation.noise import floor_mm
 from app.kinematics.effects.base import Conditions
-from app.kinematics.effects.catalogue import Candidate, Family, Measured
+from app.kinematics.effects.catalogue import Candidate, Described, Family, Measured
 from app.measurement.run import Run
 
 _EQUIVALENT = 3.0
@@ -73,9 +73,9 @@ class Finding:
         return self.offer.candidate
 
     @property
-    def is_described(self) -> bool:
-        """Whether it is structure without a catalogued cause."""
-        return self.family.name in DESCRIBED
+    def structure(self) -> Described | None:
+        """Its family, if it is structure without a catalogued cause."""
+        return self.family if isinstance(self.family, Described) else None
 
 
 @dataclass(frozen=True)
@@ -262,5 +262,5 @@ def _rivals(
         for r in others
         if r.offer.label != offer.label
         and r.evidence > evidence - _EQUIVALENT
-        and r.offer.family.name not in DESCRIBED
+        and not isinstance(r.offer.family, Described)
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 from app.discovery.discover import Discovery, Finding
 from app.discovery.where import Segment, Where
-from app.kinematics.effects.catalogue import Candidate, Measured
+from app.kinematics.effects.catalogue import Candidate, Described, Measured
 from app.kinematics.symbols import is_turn
 
 SCHEMA = "discovery/1"
@@ -18,12 +18,15 @@ _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
 
 def discovery_json(found: Discovery) -> dict[str, Any]:
     """Return the content of the file."""
-    named = [f for f in found.findings if not f.is_described]
-    described = [f for f in found.findings if f.is_described]
+    named = [f for f in found.findings if f.structure is None]
     return {
         "schema": SCHEMA,
         "effects": [effect_json(f) for f in named],
-        "unnamed": [_unnamed_json(f) for f in described],
+        "unnamed": [
+            _unnamed_json(f.structure, f)
+            for f in found.findings
+            if f.structure is not None
+        ],
         "gap": {
             "unit": "um",
             "before": found.gap.before_um,
@@ -77,47 +80,16 @@ def parameters_json(found: Mapping[str, Measured]) -> dict[str, Any]:
     return stated
 
 
-def _unnamed_json(finding: Finding) -> dict[str, Any]:
+def _unnamed_json(family: Described, finding: Finding) -> dict[str, Any]:
     amplitude = finding.parameters.get("amplitude_um")
     rms = finding.parameters.get("rms_um")
     size = rms.value if rms else (amplitude.value / 2**0.5 if amplitude else 0.0)
     return {
-        "depends_on": depends_on(finding.candidate),
-        "description": described(finding),
+        "depends_on": family.depends_on(finding.candidate),
+        "description": family.told(finding.candidate, finding.parameters),
         "rms_um": size,
         **{k: v for k, v in effect_json(finding).items() if k not in ("name", "axis")},
     }
-
-
-def depends_on(candidate: Candidate) -> list[str]:
-    """Return what a structure without a name depends on."""
-    if candidate.family == "time-wave":
-        return ["t"]
-    if candidate.family == "plane-error":
-        return list(candidate.keys["plane"])
-    return [candidate.keys["axis"]]
-
-
-def described(finding: Finding) -> str:
-    """Return a structure without a name in one sentence."""
-    keys, found = finding.candidate.keys, finding.parameters
-    if finding.candidate.family == "time-wave":
-        return (
-            f"a wave in time along {keys['direction']} with a period of "
-            f"{found['period_s'].value:.3g} s and an amplitude of "
-            f"{found['amplitude_um'].value:.2g} µm"
-        )
-    if finding.candidate.family == "position-wave":
-        return (
-            f"a wave along {keys['axis']} in the direction of {keys['direction']} with "
-            f"a period of {found['period_mm'].value:.3g} mm and an amplitude of "
-            f"{found['amplitude_um'].value:.2g} µm"
-        )
-    one, two = keys["plane"]
-    return (
-        f"a displacement along {keys['direction']} of {found['rms_um'].value:.2g} µm "
-        f"(root mean square) that depends on {one} and {two} together"
-    )
 
 
 def _key(candidate: Candidate) -> dict[str, str]:

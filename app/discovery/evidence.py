@@ -16,33 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 
-from app.discovery.sums import FoldedSums, information_of
+from app.discovery.sums import FoldedSums, Offered, information_of
 from app.estimation.information import posterior
 from app.kinematics.effects.catalogue import Candidate
 
 _KNOWN = 100.0  # times the usual size: no prior to speak of
-
-
-@dataclass(frozen=True)
-class Columns:
-    """Where everything lies in the sums: base, chosen effects, effects on offer."""
-
-    base: int
-    chosen: tuple[Candidate, ...]
-    offered: tuple[Candidate, ...]
-
-    def of(self, number: int) -> Int64[np.ndarray, " m"]:
-        """Return the columns of one effect, chosen ones counted first."""
-        sizes = [len(c.usual) for c in (*self.chosen, *self.offered)]
-        begin = self.base + sum(sizes[:number])
-        return np.arange(begin, begin + sizes[number])
-
-    @property
-    def known(self) -> Int64[np.ndarray, " m"]:
-        """Columns of base and chosen effects."""
-        return np.arange(self.base + sum(len(c.usual) for c in self.chosen))
 
 
 def prior_precision(
@@ -62,27 +42,14 @@ def prior_precision(
 
 @dataclass(frozen=True)
 class Rest:
-    """Information and data of the effects on offer, the known integrated out."""
+    """Information and data of each effect on offer, the known integrated out."""
 
-    information: Float64[np.ndarray, "o o"]
-    data: Float64[np.ndarray, " o"]
-    slices: tuple[slice, ...]
+    information: tuple[Float64[np.ndarray, "p p"], ...]
+    data: tuple[Float64[np.ndarray, " p"], ...]
 
     def log_bayes(self, number: int, usual: Float64[np.ndarray, " p"]) -> float:
         """Return the gain in log evidence of one effect on offer."""
-        part = self.slices[number]
-        return log_bayes(self.information[part, part], self.data[part], usual)
-
-    def likeness(self, one: int, other: int) -> float:
-        """Return the share of one effect's signal that another would take away."""
-        a, b = self.slices[one], self.slices[other]
-        A, B = self.information[a, a], self.information[b, b]
-        cross = self.information[a, b]
-        theta = np.linalg.lstsq(A, self.data[a], rcond=1e-10)[0]
-        signal = float(theta @ A @ theta)
-        pulled = cross.T @ theta
-        taken = float(pulled @ np.linalg.lstsq(B, pulled, rcond=1e-10)[0])
-        return taken / max(signal, 1e-300)
+        return log_bayes(self.information[number], self.data[number], usual)
 
 
 def log_bayes(
@@ -98,28 +65,29 @@ def log_bayes(
     return 0.5 * gain - 0.5 * float(log_determinant)
 
 
-def rest(
-    total: Float64[np.ndarray, "q q"],
-    columns: Columns,
-    precision: Float64[np.ndarray, "p p"],
-) -> Rest:
+def rest(offered: Offered, precision: Float64[np.ndarray, "p p"]) -> Rest:
     """Return what is left for the effects on offer.
 
-    precision : prior of base and chosen effects
+    precision : prior of base and known effects
     """
-    known = columns.known
-    begin = len(known)
-    scale = 1.0 / np.sqrt(np.diag(total)[:begin] + np.diag(precision))
-    A = (total[:begin, :begin] + precision) * scale[:, None] * scale
-    factor = cho_factor(A, lower=True)
-    cross = total[:begin, begin:] * scale[:, None]
-    left = total[begin:, begin:] - cross.T @ cho_solve(factor, cross)
-    first = len(columns.chosen)
-    slices: list[slice] = []
-    for number in range(len(columns.offered)):
-        at = columns.of(first + number)
-        slices.append(slice(int(at[0]) - begin, int(at[-1]) + 1 - begin))
-    return Rest(left[:-1, :-1], left[:-1, -1], tuple(slices))
+    size = len(precision)
+    scale = 1.0 / np.sqrt(np.diag(offered.known)[:size] + np.diag(precision))
+    A = (offered.known[:size, :size] + precision) * scale[:, None] * scale
+    factor = np.linalg.cholesky(A)
+    known = _lower(factor, offered.known[:size, -1:] * scale[:, None])[:, 0]
+    information: list[Float64[np.ndarray, "p p"]] = []
+    data: list[Float64[np.ndarray, " p"]] = []
+    for cross, own in zip(offered.cross, offered.own, strict=True):
+        taken = _lower(factor, cross[:size] * scale[:, None])
+        information.append(own - taken.T @ taken)
+        data.append(cross[-1] - taken.T @ known)
+    return Rest(tuple(information), tuple(data))
+
+
+def _lower(
+    factor: Float64[np.ndarray, "p p"], right: Float64[np.ndarray, "p q"]
+) -> Float64[np.ndarray, "p q"]:
+    return solve_triangular(factor, right, lower=True, check_finite=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.alignment.surroundings import with_surroundings
 from app.discovery.scene import Scene
-from app.discovery.sums import Base, View
 from app.discovery.telling_apart import Question
+from app.discovery.view import Base, View
 from app.estimation.rehearsal import rehearsed
 from app.measurement.run import Run
 from app.planning.motion_times import Drive, drive_of

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.discovery.evidence import Columns, prior_precision, rest
+from app.discovery.evidence import prior_precision, rest
 from app.discovery.scan import Offer
 from app.discovery.sums import Lines
 from app.estimation.information import Posterior, posterior
@@ -139,9 +139,8 @@ def _best_of_grid(
     tries = [offer.at_value(at, float(v)) for v in values]
     chosen = tuple(o.candidate for o in others)
     tried = [offer.effect_of(c) for c in tries]
-    sums = lines.sums([*(o.effect for o in others), *tried])
-    columns = Columns(len(precision), chosen, tuple(tries))
-    left = rest(sums.total(), columns, prior_precision(precision, chosen))
+    offered = lines.offered([o.effect for o in others], tried)
+    left = rest(offered, prior_precision(precision, chosen))
     gains = np.array([left.log_bayes(j, c.usual) for j, c in enumerate(tries)])
     weight = np.exp(gains - gains.max())
     weight /= weight.sum()

@@ -12,7 +12,6 @@ from typing import Any
 
 from app.discovery.asking import Ask
 from app.discovery.discover import Discovery, Finding
-from app.discovery.discovery_json import described
 from app.discovery.figures import (
     along_run_figure,
     by_line_figure,
@@ -24,6 +23,7 @@ from app.discovery.model_file import NextModel
 from app.discovery.report_ask import asked_section
 from app.discovery.where import Segment
 from app.discovery.wording import others, title
+from app.kinematics.effects.catalogue import Described
 from app.reporting.html_parts import (
     callout,
     drawing,
@@ -118,8 +118,8 @@ def _tiles(found: Discovery) -> str:
 
 
 def _split(found: Discovery) -> tuple[list[Finding], list[Finding]]:
-    named = [f for f in found.findings if not f.is_described]
-    return named, [f for f in found.findings if f.is_described]
+    named = [f for f in found.findings if f.structure is None]
+    return named, [f for f in found.findings if f.structure is not None]
 
 
 def _findings(found: Discovery, model: NextModel) -> tuple[str, ...]:
@@ -241,7 +241,9 @@ def _unnamed(found: Discovery) -> tuple[str, ...]:
             "<p>None: what is left does not depend on time, on an axis or on two axes "
             "together more than noise would.</p>",
         )
-    items = "".join(f"<li>{_described(f)}</li>" for f in unnamed)
+    items = "".join(
+        f"<li>{_described(f.structure, f)}</li>" for f in unnamed if f.structure
+    )
     return (
         "Structure without a name",
         "<p>No effect of the catalogue explains it, and none is forced on it.</p>"
@@ -249,8 +251,9 @@ def _unnamed(found: Discovery) -> tuple[str, ...]:
     )
 
 
-def _described(finding: Finding) -> str:
-    text, words = described(finding), finding.family.signature
+def _described(family: Described, finding: Finding) -> str:
+    text = family.told(finding.candidate, finding.parameters)
+    words = family.signature
     return escape(
         f"{text[0].upper()}{text[1:]}; it closes {100 * finding.evidence.share:.0f} % "
         f"of the gap. {words.cause} {words.remedy}"

@@ -16,13 +16,18 @@ from scipy.optimize import minimize_scalar
 
 from app.discovery.evidence import log_bayes
 from app.discovery.spectrum import transform
-from app.discovery.sums import TIMING, FastSums, View, line_rows, stretches
+from app.discovery.view import TIMING, FastSums, View, line_rows, stretches
 from app.estimation.noise import whiten
 from app.kinematics.effects.base import Conditions, Effect, in_run
-from app.kinematics.effects.catalogue import Candidate, Family, Wave, averaged
+from app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave, averaged
 from app.kinematics.effects.of_run import OfRun
 
 _RATES = 8  # groups of cells of like rate
+_FINER = 17  # values between neighbours of a scan's best one
+_SHARP = 0.01  # of the distance between neighbours
+_HOPELESS = (
+    1.0  # log Bayes factor of a best value that neighbours cannot raise to matter
+)
 
 
 @dataclass(frozen=True)
@@ -140,23 +145,39 @@ def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:
         return offer
     wave = offer.family.wave(offer.candidate, at)
     if wave is not None:
-        gains = _wave_gains(offer, wave.waves, left)
+        value = _best_wave(offer, scan, wave, left)
     else:
-        gains = np.array([_gain(offer, left, float(v)) for v in scan.values])
+        value = _best_value(offer, scan, left)
+    price = float(np.log(max(len(scan.values) / 4.0, 1.0)))
+    return Offer(offer.family, offer.at_value(at, value), offer.run, price)
+
+
+def _best_wave(offer: Offer, scan: Scan, wave: Wave, left: Sequence[Residual]) -> float:
+    """Return the value of a scan of waves that promises most, between them as well."""
+    best = int(np.argmax(_wave_gains(offer, wave.waves, left)))
+    around = slice(max(best - 1, 0), best + 2)
+    order = np.argsort(wave.waves[around])
+    waves, values = wave.waves[around][order], scan.values[around][order]
+    share = np.arange(_FINER) / (_FINER - 1)
+    fine = float(waves[0]) + share * float(waves[-1] - waves[0])
+    best = int(np.argmax(_wave_gains(offer, fine, left)))
+    return float(np.interp(float(fine[best]), waves, values))
+
+
+def _best_value(offer: Offer, scan: Scan, left: Sequence[Residual]) -> float:
+    """Return the value of any other scan that promises most."""
+    gains = np.array([_gain(offer, left, float(v)) for v in scan.values])
     best = int(np.argmax(gains))
-    low, high = (
-        scan.values[max(best - 1, 0)],
-        scan.values[min(best + 1, len(gains) - 1)],
-    )
+    if gains[best] < _HOPELESS:
+        return float(scan.values[best])
+    around = scan.values[max(best - 1, 0) : best + 2]
     found = minimize_scalar(
         lambda v: -_gain(offer, left, float(v)),
-        bounds=(low, high),
+        bounds=(around[0], around[-1]),
         method="bounded",
-        options={"xatol": 1e-4 * (high - low), "maxiter": 20},
+        options={"xatol": _SHARP * float(np.ptp(around)), "maxiter": 20},
     )
-    value = float(found.x) if -found.fun >= gains[best] else float(scan.values[best])
-    price = float(np.log(max(len(gains) / 4.0, 1.0)))
-    return Offer(offer.family, offer.at_value(at, value), offer.run, price)
+    return float(found.x) if -found.fun >= gains[best] else float(scan.values[best])
 
 
 def _is_fast(offer: Offer) -> bool:

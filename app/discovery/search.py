@@ -10,7 +10,6 @@ from jaxtyping import Float64
 
 from app.discovery.base import BasePrior
 from app.discovery.evidence import (
-    Columns,
     HeldOut,
     Rest,
     held_out,
@@ -19,10 +18,11 @@ from app.discovery.evidence import (
 )
 from app.discovery.refining import refined
 from app.discovery.scan import Offer, Residual, scanned, weighted_residual
-from app.discovery.sums import Lines, View
+from app.discovery.sums import Lines
+from app.discovery.view import View
 from app.estimation.information import Posterior
 from app.kinematics.effects.base import Conditions, Effect
-from app.kinematics.effects.catalogue import Candidate, Family
+from app.kinematics.effects.catalogue import Candidate, Described, Family
 
 FOLDS = 8
 LEAST_EVIDENCE = 4.0  # log Bayes factor beyond the price of the search
@@ -80,6 +80,7 @@ class Search:
         self._prior = prior
         self._lines = Lines(views, FOLDS)
         self._offers = tuple(_offered(families, self._at))
+        self._listed = float(np.log(len(self._offers)))
 
     @property
     def compared(self) -> int:
@@ -88,13 +89,42 @@ class Search:
 
     def found(self, chosen: Sequence[Offer] = ()) -> Explanation:
         """Return the effects that the Run has evidence for, starting from some."""
-        best = self._pruned(self.explained(chosen))
+        best = self._grown(self._pruned(self.explained(chosen)), self._offers)
+        return self._named(best)
+
+    def _grown(self, best: Explanation, among: Sequence[Offer]) -> Explanation:
+        """Return the explanation with all that evidence asks for besides."""
         while len(best.chosen) < _MOST_EFFECTS:
-            larger = self._larger(best)
+            larger = self._larger(best, among)
             if larger is None:
                 break
-            best = self._tried_again(larger)
+            best = self._tried_again(larger, among)
         return best
+
+    def _named(self, best: Explanation) -> Explanation:
+        """Let causes explain what structure without a name has taken, if they can.
+
+        One after another, shapes that fit anything may take together what one cause
+        explains by itself.
+        """
+        kept = [o for o in best.chosen if not isinstance(o.family, Described)]
+        if len(kept) == len(best.chosen):
+            return best
+        causes = [o for o in self._offers if not isinstance(o.family, Described)]
+        other = self._grown(self._pruned(self.explained(kept)), causes)
+        if {o.label for o in other.chosen} == {o.label for o in kept}:
+            return best
+        other = self._grown(other, self._offers)
+        gain = self._evidence(other) - self._evidence(best)
+        return other if gain > -_EQUIVALENT else best
+
+    def _evidence(self, explanation: Explanation) -> float:
+        """Return the log Bayes factor of all chosen effects, price of search paid."""
+        chosen, total = explanation.chosen, 0.0
+        for k, offer in enumerate(chosen):
+            (own,), _ = self.ranked(self.explained(chosen[:k]), [offer])
+            total += own.evidence
+        return total
 
     def explained(self, chosen: Sequence[Offer]) -> Explanation:
         """Return the Run explained by base and given effects, their values refined."""
@@ -121,26 +151,21 @@ class Search:
         """
         chosen = explanation.chosen
         if offers is None:
-            offers = self._scanned(explanation)
-        sums = self._lines.sums(_effects((*chosen, *offers)))
-        columns = Columns(self._size, _candidates(chosen), _candidates(offers))
-        precision = self._precision(explanation.prior, chosen)
-        left = rest(sums.total(), columns, precision)
-        listed = float(np.log(len(self._offers)))
+            offers = self._scanned(explanation, self._offers)
+        offered = self._lines.offered(_effects(chosen), _effects(offers))
+        left = rest(offered, self._precision(explanation.prior, chosen))
         found = [
-            Ranked(o, k, left.log_bayes(k, o.candidate.usual) - o.price - listed)
+            Ranked(o, k, left.log_bayes(k, o.candidate.usual) - o.price - self._listed)
             for k, o in enumerate(offers)
         ]
         return sorted(found, key=lambda r: -r.evidence), left
 
-    def _scanned(self, explanation: Explanation) -> list[Offer]:
-        """Return all offers but the chosen ones, at their best values."""
+    def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:
+        """Return offers, but the chosen ones, at their best values."""
         chosen = explanation.chosen
         left = self.residuals(explanation)
         taken = {o.label for o in chosen}
-        return [
-            scanned(offer, left) for offer in self._offers if offer.label not in taken
-        ]
+        return [scanned(offer, left) for offer in among if offer.label not in taken]
 
     def residuals(self, explanation: Explanation) -> list[Residual]:
         """Return what an explanation leaves in every cell of each Run."""
@@ -148,9 +173,9 @@ class Search:
         theta = explanation.fit.theta
         return [weighted_residual(view, effects, theta) for view in self._views]
 
-    def _larger(self, best: Explanation) -> Explanation | None:
+    def _larger(self, best: Explanation, among: Sequence[Offer]) -> Explanation | None:
         """Return the explanation with one effect more, if evidence asks for it."""
-        offers, _ = self.ranked(best)
+        offers, _ = self.ranked(best, self._scanned(best, among))
         for offer in offers[:_TRIED]:
             if offer.evidence < LEAST_EVIDENCE:
                 return None
@@ -177,12 +202,12 @@ class Search:
             best = without[least]
         return best
 
-    def _tried_again(self, best: Explanation) -> Explanation:
+    def _tried_again(self, best: Explanation, among: Sequence[Offer]) -> Explanation:
         """Exchange or remove what later effects have made worse or needless."""
         for offer in best.chosen[:-1]:
             others = [o for o in best.chosen if o is not offer]
             without = self.explained(others)
-            ranked, _ = self.ranked(without)
+            ranked, _ = self.ranked(without, self._scanned(without, among))
             own, _ = self.ranked(without, [offer])
             if ranked[0].evidence > own[0].evidence + _EQUIVALENT:
                 return self.explained((*without.chosen, ranked[0].offer))

@@ -27,6 +27,10 @@ def transform(
     at_wave = waves * size * step
     index = np.minimum(at_wave.astype(np.int64), len(found) - 2)
     share = at_wave - index
-    value = found[index] * (1.0 - share) + found[index + 1] * share
-    phase = np.exp(-2j * np.pi * first * waves)
+    # Seen from the middle of the data, neighbours differ least in phase.
+    middle = int(left.max()) // 2
+    turn = 2j * np.pi * middle / size
+    value = found[index] * np.exp(turn * index) * (1.0 - share)
+    value += found[index + 1] * np.exp(turn * (index + 1)) * share
+    phase = np.exp(-2j * np.pi * (first + middle * step) * waves)
     return np.asarray(value * phase / np.sinc(waves * step) ** 2, np.complex128)

@@ -7,92 +7,20 @@ others, without touching a sample again: what is held out is always whole lines.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from numpy.typing import NDArray
 
-from app.alignment.observations import Observations
-from app.alignment.reduction import beam_frame
+from app.discovery.view import FastSums, View, stretches
+from app.discovery.whitened import Halves, Line, line_of
 from app.estimation.information import Information
-from app.estimation.noise import NoiseModel, whiten
-from app.kinematics.effects.base import Conditions, Effect
-from app.kinematics.effects.catalogue import Wave
-from app.kinematics.effects.of_run import OfRun
-from app.kinematics.effects.timing_law import TimingLaw
-from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.model import MachineModel
-from app.numerics.correlated_noise import Whitener
-from app.numerics.rigid import RigidTransform
+from app.kinematics.effects.base import Effect
+from app.kinematics.effects.of_run import identity
 
-TIMING = 2
-_NOTHING = 1e-12
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
-
-
-@dataclass(frozen=True)
-class Base:
-    """What all explanations of a Run share: machine, pose, noise; linear about them.
-
-    theta : (p,) of the model, about which the machine is linear: 0 where it is fitted
-    runs : how many Runs are explained together, each with a pose of its own
-    """
-
-    model: MachineModel
-    pose: RigidTransform
-    centre_mm: tuple[float, float, float]
-    noise: NoiseModel
-    theta: Float64[np.ndarray, " p"]
-    runs: int = 1
-
-    @property
-    def size(self) -> int:
-        """Number of parameters of machine and poses."""
-        return self.model.size + 6 * self.runs
-
-    @property
-    def poses(self) -> tuple[Effect, ...]:
-        """Where the tracker stands, in each Run."""
-        return tuple(OfRun(TrackerPose(self.centre_mm), k) for k in range(self.runs))
-
-
-class FastSums(Protocol):
-    """What samples tell within their cells."""
-
-    def sums(
-        self, effects: Sequence[Effect], folds: int
-    ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
-        """Return the sums on fast effects and data, and which columns they are."""
-        ...
-
-    def squares(self, folds: int) -> Float64[np.ndarray, " k"]:
-        """Return the weighted squares of the data."""
-        ...
-
-    def wave(
-        self, wave: Wave
-    ) -> tuple[NDArray[np.complex128], Float64[np.ndarray, " v"]]:
-        """Return data and weight of a wave in time."""
-        ...
-
-    def freedom(self, folds: int) -> Float64[np.ndarray, " k"]:
-        """Return their degrees of freedom."""
-        ...
-
-
-@dataclass(frozen=True)
-class View:
-    """What one Run shows, and what it is held against.
-
-    within : what its samples tell within their cells
-    """
-
-    seen: Observations
-    base: Base
-    within: FastSums | None = None
+_KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
 
 
 @dataclass(frozen=True)
@@ -137,20 +65,28 @@ def information_of(
 
 
 @dataclass(frozen=True)
-class Line:
-    """One line or standstill: timing, base and data, whitened once for all effects.
+class Offered:
+    """Sums over all lines of effects on offer, each beside what is known.
 
-    fold : that it is held out with; None if it never is
-    white, slow : halves of the columns timing, machine, pose, data
+    known : (q, q) on machine, poses, known effects, data
+    cross : (q, p) of it with the parameters of each effect; own : (p, p) of each
     """
 
-    fold: int | None
-    at: Conditions
-    frame: Float64[np.ndarray, "n 3 3"]
-    whitener: Whitener
-    white: Float64[np.ndarray, "m q"]
-    slow: Float64[np.ndarray, "s q"]
-    freedom: float
+    known: Float64[np.ndarray, "q q"]
+    cross: tuple[Float64[np.ndarray, "q p"], ...]
+    own: tuple[Float64[np.ndarray, "p p"], ...]
+
+
+@dataclass(frozen=True)
+class _Term:
+    """An effect's columns, and their sums with base and data.
+
+    cross : (k + 1, q, p) over each fold, then over the lines never held out
+    """
+
+    effect: Effect
+    halves: Halves
+    cross: Float64[np.ndarray, "f q p"]
 
 
 class Lines:
@@ -162,46 +98,87 @@ class Lines:
     """
 
     def __init__(self, views: Sequence[View], folds: int) -> None:
-        self._folds = folds
+        self._views, self._folds = tuple(views), folds
         self._size = views[0].base.size
         self._within: list[tuple[FastSums, bool]] = []
-        self._lines: list[Line] = []
+        lines: list[tuple[int, Line]] = []
         for number, view in enumerate(views):
             parts = stretches(view.seen)
             is_held = number == 0 or len(parts) >= _FEWEST_LINES * folds
             for k, (first, last) in enumerate(parts):
-                seen = view.seen.taken(np.arange(first, last))
-                self._lines.append(
-                    _line(seen, view.base, k % folds if is_held else None)
-                )
+                line = line_of(view, number, first, last)
+                lines.append((k % folds if is_held else folds, line))
             if view.within is not None:
                 self._within.append((view.within, is_held))
+        fold = np.array([fold for fold, _ in lines])
+        order = np.argsort(fold, kind="stable")
+        self._lines = [lines[int(k)][1] for k in order]
+        self._bounds = np.searchsorted(fold[order], np.arange(folds + 2))
+        free = np.array([line.freedom for line in self._lines])
+        self._freedom = np.bincount(fold[order], free, folds + 1)[:folds]
+        self._log_determinant = float(sum(line.log_determinant for line in self._lines))
+        self._base = Halves.joined([line.base for line in self._lines])
+        self._ground = self._products(self._base, self._base)
+        self._known: dict[tuple[int, int], _Term] = {}
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
         """Return the sums of all lines on machine, poses, effects and data."""
-        count = sum(len(e.parameters) for e in effects)
-        size = self._size + count + 1
-        total, always = np.zeros((self._folds, size, size)), np.zeros((size, size))
-        freedom, log_determinant = np.zeros(self._folds), 0.0
-        for line in self._lines:
-            one, told, log_timing = _timing_out(_with_effects(line, effects))
-            log_determinant += line.whitener.log_determinant + log_timing
-            if line.fold is None:
-                always += one
-            else:
-                total[line.fold] += one
-                freedom[line.fold] += line.freedom - told
-        fast = self._with_fast(total, always, effects)
-        return FoldedSums(total, freedom, always, log_determinant, *fast)
+        terms = self._terms_of(effects)
+        begin = self._begins(terms)
+        total = np.zeros((self._folds + 1, begin[-1] + 1, begin[-1] + 1))
+        base = np.r_[np.arange(self._size), begin[-1]]
+        _put(total, base, base, self._ground)
+        for j, one in enumerate(terms):
+            mine = np.arange(int(begin[j]), int(begin[j + 1]))
+            _put(total, base, mine, one.cross)
+            for k, other in enumerate(terms[: j + 1]):
+                shared = self._products(other.halves, one.halves)
+                theirs = np.arange(int(begin[k]), int(begin[k + 1]))
+                _put(total, theirs, mine, shared)
+        fast = self._with_fast(total, begin, effects)
+        return FoldedSums(
+            total[:-1], self._freedom, total[-1], self._log_determinant, *fast
+        )
+
+    def offered(self, known: Sequence[Effect], offers: Sequence[Effect]) -> Offered:
+        """Return the sums of effects on offer, each for itself beside what is known."""
+        total = self.sums(known).total()
+        beside = self._terms_of(known)
+        pairs = [self._beside(beside, term) for term in self._terms_of(offers)]
+        return Offered(total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs))
+
+    def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
+        """Return the first column of each effect, and one past the last."""
+        return self._size + np.cumsum([0, *(one.halves.width for one in terms)])
+
+    def _beside(
+        self, known: Sequence[_Term], offer: _Term
+    ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
+        """Return the sums of one effect with all that is known, and with itself."""
+        with_base = offer.cross.sum(axis=0)
+        others = [one.halves.times(offer.halves) for one in known]
+        cross = np.concatenate([with_base[:-1], *others, with_base[-1:]])
+        own = offer.halves.times(offer.halves)
+        begin = self._begins(known)
+        for within, _ in self._within:
+            if not within.shows(offer.effect):
+                continue
+            effects = [*(one.effect for one in known), offer.effect]
+            fast, columns = within.sums(effects, 1)
+            mine = len(columns) - offer.halves.width
+            rows = [begin[k] + p for k, p in columns[:mine]]
+            cross[rows] += fast[0, :mine, mine:-1]
+            cross[-1] += fast[0, -1, mine:-1]
+            own = own + fast[0, mine:-1, mine:-1]
+        return cross, own
 
     def _with_fast(
         self,
-        total: Float64[np.ndarray, "k q q"],
-        always: Float64[np.ndarray, "q q"],
+        total: Float64[np.ndarray, "f q q"],
+        begin: Int64[np.ndarray, " e"],
         effects: Sequence[Effect],
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
         """Add what fast effects have within cells; return its squares and freedom."""
-        begin = self._size + np.cumsum([0, *(len(e.parameters) for e in effects)])
         square, freedom = np.zeros((2, self._folds))
         for within, is_held in self._within:
             fast, columns = within.sums(effects, self._folds)
@@ -211,87 +188,54 @@ class Lines:
                 if is_held:
                     total[np.ix_(range(self._folds), own, own)] += fast
                 else:
-                    always[np.ix_(own, own)] += fast.sum(axis=0)
+                    total[-1][np.ix_(own, own)] += fast.sum(axis=0)
             if is_held:
                 square += within.squares(self._folds)
                 freedom += within.freedom(self._folds)
         return square, freedom
 
+    def _terms_of(self, effects: Sequence[Effect]) -> list[_Term]:
+        """Return the effects' columns, each made once."""
+        keys = [identity(effect) for effect in effects]
+        found = {key: self._known.pop(key) for key in set(keys) & set(self._known)}
+        new = {k: e for k, e in zip(keys, effects, strict=True) if k not in found}
+        if new:
+            made = self._made(list(new.values()))
+            found |= dict(zip(new, made, strict=True))
+        self._known |= {key: found[key] for key in keys}  # the newest are last
+        for key in list(self._known)[: max(len(self._known) - _KEPT, 0)]:
+            del self._known[key]
+        return [found[key] for key in keys]
 
-def _line(seen: Observations, base: Base, fold: int | None) -> Line:
-    rows, frame = line_rows(seen, base, ())
-    whitener = whiten(seen, base.noise, frame)
-    across = base.noise.along_sigma_mm == np.inf and seen.at.line[0] >= 0
-    return Line(
-        fold,
-        seen.at,
-        frame,
-        whitener,
-        *whitener.halves(rows),
-        (2.0 if across else 3.0) * len(seen),
-    )
-
-
-def _with_effects(line: Line, effects: Sequence[Effect]) -> Float64[np.ndarray, "q q"]:
-    """Return the sums of one line on timing, base, effects and data."""
-    base = line.white.T @ line.white
-    if len(line.slow):
-        base -= line.slow.T @ line.slow
-    if not effects:
-        return base
-    rows = np.concatenate([e.jacobian(line.at) for e in effects], axis=2)
-    white, slow = line.whitener.halves(np.matmul(line.frame, rows))
-    cross, own = line.white.T @ white, white.T @ white
-    if len(slow):
-        cross -= line.slow.T @ slow
-        own -= slow.T @ slow
-    return np.block(
-        [
-            [base[:-1, :-1], cross[:-1], base[:-1, -1:]],
-            [cross[:-1].T, own, cross[-1:].T],
-            [base[-1:, :-1], cross[-1:], base[-1:, -1:]],
+    def _made(self, effects: Sequence[Effect]) -> Iterator[_Term]:
+        """Yield the columns of effects, whitened and multiplied together."""
+        rows = [
+            np.concatenate([e.jacobian(view.seen.at) for e in effects], axis=2)
+            for view in self._views
         ]
-    )
+        halves = Halves.joined([line.whitened(rows) for line in self._lines])
+        cross = self._products(self._base, halves)
+        ends = np.cumsum([0, *(len(e.parameters) for e in effects)])
+        for effect, first, last in zip(effects, ends, ends[1:], strict=False):
+            own = slice(int(first), int(last))
+            yield _Term(effect, halves.columns(own), cross[:, :, own])
+
+    def _products(self, one: Halves, other: Halves) -> Float64[np.ndarray, "f p q"]:
+        """Return oneᵀ V⁻¹ other over each fold, then over the lines never held out."""
+        return np.stack(
+            [
+                one.between(first, last).times(other.between(first, last))
+                for first, last in zip(self._bounds, self._bounds[1:], strict=False)
+            ]
+        )
 
 
-def stretches(seen: Observations) -> list[tuple[int, int]]:
-    """Return first cell and one past the last of each line or standstill."""
-    breaks = (np.diff(seen.at.line) != 0) | (np.diff(seen.row) != 0)
-    begin = np.flatnonzero(np.concatenate([[True], breaks]))
-    return [
-        (int(a), int(b))
-        for a, b in zip(begin, np.append(begin[1:], len(seen)), strict=True)
-    ]
-
-
-def line_rows(
-    seen: Observations, base: Base, effects: Sequence[Effect]
-) -> tuple[Float64[np.ndarray, "n 3 q"], Float64[np.ndarray, "n 3 3"]]:
-    """Return rows over timing, machine, poses, effects and data; and the beam frame."""
-    more = [e.jacobian(seen.at) for e in (*base.poses, *effects)]
-    columns = np.concatenate([base.model.jacobian(seen.at), *more], axis=2)
-    local = np.zeros((len(seen), 3, TIMING + columns.shape[2] + 1))
-    line = int(seen.at.line[0])
-    if line >= 0:
-        local[:, :, :TIMING] = TimingLaw((line,)).jacobian(seen.at)
-    local[:, :, TIMING:-1] = columns
-    local[:, :, -1] = base.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
-    machine = slice(TIMING, TIMING + base.model.size)
-    local[:, :, -1] -= local[:, :, machine] @ base.theta
-    frame = beam_frame(seen.tracker_mm) @ base.pose.rotation
-    return np.matmul(frame, local), frame
-
-
-def _timing_out(
-    total: Float64[np.ndarray, "t t"],
-) -> tuple[Float64[np.ndarray, "q q"], int, float]:
-    """Integrate phase and speed out, where the line tells them at all."""
-    usual = float(np.max(np.diag(total)[:-1]))
-    told = [k for k in range(TIMING) if total[k, k] > _NOTHING * usual]
-    sums = total[TIMING:, TIMING:]
-    if not told:
-        return sums, 0, 0.0
-    H = total[np.ix_(told, told)]
-    half = total[np.ix_(told, range(TIMING, len(total)))]
-    _, log_determinant = np.linalg.slogdet(H)
-    return sums - half.T @ np.linalg.solve(H, half), len(told), float(log_determinant)
+def _put(
+    total: Float64[np.ndarray, "f q q"],
+    rows: Int64[np.ndarray, " r"],
+    columns: Int64[np.ndarray, " c"],
+    block: Float64[np.ndarray, "f r c"],
+) -> None:
+    """Write a block and its mirror image into sums."""
+    total[:, rows[:, None], columns] = block
+    total[:, columns[:, None], rows] = np.swapaxes(block, 1, 2)

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.discovery.search import Explanation
-from app.discovery.sums import Base, Lines, View
+from app.discovery.sums import Lines
+from app.discovery.view import Base, View
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import USUAL_MM
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
-from app.discovery.sums import stretches
+from app.discovery.view import stretches
 
 _BINS, _SIDE = 8, 4
 

@@ -19,13 +19,23 @@ from app.alignment.cleaning import valid_samples
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
 from app.discovery.spectrum import transform
-from app.discovery.sums import Base, stretches
+from app.discovery.view import Base, stretches
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
-from app.kinematics.effects.of_run import OfRun
+from app.kinematics.effects.of_run import OfRun, identity
 from app.measurement.run import Run
 
 _OUTLIER = 5.0
+_KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial
+
+
+@dataclass(frozen=True)
+class _Fast:
+    """An effect's columns (3n, p) without mean and slope in each cell, and weighted."""
+
+    effect: Effect
+    plain: Float64[np.ndarray, "m p"]
+    weighted: Float64[np.ndarray, "m p"]
 
 
 @dataclass(frozen=True)
@@ -65,26 +75,58 @@ class Within:
         And their columns: number of the effect, number of its parameter.
         """
         found = [(k, self._of(effect)) for k, effect in enumerate(effects)]
-        fast = [(k, J) for k, J in found if J is not None]
-        columns = [(k, p) for k, J in fast for p in range(J.shape[2])]
-        size = len(columns) + 1
-        total = np.zeros((folds, size, size))
+        fast = [(k, one) for k, one in found if one is not None]
+        columns = [(k, p) for k, one in fast for p in range(one.plain.shape[1])]
+        total = np.zeros((folds, len(columns) + 1, len(columns) + 1))
         if not columns:
             return total, columns
-        blocks = [*(J for _, J in fast), self.deviation_mm[:, :, None]]
-        rows = np.concatenate(blocks, axis=2)
-        flat = self.straightened(rows.reshape(len(rows), -1)).reshape(rows.shape)
-        weighted = self.precision[self.cell] @ flat
-        fold = self.line[self.cell] % folds
-        for k in range(folds):
-            mine = np.flatnonzero(fold == k)
-            total[k] = np.tensordot(flat[mine], weighted[mine], axes=((0, 1), (0, 1)))
+        data = self.deviation_mm.reshape(-1, 1), self.weighted.reshape(-1, 1)
+        plain = np.concatenate([*(one.plain for _, one in fast), data[0]], axis=1)
+        weighted = np.concatenate([*(one.weighted for _, one in fast), data[1]], axis=1)
+        for line, first, last in self._lines:
+            mine = slice(3 * first, 3 * last)
+            total[line % folds] += plain[mine].T @ weighted[mine]
         return total, columns
 
-    def _of(self, effect: Effect) -> Float64[np.ndarray, "n 3 p"] | None:
-        if isinstance(effect, OfRun) and effect.run != self.run:
+    @cached_property
+    def _lines(self) -> list[tuple[int, int, int]]:
+        """Return number, first sample and one past the last of each line."""
+        line = self.line[self.cell]
+        begin = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
+        end = np.append(begin[1:], len(line))
+        return [(int(line[a]), int(a), int(b)) for a, b in zip(begin, end, strict=True)]
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, int], _Fast]:
+        """Return the effects looked at of late."""
+        return {}
+
+    def _of(self, effect: Effect) -> _Fast | None:
+        """Return a fast effect's columns, made once while it is looked at."""
+        key = identity(effect)
+        found = self._known.pop(key, None) or self._made(effect)
+        if found is not None:
+            self._known[key] = found  # the newest is last
+        if len(self._known) > _KEPT:
+            del self._known[next(iter(self._known))]
+        return found
+
+    def _made(self, effect: Effect) -> _Fast | None:
+        columns = effect.in_time(self.time_s) if self._is_here(effect) else None
+        if columns is None:
             return None
-        return effect.in_time(self.time_s)
+        size = columns.shape[2]
+        plain = self.straightened(columns.reshape(len(columns), -1))
+        plain = plain.reshape(columns.shape)
+        weighted = self.precision[self.cell] @ plain
+        return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))
+
+    def shows(self, effect: Effect) -> bool:
+        """Tell whether an effect is fast, and of this Run."""
+        return self._is_here(effect) and effect.in_time(self.time_s[:1]) is not None
+
+    def _is_here(self, effect: Effect) -> bool:
+        return not isinstance(effect, OfRun) or effect.run == self.run
 
     def wave(
         self, wave: Wave
@@ -190,8 +232,10 @@ def _straightened(
     count: int,
 ) -> Float64[np.ndarray, "n p"]:
     number = np.maximum(np.bincount(cell, minlength=count), 1)
-    left = np.empty_like(columns)
+    left = np.zeros_like(columns)
     for k, column in enumerate(columns.T):
+        if not column.any():
+            continue
         mean = np.bincount(cell, column, count) / number
         slope = np.bincount(cell, column * lag, count)
         left[:, k] = column - mean[cell] - slope[cell] * lag

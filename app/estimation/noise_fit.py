@@ -42,7 +42,8 @@ _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
-_BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, 60.0], [_JITTER_FLOOR_MM, 0.1]])
+LONGEST_S = 60.0
+_BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
 def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
@@ -57,11 +58,14 @@ def looked_at(
     runs: Sequence[Measured],
     beside: Sequence[Effect] = (),
     known: KnownEffects | None = None,
+    *,
+    longest_s: float = LONGEST_S,
 ) -> tuple[Measured, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
 
     beside : further effects that must not pass for slow noise
     known : effects of the machine that an earlier measurement has told
+    longest_s : correlation time; what is slower is structure, not noise
 
     The rough pose is off by the machine's errors. Every Run has a noise of its own;
     what the error motions are, all Runs tell. Some lines and coarse splines tell both
@@ -81,7 +85,7 @@ def looked_at(
     # The noise of one Run shifts what the others hold for the error motions.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
         others = shares[:k] + shares[k + 1 :]
-        noise = _fitted_noise(shares[k], prior, others, known)
+        noise = _fitted_noise(shares[k], prior, others, known, longest_s)
         if len(runs) > 1:
             shares[k] = with_noise(shares[k].problem, noise)
         else:
@@ -101,6 +105,7 @@ def _fitted_noise(
     prior: BendingPrior,
     others: Sequence[Share],
     effects: KnownEffects,
+    longest_s: float,
 ) -> NoiseModel:
     """Return the likeliest noise of a Run, strengths and the others' noise held."""
     seen = share.problem.seen
@@ -114,7 +119,8 @@ def _fitted_noise(
             *(other.about_machine for other in others),
         ]
     )
-    return _likeliest(NoiseEvidence(part, columns, part.off, known), share.noise)
+    evidence = NoiseEvidence(part, columns, part.off, known)
+    return _likeliest(evidence, share.noise, longest_s)
 
 
 def residual_noise(
@@ -128,7 +134,8 @@ def residual_noise(
     left = part.off - part.rows[:, :, : part.data] @ theta
     timing = _columns(part)[:, :, part.data :]
     nothing = Information(np.zeros((0, 0)), np.zeros(0), 0.0, 0.0)
-    return _likeliest(NoiseEvidence(part, timing, left, nothing), noise)
+    evidence = NoiseEvidence(part, timing, left, nothing)
+    return _likeliest(evidence, noise, LONGEST_S)
 
 
 def _columns(part: Part) -> Float64[np.ndarray, "n 3 p"]:
@@ -160,10 +167,13 @@ def _merge(seen: Observations) -> int:
     return max(1, round(_MERGED_S / length))
 
 
-def _likeliest(evidence: NoiseEvidence, noise: NoiseModel) -> NoiseModel:
+def _likeliest(
+    evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
+) -> NoiseModel:
     """Return the noise model of least cost: Newton's steps, halved where too long."""
     x = _packed(noise)
     low, high = _BOUNDS[: len(x)].T
+    high = np.minimum(high, [np.inf, np.inf, np.log(longest_s), np.inf][: len(x)])
     here, step = _slope(evidence, x, noise), np.zeros(len(x))
     for _ in range(_STEPS):
         damped = here.curvature + np.diag(1e-3 * np.diag(here.curvature) + _LEAST)

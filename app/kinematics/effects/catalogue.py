@@ -156,6 +156,21 @@ class Family(ABC):
         """
 
 
+class Described(Family):
+    """Structure that is told by what it depends on; it names no cause."""
+
+    @abstractmethod
+    def depends_on(self, candidate: Candidate) -> list[str]:
+        """Return what it depends on: axes, `t` the time, `v(X)` the speed of X."""
+
+    @abstractmethod
+    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
+        """Return it in one sentence.
+
+        found : of `parameters`
+        """
+
+
 def rate_of(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
     """Return how fast an axis moves in each cell."""
     if at.around is None:

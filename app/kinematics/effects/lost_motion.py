@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.approach import half_width
+from app.kinematics.effects.approach import Backlash, half_width
 from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     Family,
     Measured,
+    Scan,
     Signature,
 )
-from app.kinematics.machine import Machine
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import error_motions, is_positioning, is_turn
 
 _USUAL_RAD = 1e-5
@@ -65,10 +67,52 @@ class BacklashFamily(Family):
         return {"width_um": Measured(-2e3 * float(theta[0]), 2e3 * sigma)}
 
 
+@dataclass(frozen=True)
+class TurningOver(Backlash):
+    """An error motion that goes from one side to the other within some travel.
+
+    turnover_mm : travel after a reversal in which it turns over
+    """
+
+    turnover_mm: float = 0.0
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return the error's arm times the side that each cell is on, on average."""
+        whole = super().jacobian(at)
+        if at.around is None:
+            return whole
+        column = at.machine.axis_names.index(self.axis.name)
+        gone = at.around.since_reversal[:, column]
+        width = np.abs(at.around.rate[:, column]) * at.around.span_s
+        return whole * _side(gone, width, self.turnover_mm)[:, None, None]
+
+
+def _side(
+    gone_mm: Float64[np.ndarray, " n"],
+    width_mm: Float64[np.ndarray, " n"],
+    turnover_mm: float,
+) -> Float64[np.ndarray, " n"]:
+    """Return the mean of min(2 s / turnover − 1, 1) for s within width about gone."""
+    half = 0.5 * np.maximum(width_mm, 1e-6)
+    low, high = np.maximum(gone_mm - half, 0.0), gone_mm + half
+    early = low < turnover_mm
+    side = np.ones(len(gone_mm))
+    a, b = low[early], high[early]
+    within = np.minimum(b, turnover_mm)
+    turning = (within**2 - a**2) / turnover_mm - (within - a)
+    side[early] = (turning + np.maximum(b - turnover_mm, 0.0)) / (b - a)
+    return side
+
+
+_TURNOVERS_MM = np.array([0.02, 0.25, 0.5, 1.0, 2.0])
+
+
 class LateralBacklashFamily(Family):
-    """One candidate an error motion across or about an axis."""
+    """One candidate an error motion across or about an axis, its turnover scanned."""
 
     name = "lateral-backlash"
+    scanned = "turnover_mm"
+    is_smooth = False
     signature = Signature(
         cause="A carriage has play in its guide, or is pushed aside by a nut or chain "
         "that is off centre: it tilts or shifts as it turns back.",
@@ -84,8 +128,9 @@ class LateralBacklashFamily(Family):
             Candidate(
                 self.name,
                 {"axis": axis.name, "motion": symbol},
-                half_width(symbol, axis),
+                _turning_over(symbol, axis, _TURNOVERS_MM[0]),
                 np.array([_USUAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
+                float(_TURNOVERS_MM[0]),
             )
             for axis in at.machine.linear_axes
             for symbol in error_motions(axis.name)
@@ -99,7 +144,17 @@ class LateralBacklashFamily(Family):
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
         if symbol not in error_motions(axis.name):
             raise KeyError(symbol)
-        return half_width(symbol, axis)
+        return _turning_over(symbol, axis, numbers.get(self.scanned, 0.0))
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
+        """Return turnovers, where it is known how far each axis has gone."""
+        return None if at.around is None else Scan(self.scanned, _TURNOVERS_MM)
+
+    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+        """Return the candidate of another turnover."""
+        axis = at.machine.linear(candidate.keys["axis"])
+        effect = _turning_over(candidate.keys["motion"], axis, value)
+        return replace(candidate, effect=effect, value=value)
 
     def parameters(
         self,
@@ -108,8 +163,21 @@ class LateralBacklashFamily(Family):
         covariance: Float64[np.ndarray, "1 1"],
         value_sigma: float,
     ) -> dict[str, Measured]:
-        """Return half the difference between both directions, in µm or µrad."""
+        """Return half the difference between both directions, in µm or µrad.
+
+        And the travel that it takes to turn over.
+        """
         turn = is_turn(candidate.keys["motion"])
         scale = 1e6 if turn else 1e3
         sigma = float(np.sqrt(covariance[0, 0]))
-        return {"half_width": Measured(scale * float(theta[0]), scale * sigma)}
+        return {
+            "half_width": Measured(scale * float(theta[0]), scale * sigma),
+            "turnover_mm": Measured(candidate.value or 0.0, value_sigma),
+        }
+
+
+def _turning_over(symbol: str, axis: LinearAxis, turnover_mm: float) -> TurningOver:
+    plain = half_width(symbol, axis)
+    return TurningOver(
+        plain.symbol, plain.axis, plain.spline, plain.gauge, False, float(turnover_mm)
+    )

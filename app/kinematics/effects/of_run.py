@@ -42,3 +42,10 @@ class OfRun(Effect):
     def charge(self) -> Charge | None:
         """Return that of the effect."""
         return self.effect.charge()
+
+
+def identity(effect: Effect) -> tuple[int, int]:
+    """Return what tells an effect from others for as long as it is kept."""
+    if isinstance(effect, OfRun):
+        return id(effect.effect), effect.run
+    return id(effect), -1

@@ -19,7 +19,7 @@ from app.kinematics.effects.base import Conditions, Effect, Parameter
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    Family,
+    Described,
     Measured,
     Signature,
 )
@@ -61,7 +61,7 @@ def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:
     return legendre.legvander(2.0 * share - 1.0, _DEGREE)
 
 
-class PlaneErrorFamily(Family):
+class PlaneErrorFamily(Described):
     """Every plane and direction."""
 
     name = "plane-error"
@@ -106,3 +106,16 @@ class PlaneErrorFamily(Family):
         slope = weight * theta / max(rms, 1e-300)
         sigma = float(np.sqrt(slope @ covariance @ slope))
         return {"rms_um": Measured(rms * 1e3, sigma * 1e3)}
+
+    def depends_on(self, candidate: Candidate) -> list[str]:
+        """Return both axes."""
+        return list(candidate.keys["plane"])
+
+    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
+        """Return direction, size and both axes."""
+        one, two = candidate.keys["plane"]
+        return (
+            f"a displacement along {candidate.keys['direction']} of "
+            f"{found['rms_um'].value:.2g} µm (root mean square) that depends on "
+            f"{one} and {two} together"
+        )

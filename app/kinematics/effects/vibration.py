@@ -28,10 +28,14 @@ _FASTEST = 0.45  # of the tracker's rate
 
 @dataclass(frozen=True)
 class Vibration(Effect):
-    """Sine and cosine in time, in one direction."""
+    """Sine and cosine in time, in one direction.
+
+    middle_s : of the run, where the phase is 0: so it does not turn with the frequency
+    """
 
     direction: str
     frequency_hz: float
+    middle_s: float
 
     @property
     def name(self) -> str:
@@ -56,7 +60,7 @@ class Vibration(Effect):
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
-        angle = 2.0 * np.pi * self.frequency_hz * time_s
+        angle = 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
         wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         unit = np.eye(3)[DIRECTION[self.direction]]
         return unit[None, :, None] * wave[:, None, :]
@@ -78,11 +82,12 @@ class VibrationFamily(Family):
         """Return one a direction."""
         if at.around is None:
             return []
+        middle_s = 0.5 * float(at.time_s.min() + at.time_s.max())
         return [
             Candidate(
                 self.name,
                 {"direction": direction},
-                Vibration(direction, _SLOWEST_HZ),
+                Vibration(direction, _SLOWEST_HZ, middle_s),
                 np.full(2, USUAL_MM),
                 _SLOWEST_HZ,
             )
@@ -108,7 +113,9 @@ class VibrationFamily(Family):
 
     def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
         """Return the candidate of another frequency."""
-        effect = Vibration(candidate.keys["direction"], value)
+        effect = candidate.effect
+        if isinstance(effect, Vibration):
+            effect = replace(effect, frequency_hz=value)
         return replace(candidate, effect=effect, value=value)
 
     def parameters(

@@ -12,7 +12,7 @@ from app.kinematics.effects.base import Conditions, Effect, Parameter
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    Family,
+    Described,
     Measured,
     Scan,
     Signature,
@@ -25,15 +25,20 @@ from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
 _FASTEST_HZ = 1.0
+_FEWEST = 3.0  # periods in the run: what is slower wanders
 _SHORTEST_MM, _LONGEST_MM = 4.0, 60.0
 
 
 @dataclass(frozen=True)
 class TimeWave(Effect):
-    """Sine and cosine of time in one direction."""
+    """Sine and cosine of time in one direction.
+
+    middle_s : of the run, where the phase is 0: so it does not turn with the period
+    """
 
     direction: str
     period_s: float
+    middle_s: float
 
     @property
     def name(self) -> str:
@@ -47,7 +52,7 @@ class TimeWave(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
-        angle = 2.0 * np.pi / self.period_s * at.time_s
+        angle = 2.0 * np.pi / self.period_s * (at.time_s - self.middle_s)
         wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         if at.around is not None:
             rate = np.full(len(at), 2.0 * np.pi / self.period_s)
@@ -84,7 +89,7 @@ class PositionWave(Effect):
         return np.eye(3)[DIRECTION[self.direction]][None, :, None] * wave[:, None, :]
 
 
-class TimeWaveFamily(Family):
+class TimeWaveFamily(Described):
     """Every direction, the period scanned down to a second."""
 
     name = "time-wave"
@@ -100,15 +105,17 @@ class TimeWaveFamily(Family):
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""
         usual = np.full(2, USUAL_MM)
+        middle_s = 0.5 * float(at.time_s.min() + at.time_s.max())
+        waves = [TimeWave(direction, 20.0, middle_s) for direction in LINEAR]
         return [
-            Candidate(self.name, {"direction": d}, TimeWave(d, 20.0), usual, 20.0)
-            for d in LINEAR
+            Candidate(self.name, {"direction": w.direction}, w, usual, w.period_s)
+            for w in waves
         ]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Return periods from a second to two thirds of the run."""
+        """Return periods from a second to a third of the run."""
         span = float(np.ptp(at.time_s))
-        frequency = np.arange(1.5 / span, _FASTEST_HZ, 0.25 / span)
+        frequency = np.arange(_FEWEST / span, _FASTEST_HZ, 0.25 / span)
         return Scan("period_s", 1.0 / frequency[::-1]) if len(frequency) else None
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
@@ -122,7 +129,9 @@ class TimeWaveFamily(Family):
 
     def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
         """Return the candidate of another period."""
-        effect = TimeWave(candidate.keys["direction"], value)
+        effect = candidate.effect
+        if isinstance(effect, TimeWave):
+            effect = replace(effect, period_s=value)
         return replace(candidate, effect=effect, value=value)
 
     def parameters(
@@ -135,8 +144,20 @@ class TimeWaveFamily(Family):
         """Return period and amplitude."""
         return measured_wave("period_s", candidate, theta, covariance, value_sigma)
 
+    def depends_on(self, candidate: Candidate) -> list[str]:
+        """Return the time."""
+        return ["t"]
 
-class PositionWaveFamily(Family):
+    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
+        """Return direction, period and amplitude."""
+        return (
+            f"a wave in time along {candidate.keys['direction']} with a period of "
+            f"{found['period_s'].value:.3g} s and an amplitude of "
+            f"{found['amplitude_um'].value:.2g} µm"
+        )
+
+
+class PositionWaveFamily(Described):
     """Every axis and direction across it, the period scanned."""
 
     name = "position-wave"
@@ -202,4 +223,17 @@ class PositionWaveFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return period and amplitude."""
-        return measured_wave(self.scanned, candidate, theta, covariance, value_sigma)
+        return measured_wave("period_mm", candidate, theta, covariance, value_sigma)
+
+    def depends_on(self, candidate: Candidate) -> list[str]:
+        """Return the axis."""
+        return [candidate.keys["axis"]]
+
+    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
+        """Return axis, direction, period and amplitude."""
+        axis, direction = candidate.keys["axis"], candidate.keys["direction"]
+        return (
+            f"a wave along {axis} in the direction of {direction} with "
+            f"a period of {found['period_mm'].value:.3g} mm and an amplitude of "
+            f"{found['amplitude_um'].value:.2g} µm"
+        )

@@ -1,0 +1,148 @@
+"""Columns whitened line by line, phase and speed of each line taken out of them.
+
+With columns a, b on a line, V its noise and T its phase and speed,
+
+    aᵀ V⁻¹ b − aᵀ V⁻¹ T (Tᵀ V⁻¹ T)⁻¹ Tᵀ V⁻¹ b = a₊ᵀ b₊ − a₋ᵀ b₋ :
+
+what white noise alone would tell, less what slow noise and timing take away. Made once,
+the halves of a column give its sums with any other by one product.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.discovery.view import TIMING, View, line_rows
+from app.estimation.noise import whiten
+from app.numerics.correlated_noise import Whitener
+
+_NOTHING = 1e-12
+
+_Pair = tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "s p"]]
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Columns on lines; those of line k end at row ends[k].
+
+    plus : (m, p); minus : (s, p); plus_ends, minus_ends : (l,)
+    """
+
+    plus: Float64[np.ndarray, "m p"]
+    minus: Float64[np.ndarray, "s p"]
+    plus_ends: Int64[np.ndarray, " l"]
+    minus_ends: Int64[np.ndarray, " l"]
+
+    @staticmethod
+    def of_line(
+        plus: Float64[np.ndarray, "m p"], minus: Float64[np.ndarray, "s p"]
+    ) -> Halves:
+        """Return the halves on one line."""
+        return Halves(plus, minus, np.array([len(plus)]), np.array([len(minus)]))
+
+    @staticmethod
+    def joined(lines: Sequence[Halves]) -> Halves:
+        """Return the halves on all lines, in their order."""
+        return Halves(
+            np.concatenate([h.plus for h in lines]),
+            np.concatenate([h.minus for h in lines]),
+            np.cumsum([len(h.plus) for h in lines]),
+            np.cumsum([len(h.minus) for h in lines]),
+        )
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.plus.shape[1]
+
+    def between(self, first: int, last: int) -> Halves:
+        """Return the halves on some lines that follow one another."""
+        m, s = (np.r_[0, e][[first, last]] for e in (self.plus_ends, self.minus_ends))
+        return Halves(
+            self.plus[m[0] : m[1]],
+            self.minus[s[0] : s[1]],
+            self.plus_ends[first:last] - m[0],
+            self.minus_ends[first:last] - s[0],
+        )
+
+    def columns(self, own: slice) -> Halves:
+        """Return some of the columns."""
+        plus, minus = (np.asfortranarray(h[:, own]) for h in (self.plus, self.minus))
+        return Halves(plus, minus, self.plus_ends, self.minus_ends)
+
+    def times(self, other: Halves) -> Float64[np.ndarray, "p q"]:
+        """Return the sums of these columns with others, on the same lines."""
+        return self.plus.T @ other.plus - self.minus.T @ other.minus
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line or standstill: what whitens its columns, and its base.
+
+    run, cells : where its cells are; timing : phase and speed, whitened and made
+        orthonormal, as far as they are told
+    base : machine, poses, data; freedom : observations less phase and speed
+    log_determinant : of its noise, and of what timing told
+    """
+
+    run: int
+    cells: slice
+    frame: Float64[np.ndarray, "n 3 3"]
+    whitener: Whitener
+    timing: _Pair
+    base: Halves
+    freedom: float
+    log_determinant: float
+
+    def whitened(self, rows: Sequence[Float64[np.ndarray, "n 3 p"]]) -> Halves:
+        """Return columns on this line, given those of each Run."""
+        own = np.matmul(self.frame, rows[self.run][self.cells])
+        return _without(self.whitener.halves(own), self.timing)
+
+
+def line_of(view: View, run: int, first: int, last: int) -> Line:
+    """Return one line or standstill of a Run, ready to whiten columns.
+
+    run : which of the Runs; first, last : its first cell, and one past its last
+    """
+    seen = view.seen.taken(np.arange(first, last))
+    rows, frame = line_rows(seen, view.base, ())
+    whitener = whiten(seen, view.base.noise, frame)
+    plus, minus = whitener.halves(rows)
+    square = np.sum(plus**2, axis=0) - np.sum(minus**2, axis=0)
+    told = np.flatnonzero(square[:TIMING] > _NOTHING * float(np.max(square[:-1])))
+    timing, log_timing = _told(plus[:, told], minus[:, told])
+    across = view.base.noise.along_sigma_mm == np.inf and seen.at.line[0] >= 0
+    return Line(
+        run,
+        slice(first, last),
+        frame,
+        whitener,
+        timing,
+        _without((plus[:, TIMING:], minus[:, TIMING:]), timing),
+        (2.0 if across else 3.0) * len(seen) - len(told),
+        whitener.log_determinant + log_timing,
+    )
+
+
+def _told(
+    plus: Float64[np.ndarray, "m t"], minus: Float64[np.ndarray, "s t"]
+) -> tuple[_Pair, float]:
+    """Return phase and speed made orthonormal, and the log determinant of what is told.
+
+    What may be told of neither is left out.
+    """
+    factor = np.linalg.cholesky(plus.T @ plus - minus.T @ minus)
+    inverse = np.linalg.inv(factor).T
+    log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+    return (plus @ inverse, minus @ inverse), log_determinant
+
+
+def _without(columns: _Pair, timing: _Pair) -> Halves:
+    """Return the halves of columns once phase and speed have taken their share."""
+    taken = timing[0].T @ columns[0] - timing[1].T @ columns[1]
+    return Halves.of_line(columns[0], np.concatenate([columns[1], taken]))
