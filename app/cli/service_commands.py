@@ -21,6 +21,14 @@ def serve(
     measure: Annotated[
         bool, typer.Option("--measure", help="Begin the main job at once (simulated).")
     ] = False,
+    hide: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="EFFECT[*SIZE_UM]",
+            help="An effect that the simulated machine has and the model lacks, or a "
+            "JSON object with its numbers; may be given several times.",
+        ),
+    ] = None,
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")
     ] = None,
@@ -41,6 +49,7 @@ def serve(
         config,
         measure=measure,
         simulated=simulated or None,
+        simulated_hidden=hide or None,
         port=port,
         data_dir=data_dir,
         allow_plain_http=allow_plain_http or None,

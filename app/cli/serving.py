@@ -23,6 +23,8 @@ def serve_until_stopped(config: Path | None, *, measure: bool, **given: Any) -> 
     settings = load_settings(config, **given)
     if measure and not settings.simulated:
         raise BadInput("--measure moves the machine at once; it needs --simulated")
+    if given.get("simulated_hidden") and not settings.simulated:
+        raise BadInput("--hide is for simulated devices; it needs --simulated")
     serve(settings, listening=calibrate if measure else None)
 
 

@@ -64,6 +64,12 @@ BAD_SETTINGS = {
         "none.json: cannot be read",
     ),
     "measure on iron": (["--measure"], None, "it needs --simulated"),
+    "hidden in iron": (["--hide", "backlash"], None, "it needs --simulated"),
+    "hidden unknown": (
+        ["--simulated", "--hide", "poltergeist"],
+        None,
+        "no effect 'poltergeist'",
+    ),
 }
 
 
