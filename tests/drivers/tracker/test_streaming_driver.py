@@ -350,9 +350,10 @@ def test_samples_before_the_loss_of_the_port_are_still_read(
 ):
     until(lambda: loopback_tracker.sent > 30)
     loopback_tracker.halt()
-    time.sleep(0.05)
+    replies = 3  # to HELLO, STOP and START
+    until(lambda: running_tracker.health.frames >= loopback_tracker.sent + replies)
     loopback_tracker.unplug()
-    time.sleep(0.05)
+    until(lambda: running_tracker._receiver.error is not None)
     assert len(running_tracker.read(0.1)) == loopback_tracker.sent
     with pytest.raises(ConnectionLost):
         running_tracker.read(0.1)
