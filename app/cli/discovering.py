@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from app.cli.effects import effect_line
 from app.cli.terminal import print_json, progress
 from app.errors import BadInput
 from app.jobs.analysis import read_all
-from app.jobs.discovery import discover_runs, read_parent, write_discovery
+from app.jobs.discovery import discover_runs, write_discovery
+from app.jobs.result_files import read_model
 from app.measurement.bundle import read_bundle
 
 
@@ -25,7 +27,7 @@ def discover_bundles(
         raise BadInput(f"{output}: is a file; name a folder for the results")
     with progress("discover") as report:
         report(0.0, "reading")
-        parent = None if model is None else read_parent(model)
+        parent = None if model is None else read_model(model)
         discovered = discover_runs(read_all(bundles, read_bundle), parent, report)
         report(1.0, "writing")
         write_discovery(discovered, output)
@@ -39,7 +41,7 @@ def discover_bundles(
 
 def worded(content: dict[str, Any]) -> str:
     """Return what was found in a few lines."""
-    lines = [_effect(e) for e in content["effects"]]
+    lines = [effect_line(e) for e in content["effects"]]
     lines += [f"without a name: {u['description']}" for u in content["unnamed"]]
     gap = content["gap"]
     return "\n".join(
@@ -50,19 +52,3 @@ def worded(content: dict[str, Any]) -> str:
             f"noise alone {gap['noise_floor']:.2f} µm",
         ]
     )
-
-
-def _effect(effect: dict[str, Any]) -> str:
-    keys = [
-        effect[k] for k in ("name", "axis", "motion", "by", "circle") if k in effect
-    ]
-    numbers = [_number(name, m) for name, m in effect["parameters"].items()]
-    return f"{' '.join(keys)}: {', '.join(numbers)} (k = 2)"
-
-
-def _number(name: str, measured: dict[str, Any]) -> str:
-    values, sigmas = measured["value"], measured["uncertainty"]
-    if not isinstance(values, list):
-        values, sigmas = [values], [sigmas]
-    told = [f"{v:.3g} ± {2.0 * s:.2g}" for v, s in zip(values, sigmas, strict=True)]
-    return f"{name} {', '.join(told)}"

@@ -12,6 +12,7 @@ from app.cli.summary import print_result, summarised
 from app.cli.terminal import print_json, progress, say
 from app.errors import BadInput
 from app.jobs.analysis import analyse, predict_points, read_all, write_analysis
+from app.jobs.result_files import read_model
 from app.measurement.bundle import read_bundle
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.reporting.prediction import Prediction
@@ -22,11 +23,13 @@ def analyse_bundles(
     output: Path,
     perpendicular_only: bool,
     *,
+    model: Path | None,
     monte_carlo: TrialPlan | None,
     as_json: bool,
 ) -> None:
     """Analyse measurement bundles together and write the three files of a result.
 
+    model : a model or result file, whose effects are estimated beside
     monte_carlo : trials to hold the uncertainty against; the settings say who computes
     """
     if output.exists() and not output.is_dir():
@@ -34,9 +37,11 @@ def analyse_bundles(
     workers = nullcontext(map) if monte_carlo is None else _workers()
     with progress("analyse") as report, workers as mapper:
         report(0.0, "reading")
+        earlier = None if model is None else read_model(model)
         runs = read_all(bundles, read_bundle)
         analysis = analyse(
             *runs,
+            model=earlier,
             perpendicular_only=perpendicular_only,
             monte_carlo=monte_carlo,
             mapper=mapper,

@@ -20,6 +20,13 @@ def analyse(
         ),
     ],
     output: OutputFolder,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL.json",
+            help="Model whose effects are estimated beside the error motions.",
+        ),
+    ] = None,
     perpendicular_only: PerpendicularOnly = False,
     monte_carlo: Annotated[
         bool,
@@ -41,7 +48,14 @@ def analyse(
     from app.numerics.adaptive_trials import TrialPlan
 
     plan = TrialPlan(seed=seed, interval=interval) if monte_carlo else None
-    analyse_bundles(bundles, output, perpendicular_only, monte_carlo=plan, as_json=json)
+    analyse_bundles(
+        bundles,
+        output,
+        perpendicular_only,
+        model=model,
+        monte_carlo=plan,
+        as_json=json,
+    )
 
 
 def discover(
@@ -177,7 +191,7 @@ def plan(
     ] = None,
     target_um: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Volumetric uncertainty (k = 2) to reach, µm."),
+        typer.Option(min=0.01, help="Volumetric uncertainty (k = 1) to reach, µm."),
     ] = None,
     feed: Annotated[
         list[float] | None,

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from app.cli.effects import effect_line
 from app.cli.terminal import print_table
 
 Result = Mapping[str, Any]
@@ -27,6 +28,7 @@ def summarised(result: Result, folder: Path) -> dict[str, Any]:
             for symbol, unit, *span in _spans(result)
         },
         "squareness_urad": result["squareness_urad"],
+        "effects": result["effects"],
         "residual_rms_um": result["residuals"]["rms_um"],
         "observability": result["observability"],
         "grade": result["grade"],
@@ -47,6 +49,12 @@ def print_result(result: Result, folder: Path) -> None:
     ]
     columns = ("error", "lowest", "highest", "largest u (k = 1)", "")
     print_table(f"Errors of {result['machine']['name']}", columns, rows)
+    for effect in result["effects"]:
+        print(effect_line(effect))
+        if effect["agrees"] is False:
+            print(
+                "this measurement contradicts what the model knew of it: discover anew"
+            )
     for statement in result["observability"]["unobservable"]:
         print(f"not seen by this measurement: {statement}")
     for statement in result["observability"]["weak"]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
 from app.discovery.discover import Discovery, Finding
 from app.discovery.where import Segment, Where
-from app.kinematics.effects.catalogue import Candidate, Described, Measured
+from app.kinematics.effects.catalogue import Candidate, Described
 from app.kinematics.symbols import is_turn
+from app.reporting.catalogued_json import parameters_json
 
 SCHEMA = "discovery/1"
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots
@@ -64,20 +64,6 @@ def effect_json(finding: Finding) -> dict[str, Any]:
         "looks_like": words.looks_like,
         "remedy": words.remedy,
     }
-
-
-def parameters_json(found: Mapping[str, Measured]) -> dict[str, Any]:
-    """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
-    stated: dict[str, Any] = {}
-    for name, m in found.items():
-        whole, vector, _ = name.partition("[")
-        if not vector:
-            stated[name] = {"value": m.value, "uncertainty": m.uncertainty}
-            continue
-        parts = stated.setdefault(whole, {"value": [], "uncertainty": []})
-        parts["value"].append(m.value)
-        parts["uncertainty"].append(m.uncertainty)
-    return stated
 
 
 def _unnamed_json(family: Described, finding: Finding) -> dict[str, Any]:

@@ -6,6 +6,7 @@ a model, with the effects that were found in it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,23 +19,21 @@ from app.discovery.base import GivenModel
 from app.discovery.discover import Discovery, Finding
 from app.discovery.discovery_json import effect_json
 from app.discovery.extending import Extended, extended, plain
-from app.errors import BundleError
 from app.estimation.extrapolation import measured_ranges
 from app.estimation.observability import observability
 from app.estimation.runs import Measured
 from app.kinematics.effects.tool_orientation import tool_orientation
-from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.measurement.machine_file import machine_to_json
 from app.measurement.run import Run
 from app.reporting.catalogued_json import unit_of
 from app.reporting.direction_tables import half_differences
+from app.reporting.earlier_model import EarlierModel
 from app.reporting.error_tables import error_tables
 from app.reporting.model_difference import ModelState, difference
 from app.reporting.model_json import model_to_json
 from app.reporting.result_json import (
     MODEL_SCHEMA,
-    LoadedResult,
     halves_json,
     locations_json,
     ranges_json,
@@ -45,59 +44,22 @@ from app.reporting.run_account import run_digest
 _TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
 
-@dataclass(frozen=True)
-class Parent:
-    """The model that a Run was held against.
+def given_by(earlier: EarlierModel, run: Run) -> GivenModel:
+    """Return an earlier model as the base that explains a Run.
 
-    source : its file, or its identifier in the service; sha256 : of the file
+    Raises BundleError if it is of another machine or of another target.
     """
-
-    loaded: LoadedResult
-    source: str
-    sha256: str
-
-    def given(self, run: Run) -> GivenModel:
-        """Return it as the base that explains a Run.
-
-        Raises BundleError if it is of another machine or of another target.
-        """
-        self._require_same(run.machine)
-        model = MachineModel(run.machine, self.loaded.model.effects)
-        offsets = np.array([t.offset_mm for t in run.machine.targets], float)
-        tool = tool_orientation(run.machine, offsets)
-        model = model.with_effects(*tool)
-        size = self.loaded.model.size
-        theta = np.zeros(model.size)
-        theta[:size] = self.loaded.theta
-        covariance = np.eye(model.size) * _TURN_RAD**2
-        covariance[:size, :size] = self.loaded.covariance
-        return GivenModel(model, theta, covariance)
-
-    def _require_same(self, machine: Machine) -> None:
-        own = self.loaded.machine
-        for field, mine, theirs in (
-            ("kinematic_chain", own.chain, machine.chain),
-            ("axes", _travels(own), _travels(machine)),
-        ):
-            if mine != theirs:
-                raise BundleError(
-                    f"machine.{field}: {mine}, but {theirs} in the measurement",
-                    file=self.source,
-                    remedy="give a model of the measured machine",
-                )
-        same = {(t.on, t.offset_mm) for t in machine.targets} <= {
-            (t.on, t.offset_mm) for t in own.targets
-        }
-        if not same and not self.loaded.tables().any_tool:
-            raise BundleError(
-                "holds for its own target offset alone: it does not have all motions",
-                file=self.source,
-                remedy="give a model made with the measured target, or with several",
-            )
-
-
-def _travels(machine: Machine) -> str:
-    return ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)
+    earlier.require_same(run.machine)
+    loaded = earlier.loaded
+    model = MachineModel(run.machine, loaded.model.effects)
+    offsets = np.array([t.offset_mm for t in run.machine.targets], float)
+    model = model.with_effects(*tool_orientation(run.machine, offsets))
+    size = loaded.model.size
+    theta = np.zeros(model.size)
+    theta[:size] = loaded.theta
+    covariance = np.eye(model.size) * _TURN_RAD**2
+    covariance[:size, :size] = loaded.covariance
+    return GivenModel(model, theta, covariance)
 
 
 @dataclass(frozen=True)
@@ -108,7 +70,7 @@ class NextModel:
     content: dict[str, Any]
 
 
-def next_model(found: Discovery, parent: Parent | None) -> NextModel:
+def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
     """Return the model with what was found in it.
 
     parent : what the Run was held against; None for the rigid-body model fitted to it
@@ -137,6 +99,7 @@ def next_model(found: Discovery, parent: Parent | None) -> NextModel:
                 "created": datetime.now(UTC).isoformat(timespec="seconds"),
                 "run": found.scene.run.name,
                 "input_sha256": run_digest(found.scene.run),
+                "runs": [*_earlier_runs(parent), *_runs_json(found)],
             },
             "model": model_to_json(grown.model, grown.theta, grown.covariance),
         },
@@ -144,7 +107,7 @@ def next_model(found: Discovery, parent: Parent | None) -> NextModel:
 
 
 def _before(
-    found: Discovery, parent: Parent | None
+    found: Discovery, parent: EarlierModel | None
 ) -> tuple[ModelState, dict[str, Any]]:
     if parent is None:
         base = plain(found)
@@ -161,6 +124,16 @@ def _before(
         "sha256": parent.sha256,
     }
     return ModelState(loaded.model, loaded.theta, loaded.covariance), told
+
+
+def _runs_json(found: Discovery) -> list[dict[str, str]]:
+    runs = [scene.run for scene in found.scenes]
+    return [{"name": run.name, "input_sha256": run_digest(run)} for run in runs]
+
+
+def _earlier_runs(parent: EarlierModel | None) -> Sequence[dict[str, Any]]:
+    """Return the Runs that what is known of the machine came from before."""
+    return () if parent is None else parent.runs
 
 
 def _effect_json(finding: Finding, grown: Extended) -> dict[str, Any]:

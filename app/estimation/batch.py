@@ -76,6 +76,7 @@ def estimate(
         tuple(_of_one(share, result) for share in fit.shares),
         measured_ranges(*observed),
         known,
+        known.chances(fit.model, fit.result),
         fit if keep_fit else None,
     )
 

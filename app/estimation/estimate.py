@@ -87,6 +87,8 @@ class Estimate:
     measured : by axis, lowest and highest position that was measured, mm or deg; what
         lies beyond is extrapolated
     known : effects that an earlier measurement has told, which are in the model
+    chances : of each, that it moves so far with the Runs if nothing has changed; None
+        where they do not tell
     fit : what it was solved from, if that was to be kept
     """
 
@@ -100,6 +102,7 @@ class Estimate:
     runs: tuple[RunEstimate, ...]
     measured: Ranges
     known: KnownEffects = field(default_factory=KnownEffects)
+    chances: tuple[float | None, ...] = ()
     fit: Fit | None = None
 
     @property

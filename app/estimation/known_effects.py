@@ -15,14 +15,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import chdtrc
 
-from app.estimation.information import Information
+from app.estimation.information import Information, Posterior
 from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.model import MachineModel
 
 _EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
 _SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding
 _LOOSE = 100.0
-_TOLD = 0.05  # of what was known, told anew: enough to contradict it
+_TOLD = 0.05  # of a variance, taken away by the Run: enough to contradict
 
 
 @dataclass(frozen=True)
@@ -80,31 +80,38 @@ class KnownEffects:
         """
         return replace(self, covariance=_LOOSE**2 * self.covariance)
 
-    def doubt(
-        self,
-        number: int,
-        model: MachineModel,
-        theta: Float64[np.ndarray, " p"],
-        covariance: Float64[np.ndarray, "p p"],
-    ) -> float | None:
-        """Return how likely an effect moves so far by chance; None if it is not told.
+    def chances(
+        self, model: MachineModel, result: Posterior
+    ) -> tuple[float | None, ...]:
+        """Return how likely each effect moves so far if nothing has changed.
 
-        theta, covariance : of the model, with the Run. The estimate's move from what
-        was known has the covariance that the Run has taken away.
+        result : of the model, with the Run. None where the Run does not tell.
         """
-        begin = sum(len(effect.parameters) for effect in self.effects[:number])
-        own = slice(begin, begin + len(self.effects[number].parameters))
-        now = model.slices[self.effects[number].name]
-        before = self.covariance[own, own]
-        scale = np.sqrt(np.diag(before) + _EXACTLY**2)
-        taken = (before - covariance[now, now]) / scale[:, None] / scale
-        value, vector = np.linalg.eigh(taken)
-        told = value > _TOLD
-        if not told.any():
-            return None
-        moved = vector.T @ ((theta[now] - self.theta[own]) / scale)
-        square = float(np.sum(moved[told] ** 2 / value[told]))
-        return float(chdtrc(int(told.sum()), square))
+        found: list[float | None] = []
+        begin = 0
+        for effect in self.effects:
+            own = slice(begin, begin + len(effect.parameters))
+            now, begin = model.slices[effect.name], own.stop
+            before, after = self.covariance[own, own], result.covariance[now, now]
+            moved = result.theta[now] - self.theta[own]
+            found.append(_chance(before, after, moved))
+        return tuple(found)
+
+
+def _chance(
+    before: Float64[np.ndarray, "k k"],
+    after: Float64[np.ndarray, "k k"],
+    moved: Float64[np.ndarray, " k"],
+) -> float | None:
+    """Return the chance of a move: its covariance is what the Run has taken away."""
+    scale = np.sqrt(np.diag(before) + _EXACTLY**2)
+    value, vector = np.linalg.eigh((before - after) / scale[:, None] / scale)
+    told = value > _TOLD
+    if not told.any():
+        return None
+    along = vector.T @ (moved / scale)
+    square = float(np.sum(along[told] ** 2 / value[told]))
+    return float(chdtrc(int(told.sum()), square))
 
 
 def known_effects(

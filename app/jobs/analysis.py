@@ -16,29 +16,31 @@ from typing import Any, NamedTuple
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
+from app.alignment.surroundings import with_surroundings
 from app.errors import AlignmentError, BundleError
 from app.estimation.batch import estimate
 from app.estimation.estimate import Estimate
 from app.estimation.grade import Grade, SetUp, grade_together
+from app.jobs.result_files import load_result, read_file
 from app.kinematics.machine import Machine
 from app.measurement.bundle_files import replace_file
-from app.measurement.json_fields import parse_json
 from app.measurement.one_machine import one_machine
 from app.measurement.run import Run
 from app.numerics.adaptive_trials import Mapper, TrialPlan
+from app.reporting.earlier_model import EarlierModel
+from app.reporting.effects_beside import ModelAccount
 from app.reporting.error_tables_csv import error_tables_csv
 from app.reporting.findings import Findings, Provenance, find
 from app.reporting.held_trials import held_against_trials
 from app.reporting.points_csv import predicted_csv, read_points
 from app.reporting.prediction import Prediction, predict
 from app.reporting.report_html import report_html
-from app.reporting.result_json import LoadedResult, read_result, result_json
+from app.reporting.result_json import result_json
 from app.reporting.run_account import RunAccount, account_of
 
 Progress = Callable[[float, str], None]
 
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
-_LARGEST = 1 << 30  # bytes of a result file or of points
 
 
 class _Shares(NamedTuple):
@@ -68,6 +70,7 @@ class Analysis:
 
 def analyse(
     *runs: Run,
+    model: EarlierModel | None = None,
     perpendicular_only: bool = False,
     monte_carlo: TrialPlan | None = None,
     mapper: Mapper = map,
@@ -75,6 +78,8 @@ def analyse(
 ) -> Analysis:
     """Analyse Runs of one machine, of either mode, in one estimate.
 
+    model : whose effects are estimated beside the error motions, as well as it knows
+        them
     perpendicular_only : leave out what is measured along the travel
     monte_carlo : the trials that the uncertainty is held against, if it is to be
     mapper : computes blocks of trials, here or elsewhere
@@ -82,7 +87,7 @@ def analyse(
         trials are run, reporting
 
     Raises EstimationError if the data do not carry the answer, BundleError if the Runs
-    are not of one machine.
+    are not of one machine, or the model is of another.
     """
     told = progress or (lambda share, stage: None)
     shares = _SHARES if monte_carlo is None else _SHARES_WITH_TRIALS
@@ -101,6 +106,8 @@ def analyse(
     )
     _require_different(accounts)
     machine = one_machine([run.machine for run in runs], names)  # before the work
+    digests = [account.digest for account in accounts]
+    known = None if model is None else model.known(machine, digests)
     observed = [
         _aligned(run, name, len(runs)) for run, name in zip(runs, names, strict=True)
     ]
@@ -108,6 +115,7 @@ def analyse(
     estimated = estimate(
         *observed,
         names=names,
+        known=known,
         perpendicular_only=perpendicular_only,
         keep_fit=monte_carlo is not None,
         progress=solved,
@@ -117,7 +125,10 @@ def analyse(
         tried(0.0)
         trials = held_against_trials(estimated, monte_carlo, mapper, tried)
     told(shares.tried, "reporting")
-    provenance = Provenance(accounts, version("truepath"), datetime.now(UTC))
+    told_model = None if model is None else _account(model, digests)
+    provenance = Provenance(
+        accounts, version("truepath"), datetime.now(UTC), told_model
+    )
     graded = _graded(machine, runs, estimated)
     found = find(replace(estimated, fit=None), provenance, trials, graded)
     analysis = Analysis(
@@ -125,6 +136,16 @@ def analyse(
     )
     told(1.0, "reporting")
     return analysis
+
+
+def _account(model: EarlierModel, digests: Sequence[str]) -> ModelAccount:
+    return ModelAccount(
+        model.source,
+        model.loaded.version,
+        model.sha256,
+        model.is_of(digests),
+        model.runs,
+    )
 
 
 def told_apart(names: Sequence[str]) -> list[str]:
@@ -172,7 +193,7 @@ def _require_different(accounts: Sequence[RunAccount]) -> None:
 def _aligned(run: Run, name: str, count: int) -> Observations:
     """Align a Run, and name it if it cannot be and there are others."""
     try:
-        return align(run)
+        return with_surroundings(align(run), run.commanded, run.temperature)
     except AlignmentError as error:
         if count == 1:
             raise
@@ -201,11 +222,6 @@ def write_analysis(analysis: Analysis, folder: str | Path) -> None:
     replace_file(place / RESULT, f"{text}\n".encode())
 
 
-def load_result(file: str | Path) -> LoadedResult:
-    """Read a result or model file. Raises BundleError."""
-    return read_result(parse_json(read_file(file), str(file)), file=str(file))
-
-
 def predict_points(
     result: str | Path, points: str | Path, output: str | Path
 ) -> Prediction:
@@ -218,18 +234,3 @@ def predict_points(
     predicted = predict(loaded, asked.position, asked.target)
     replace_file(Path(output), predicted_csv(asked, predicted).encode())
     return predicted
-
-
-def read_file(file: str | Path) -> bytes:
-    """Return the bytes of a file of bounded size. Raises BundleError."""
-    place = Path(file)
-    try:
-        if place.stat().st_size > _LARGEST:
-            raise BundleError(f"is larger than {_LARGEST >> 20} MiB", file=str(file))
-        return place.read_bytes()
-    except OSError as error:
-        raise BundleError(
-            f"cannot be read ({error.strerror})",
-            file=str(file),
-            remedy="check the path",
-        ) from error

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from app.jobs.analysis import load_result
+from app.jobs.result_files import load_result
 from app.measurement.bundle_files import replace_file
 from app.measurement.reference_file import decode_reference
 from app.reporting.comparison import ReferenceUncertainty, compare

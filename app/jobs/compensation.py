@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from app.jobs.analysis import load_result
+from app.jobs.result_files import load_result
 from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import Field, parse_json
 from app.reporting.compensation.export import SPACING_MM, export_result, suffix_of

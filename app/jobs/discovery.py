@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +12,13 @@ from app.discovery.asking import Ask, ask
 from app.discovery.asking_json import ask_json
 from app.discovery.discover import Discovery, discover
 from app.discovery.discovery_json import discovery_json
-from app.discovery.model_file import NextModel, Parent, next_model
+from app.discovery.model_file import NextModel, given_by, next_model
 from app.discovery.report_html import report_html
-from app.jobs.analysis import REPORT, Progress, read_file
+from app.jobs.analysis import REPORT, Progress
 from app.measurement.bundle_files import replace_file
 from app.measurement.commanded_file import encode_commanded
-from app.measurement.json_fields import parse_json
 from app.measurement.run import Run
-from app.reporting.result_json import read_result
+from app.reporting.earlier_model import EarlierModel
 
 DISCOVERY, MODEL, ASK = "discovery.json", "model.json", "ask/path.csv"
 _FOUND = 0.95  # share of the work that is done with the search
@@ -40,18 +38,10 @@ class Discovered:
     asked: Ask | None
 
 
-def read_parent(file: str | Path, source: str = "") -> Parent:
-    """Read a model or result file to hold Runs against. Raises BundleError.
-
-    source : what the model is called in what comes of it; its file if left out
-    """
-    data = read_file(file)
-    loaded = read_result(parse_json(data, str(file)), file=str(file))
-    return Parent(loaded, source or str(file), hashlib.sha256(data).hexdigest())
-
-
 def discover_runs(
-    runs: Sequence[Run], parent: Parent | None = None, progress: Progress | None = None
+    runs: Sequence[Run],
+    parent: EarlierModel | None = None,
+    progress: Progress | None = None,
 ) -> Discovered:
     """Find what a model of Runs lacks.
 
@@ -66,7 +56,7 @@ def discover_runs(
     def searched(share: float) -> None:
         told(_FOUND * share, "discovering")
 
-    given = None if parent is None else parent.given(runs[0])
+    given = None if parent is None else given_by(parent, runs[0])
     found = discover(runs, given, searched)
     told(_FOUND, "reporting")
     model = next_model(found, parent)

@@ -52,7 +52,7 @@ def versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
 def difference_between(before: Path, after: Path) -> list[dict[str, str]]:
     """Return what differs between two model or result files. Raises BundleError."""
     # Imported where it computes: the service itself carries no science.
-    from app.jobs.analysis import load_result
+    from app.jobs.result_files import load_result
     from app.reporting.model_difference import ModelState, difference
 
     old, new = (load_result(file) for file in (before, after))

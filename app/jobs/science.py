@@ -56,9 +56,10 @@ def discover_recorded(
     """
     # Imported where it computes: the service itself carries no science and no plots.
     from app.jobs.analysis import read_all
-    from app.jobs.discovery import discover_runs, read_parent, write_discovery
+    from app.jobs.discovery import discover_runs, write_discovery
+    from app.jobs.result_files import read_model
 
-    parent = None if model_file is None else read_parent(model_file, model_id or "")
+    parent = None if model_file is None else read_model(model_file, model_id or "")
     runs = read_all(run_files, open_recorded)
     found = discover_runs(runs, parent, progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))

@@ -6,6 +6,7 @@ units beside them, in which the file's covariance is stated as well.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Float64
 
 from app.errors import BadInput
 from app.kinematics.effects.base import Effect, Parameter, standstill
-from app.kinematics.effects.catalogue import Family
+from app.kinematics.effects.catalogue import Family, Measured
 from app.kinematics.effects.catalogued import Catalogued, catalogued
 from app.kinematics.machine import Machine
 from app.measurement.json_fields import Field, Fields
@@ -54,6 +55,20 @@ def catalogued_json(
         "values": values.tolist(),
         "units": [unit_of(p)[0] for p in effect.parameters],
     }
+
+
+def parameters_json(found: Mapping[str, Measured]) -> dict[str, Any]:
+    """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
+    stated: dict[str, Any] = {}
+    for name, m in found.items():
+        whole, vector, _ = name.partition("[")
+        if not vector:
+            stated[name] = {"value": m.value, "uncertainty": m.uncertainty}
+            continue
+        parts = stated.setdefault(whole, {"value": [], "uncertainty": []})
+        parts["value"].append(m.value)
+        parts["uncertainty"].append(m.uncertainty)
+    return stated
 
 
 def catalogued_from_json(

@@ -10,6 +10,7 @@ from jaxtyping import Float64, Int64
 
 from app.estimation.estimate import Estimate, RunEstimate
 from app.estimation.grade import Grade
+from app.reporting.effects_beside import ModelAccount
 from app.reporting.error_tables import MILLI, ErrorTables, error_tables
 from app.reporting.held_trials import HeldTrials
 from app.reporting.run_account import RunAccount
@@ -18,11 +19,15 @@ from app.reporting.volumetric_error import VolumetricError, volumetric_error
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Which program computed a result from which Runs, when and how."""
+    """Which program computed a result from which Runs, when and how.
+
+    model : whose effects are beside the error motions, if one was given
+    """
 
     runs: tuple[RunAccount, ...]
     software_version: str
     created: datetime
+    model: ModelAccount | None = None
 
 
 @dataclass(frozen=True, slots=True)

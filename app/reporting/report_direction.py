@@ -19,11 +19,18 @@ _SAID = {
 }
 
 
+_KNOWN = (
+    "The lost motion that the model knows, and no sign in the data that the direction "
+    "of approach matters beyond it."
+)
+
+
 def direction(number: int, found: Findings) -> str:
     """Say whether lost motion was found, and how much."""
     estimate = found.estimate
-    text = f"<p>{_SAID[estimate.direction]}</p>"
     halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
+    is_known = estimate.direction == "none" and halves
+    text = f"<p>{_KNOWN if is_known else _SAID[estimate.direction]}</p>"
     shown = [half for half in halves if half.shows]
     if not halves:
         return section(number, "Direction of approach", text)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from app.reporting.findings import Findings
 from app.reporting.html_parts import escape, figure_text, plain, tile
 from app.reporting.report_direction import direction
+from app.reporting.report_effects import effects
 from app.reporting.report_errors import error_motions, squareness, volumetric
 from app.reporting.report_measurement import (
     GOOD_FIT,
@@ -35,6 +36,7 @@ def report_html(found: Findings) -> str:
         volumetric,
         residuals_and_noise,
         unobservable,
+        *(() if found.provenance.model is None else (effects,)),
         validation,
         documentation,
     )

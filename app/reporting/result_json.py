@@ -21,13 +21,18 @@ from app.kinematics.model import MachineModel
 from app.measurement.json_fields import Field, Fields
 from app.measurement.machine_file import machine_from_json, machine_to_json
 from app.reporting.direction_tables import HalfDifference, half_differences
+from app.reporting.effects_beside import (
+    account_json,
+    effects_beside,
+    effects_json,
+)
 from app.reporting.error_tables import (
     MILLI,
     ErrorTable,
     ErrorTables,
     error_tables,
 )
-from app.reporting.findings import Findings
+from app.reporting.findings import Findings, Provenance
 from app.reporting.grade_json import grade_json
 from app.reporting.model_json import model_from_json, model_to_json
 from app.reporting.run_account import digest_of_all
@@ -92,6 +97,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             for s in found.tables.squareness
         },
         "direction": _direction_json(found),
+        "effects": effects_json(effects_beside(estimate), found.provenance.model),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
         **locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
@@ -204,7 +210,11 @@ def ranges_json(ranges: Ranges, machine: Machine) -> dict[str, Any]:
 def _direction_json(found: Findings) -> dict[str, Any]:
     estimate = found.estimate
     halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
-    return {"model": estimate.direction, "half_difference": halves_json(halves)}
+    plain = estimate.direction == "none" and halves  # lost motion of a model's
+    return {
+        "model": "constant" if plain else estimate.direction,
+        "half_difference": halves_json(halves),
+    }
 
 
 def halves_json(halves: Sequence[HalfDifference]) -> dict[str, Any]:
@@ -268,6 +278,14 @@ def _residuals_json(found: Findings) -> dict[str, Any]:
     }
 
 
+def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
+    """Return the Runs that the numbers come from, those of the model among them."""
+    model = () if provenance.model is None else provenance.model.runs
+    own = [{"name": r.name, "input_sha256": r.digest} for r in provenance.runs]
+    digests = {run["input_sha256"] for run in own}
+    return [*(run for run in model if run["input_sha256"] not in digests), *own]
+
+
 def _provenance_json(found: Findings) -> dict[str, Any]:
     provenance, run = found.provenance, found.main.account
     return {
@@ -276,8 +294,10 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "created": provenance.created.isoformat(timespec="seconds"),
         "run": ", ".join(account.name for account in provenance.runs),
         "input_sha256": digest_of_all(provenance.runs),
+        "runs": _runs_behind(provenance),
         "source": run.source,
         "options": {"perpendicular_only": found.estimate.perpendicular_only},
+        "model": account_json(provenance.model),
         "measured_s": run.measured_s,
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from app.discovery.discover import discover
-from app.discovery.model_file import Parent, next_model
+from app.discovery.model_file import given_by, next_model
 from app.errors import BundleError
 from app.kinematics.effects.catalogued import Catalogued
+from app.reporting.earlier_model import EarlierModel
 from app.reporting.prediction import predict
 from app.reporting.result_json import LoadedResult, read_result
 from simulators.hidden.elastic_sag import ElasticSag
@@ -42,7 +43,7 @@ def loaded(content) -> LoadedResult:
 
 @pytest.fixture(scope="module")
 def again(sagging, loaded):
-    given = Parent(loaded, "model.json", "0").given(sagging[0])
+    given = given_by(EarlierModel(loaded, "model.json", "0"), sagging[0])
     return discover([sagging[0]], given)
 
 
@@ -105,7 +106,7 @@ def test_nothing_is_missing_from_the_model_that_has_it(again):
 
 
 def test_the_next_version_knows_its_parent(again, loaded):
-    parent = Parent(loaded, "model.json", "digest")
+    parent = EarlierModel(loaded, "model.json", "digest")
     content = next_model(again, parent).content
     assert content["version"] == 3
     expected = {"version": 2, "source": "model.json", "sha256": "digest"}
@@ -123,7 +124,7 @@ def test_a_model_that_lost_a_squareness_gets_it_back(sagging, loaded):
     theta = loaded.theta.copy()
     theta[square] -= 60e-6
     bent = LoadedResult(**{**fields(loaded), "theta": theta})
-    found = discover([run], Parent(bent, "model.json", "0").given(run))
+    found = discover([run], given_by(EarlierModel(bent, "model.json", "0"), run))
     (first, *_) = found.findings
     assert first.candidate.label == "squareness B0Z"
     said = first.parameters["value_urad"]
@@ -154,7 +155,7 @@ def test_an_effect_that_cannot_be_is_refused_with_its_place(content, change, pro
 def test_a_model_of_another_machine_is_refused(record, loaded):
     other, _ = record(3, rows=12, chain="w-X-b-Y-Z-t")
     with pytest.raises(BundleError, match=r"machine.kinematic_chain: w-b-X-Y-Z-t"):
-        Parent(loaded, "model.json", "0").given(other)
+        given_by(EarlierModel(loaded, "model.json", "0"), other)
 
 
 def fields(loaded):

@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 
 from app.errors import AlignmentError, BundleError
-from app.jobs.analysis import (
-    analyse,
-    load_result,
-    predict_points,
-    write_analysis,
-)
+from app.jobs.analysis import analyse, predict_points, write_analysis
+from app.jobs.result_files import load_result
 from app.reporting.prediction import predict
 
 

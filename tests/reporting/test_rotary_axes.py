@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from app.jobs.analysis import analyse, load_result, predict_points, write_analysis
+from app.jobs.analysis import analyse, predict_points, write_analysis
+from app.jobs.result_files import load_result
 from app.measurement.bundle import read_bundle
 from simulators import synthetic, turning_paths
 from simulators.bundle_files import write_bundle_files

@@ -1,0 +1,248 @@
+"""What one Run has told of an effect makes the tables of the next one true.
+
+The machines hide a servo mismatch, or a guide that bends, by physics of their own.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.alignment.surroundings import with_surroundings
+from app.discovery.discover import discover
+from app.discovery.model_file import next_model
+from app.errors import BundleError
+from app.estimation.batch import estimate
+from app.estimation.monte_carlo import drawn as trials_drawn
+from app.estimation.monte_carlo import prepared
+from app.jobs.analysis import analyse
+from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.elastic_sag import ElasticSagFamily
+from app.kinematics.effects.lost_motion import BacklashFamily
+from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from app.kinematics.model import MachineModel
+from app.numerics.adaptive_trials import TrialPlan
+from app.reporting.earlier_model import EarlierModel
+from app.reporting.prediction import predict
+from app.reporting.result_json import LoadedResult, read_result
+from simulators import paths, synthetic
+from simulators.hidden.backlash import Backlash
+from simulators.hidden.elastic_sag import ElasticSag
+from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.hidden.table_drift import TableDrift
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+from simulators.synthetic import Setting
+
+FEED, TRAVEL_MM = 6000.0, 220.0
+SAG = ElasticSag("X", "Y", "Z", 30.0)
+LAG = ServoMismatch("X", 0.1)
+SMALL = load_machine("demo")
+for axis in SMALL["axes"].values():
+    axis["min_mm"], axis["max_mm"] = 0.0, TRAVEL_MM
+MACHINES = (3, 5)
+
+
+def taken(content) -> EarlierModel:
+    """Return a result or model as it comes back from disk."""
+    loaded = read_result(json.loads(json.dumps(content)), file="model.json")
+    return EarlierModel(loaded, "model.json", "abc")
+
+
+def only_named(run, hidden) -> EarlierModel:
+    """Return a model that names the effect and knows no number of it."""
+    family = ServoMismatchFamily() if hidden is LAG else ElasticSagFamily()
+    effect = catalogued(family, run.machine, hidden.keys, {})
+    model = MachineModel(run.machine, (effect,))
+    loaded = LoadedResult(run.machine, "otf", model, np.zeros(1), np.eye(1), (), {})
+    return EarlierModel(loaded, "named.json", "abc")
+
+
+@dataclass(frozen=True)
+class Told:
+    """A Run of a machine, analysed without and with what another Run has told."""
+
+    run: object
+    truth: object
+    earlier: EarlierModel
+    without: dict
+    beside: dict
+
+
+def driven(seed, rows, setting) -> synthetic.Recording:
+    program = paths.chord_path(parse_machine(SMALL), seed, rows, FEED)
+    return synthetic.record(SMALL, program, seed, "otf", setting)
+
+
+@pytest.fixture(scope="module")
+def told(run_of):
+    """Measure a machine twice: told(hidden, machine)."""
+    made = {}
+
+    def make(hidden, machine=MACHINES[0]) -> Told:
+        if (hidden.name, machine) not in made:
+            setting = Setting(machine_seed=machine, hidden=(hidden,))
+            first = run_of(driven(7, 40, setting))
+            recording = driven(21 + machine, 20, setting)
+            run, truth = run_of(recording), recording.truth
+            earlier = taken(analyse(first, model=only_named(first, hidden)).result)
+            made[hidden.name, machine] = Told(
+                run,
+                truth,
+                earlier,
+                analyse(run).result,
+                analyse(run, model=earlier).result,
+            )
+        return made[hidden.name, machine]
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def judged(volume, rigid_free):
+    """Tell a map's errors in µm, and its standard uncertainties."""
+
+    def judge(one: Told, result, hidden):
+        at = volume(one.run.machine)
+        true = one.truth.deviation_mm(at)
+        if hidden is SAG:
+            u, v = (
+                (at[:, k] - axis.min_mm) / (axis.max_mm - axis.min_mm)
+                for k, axis in enumerate(one.run.machine.linear_axes[:2])
+            )
+            true[:, 2] -= 1e-3 * SAG.amplitude_um * 4.0 * u * (1.0 - u) * v
+        said = predict(read_result(result), at)
+        off = rigid_free(at, said.error_um) - 1e3 * rigid_free(at, true)
+        return off, said.uncertainty_um
+
+    return judge
+
+
+@pytest.mark.parametrize("hidden", [LAG, SAG], ids=lambda effect: effect.name)
+def test_the_map_is_truer_with_what_another_run_has_told(told, judged, hidden):
+    def over_machines(which):
+        ones = [told(hidden, machine) for machine in MACHINES]
+        pairs = [judged(one, getattr(one, which), hidden) for one in ones]
+        return (np.concatenate(blocks) for blocks in zip(*pairs, strict=True))
+
+    (off, sigma), (better, less) = (over_machines(w) for w in ("without", "beside"))
+    assert np.sqrt(np.mean(better**2)) < 0.8 * np.sqrt(np.mean(off**2))
+    held = np.mean(np.abs(better) < 2.0 * less)
+    assert 0.9 < held <= 0.99
+    assert np.mean(np.abs(off) < 2.0 * sigma) < held
+
+
+def test_the_result_states_the_effect_before_and_with_the_run(told):
+    one = told(LAG)
+    (effect,) = one.beside["effects"]
+    assert (effect["name"], effect["axis"]) == ("servo-mismatch", "X")
+    before, now = effect["known_before"]["lag_ms"], effect["parameters"]["lag_ms"]
+    assert now["uncertainty"] < before["uncertainty"]
+    assert abs(now["value"] - LAG.lag_ms) < 3.0 * now["uncertainty"]
+    assert effect["agrees"] is True
+    model = one.beside["provenance"]["model"]
+    assert (model["source"], model["sha256"]) == ("model.json", "abc")
+    assert "prior knowledge" in model["taken"]
+    assert len(one.beside["provenance"]["runs"]) == 2
+    assert one.without["effects"] == []
+    assert one.without["provenance"]["model"] is None
+
+
+def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
+    """A lag hardly known leaves X less certain than one that is known."""
+    one = told(LAG)
+    known = one.earlier.loaded
+    loose = replace(known, covariance=1e4 * known.covariance)
+    vague = analyse(one.run, model=replace(one.earlier, loaded=loose)).result
+    sure, open_ = (
+        np.array(r["error_tables"]["EXX"]["uncertainty_um"]).max()
+        for r in (one.beside, vague)
+    )
+    assert sure < open_
+
+
+def test_a_machine_that_has_changed_since_is_told(told):
+    one = told(SAG)
+    known = one.earlier.loaded
+    effect = known.model.slices[known.model.effects[-1].name]
+    theta = known.theta.copy()
+    theta[effect] += 30.0 * np.sqrt(np.diag(known.covariance)[effect])
+    changed = analyse(
+        one.run, model=replace(one.earlier, loaded=replace(known, theta=theta))
+    )
+    (effect,) = changed.result["effects"]
+    assert effect["agrees"] is False
+    assert "This measurement contradicts the model: Sag of a guide of X" in (
+        changed.report_html
+    )
+
+
+def test_no_run_counts_twice(told):
+    """A model is made from a Run; on that Run it only names its effects."""
+    one = told(LAG)
+    again = analyse(one.run, model=taken(one.beside)).result
+    alone = analyse(one.run, model=only_named(one.run, LAG)).result
+    (fresh,), (own,) = again["effects"], alone["effects"]
+    assert fresh["known_before"] is None
+    assert fresh["agrees"] is None
+    for name, said in own["parameters"].items():
+        assert fresh["parameters"][name] == pytest.approx(said, rel=1e-3)
+    assert "from this measurement alone" in again["provenance"]["model"]["taken"]
+
+
+def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
+    one = told(LAG)
+    seen = with_surroundings(align(one.run), one.run.commanded)
+    found = estimate(seen, known=one.earlier.known(one.run.machine), keep_fit=True)
+    last = found.model.slices[found.model.effects[-1].name].start
+    outputs = np.eye(found.model.size)[[0, 5, last]]
+    drawn = trials_drawn(prepared(found.fit, outputs, TrialPlan(seed=1)), 0, 1500)
+    linear = np.sqrt(np.diag(outputs @ found.covariance @ outputs.T))
+    assert drawn.std(axis=1) == pytest.approx(linear, rel=0.1)
+
+
+def test_lost_motion_of_a_model_stands_among_both_directions(run_of):
+    setting = Setting(machine_seed=3, hidden=(Backlash("Y", 8.0),))
+    run = run_of(driven(7, 20, setting))
+    effect = catalogued(BacklashFamily(), run.machine, {"axis": "Y"}, {})
+    loaded = LoadedResult(
+        run.machine,
+        "otf",
+        MachineModel(run.machine, (effect,)),
+        np.array([-0.004]),
+        np.array([[1e-8]]),
+        (),
+        {},
+    )
+    result = analyse(run, model=EarlierModel(loaded, "m", "0")).result
+    half = result["direction"]["half_difference"]["EYY"]
+    assert result["direction"]["model"] == "constant"
+    assert list(result["direction"]["half_difference"]) == ["EYY"]
+    assert half["value_um"][0] == pytest.approx(-4.0, abs=3 * half["uncertainty_um"][0])
+
+
+def test_a_model_of_another_machine_is_refused(told, record):
+    other = record(3, rows=12)[0]
+    with pytest.raises(BundleError, match=r"machine.kinematic_chain: w-X-b-Y-Z-t"):
+        analyse(other, model=told(LAG).earlier)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("hidden", [LAG, SAG], ids=lambda effect: effect.name)
+def test_what_discovery_finds_in_one_run_serves_the_next(hidden, run_of, told, judged):
+    one = told(hidden)
+    setting = Setting(
+        machine_seed=MACHINES[0],
+        hidden=(hidden, TableDrift((0.02, 0.0, 0.01))),
+    )
+    found = discover([run_of(driven(9, 60, setting))])
+    earlier = taken(next_model(found, None).content)
+    result = analyse(one.run, model=earlier).result
+    # The drift was that of its Run.
+    assert [e["name"] for e in result["effects"]] == [hidden.name]
+    (better, _), (off, _) = (judged(one, r, hidden) for r in (result, one.without))
+    assert np.sqrt(np.mean(better**2)) < 0.8 * np.sqrt(np.mean(off**2))
