@@ -21,11 +21,11 @@ from app.errors import AlignmentError, BundleError
 from app.estimation.batch import estimate
 from app.estimation.estimate import Estimate
 from app.estimation.grade import Grade, SetUp, grade_together
-from app.jobs.result_files import load_result, read_file
+from app.jobs.result_files import LARGEST_BYTES, load_result
 from app.kinematics.machine import Machine
-from app.measurement.bundle_files import replace_file
 from app.measurement.one_machine import one_machine
 from app.measurement.run import Run
+from app.measurement.whole_files import read_whole, replace_file
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.reporting.earlier_model import EarlierModel
 from app.reporting.effects_beside import ModelAccount
@@ -230,7 +230,8 @@ def predict_points(
     Raises BundleError with the place; `Prediction.warnings` is for the user.
     """
     loaded = load_result(result)
-    asked = read_points(read_file(points), loaded.machine, file=str(points))
+    data = read_whole(points, largest_bytes=LARGEST_BYTES)
+    asked = read_points(data, loaded.machine, file=str(points))
     predicted = predict(loaded, asked.position, asked.target)
     replace_file(Path(output), predicted_csv(asked, predicted).encode())
     return predicted

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from app.jobs.result_files import load_result
-from app.measurement.bundle_files import replace_file
 from app.measurement.reference_file import decode_reference
+from app.measurement.whole_files import replace_file
 from app.reporting.comparison import ReferenceUncertainty, compare
 from app.reporting.comparison_files import comparison_csv, comparison_json
 from app.reporting.comparison_html import comparison_html

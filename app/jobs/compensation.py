@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from app.jobs.result_files import load_result
-from app.measurement.bundle_files import replace_file
 from app.measurement.json_fields import Field, parse_json
+from app.measurement.whole_files import replace_file
 from app.reporting.compensation.export import SPACING_MM, export_result, suffix_of
 from app.reporting.compensation.source import source_of
 

@@ -15,9 +15,9 @@ from app.discovery.discovery_json import discovery_json
 from app.discovery.model_file import NextModel, given_by, next_model
 from app.discovery.report_html import report_html
 from app.jobs.analysis import REPORT, Progress
-from app.measurement.bundle_files import replace_file
 from app.measurement.commanded_file import encode_commanded
 from app.measurement.run import Run
+from app.measurement.whole_files import replace_file
 from app.reporting.earlier_model import EarlierModel
 
 DISCOVERY, MODEL, ASK = "discovery.json", "model.json", "ask/path.csv"

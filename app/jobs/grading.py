@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import BundleError
 from app.jobs.plans import Commanded
 from app.kinematics.machine import Machine
 from app.measurement.commanded_file import decode_path, decode_points
 from app.measurement.machine_file import read_machine
-
-_LARGEST = 64 << 20  # bytes of a path
+from app.measurement.whole_files import read_whole
 
 
 def graded(
@@ -48,21 +46,8 @@ def read_set_up(
     Raises BundleError with file, row and column.
     """
     machine = read_machine(machine_file)
-    data = _bytes(commanded_file)
+    data = read_whole(commanded_file)
     header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
     is_path = "feed_mm_min" in [name.strip() for name in header.split(",")]
     decode = decode_path if is_path else decode_points
     return machine, decode(data, machine, file=str(commanded_file))
-
-
-def _bytes(file: FilePath) -> bytes:
-    try:
-        if file.stat().st_size > _LARGEST:
-            raise BundleError(f"is larger than {_LARGEST >> 20} MiB", file=str(file))
-        return file.read_bytes()
-    except OSError as error:
-        raise BundleError(
-            f"cannot be read ({error.strerror})",
-            file=str(file),
-            remedy="check the path",
-        ) from error

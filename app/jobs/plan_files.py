@@ -9,9 +9,9 @@ from typing import Any
 
 from app.jobs.planning import Planned
 from app.kinematics.symbols import SQUARENESS, is_location, unit
-from app.measurement.bundle_files import replace_file
 from app.measurement.commanded_file import encode_commanded
 from app.measurement.machine_file import machine_to_json
+from app.measurement.whole_files import replace_file
 from app.planning.nc_programs.programs import (
     dialect_names,
     nc_program,

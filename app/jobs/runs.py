@@ -27,9 +27,9 @@ from app.jobs.job import new_id, now_utc
 from app.jobs.plans import plan_json
 from app.jobs.schema import runs
 from app.measurement.bundle import read_bundle, zip_bundle
-from app.measurement.bundle_files import replace_file, sync_folder
 from app.measurement.recording import open_run, settle
 from app.measurement.run import Run
+from app.measurement.whole_files import replace_file, sync_folder
 
 _NAME_LENGTH = 200
 

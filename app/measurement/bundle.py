@@ -14,13 +14,14 @@ from pathlib import Path as FilePath
 
 from app.errors import BundleError
 from app.kinematics.machine import Machine
-from app.measurement.bundle_files import FILES, BundleFiles, open_bundle, replace_file
+from app.measurement.bundle_files import FILES, BundleFiles, open_bundle
 from app.measurement.commanded_file import decode_path, decode_points, encode_commanded
 from app.measurement.environment_file import decode_environment, encode_environment
 from app.measurement.machine_file import decode_machine, encode_machine
 from app.measurement.reference_file import decode_reference, encode_reference
 from app.measurement.run import Run
 from app.measurement.stream_file import decode_stream, encode_stream
+from app.measurement.whole_files import replace_file
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 

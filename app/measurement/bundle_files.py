@@ -6,7 +6,6 @@ an archive can neither leave its folder nor fill the disk.
 
 from __future__ import annotations
 
-import os
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
@@ -15,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from app.errors import BundleError
+from app.measurement.whole_files import MAX_TEXT_BYTES
 
 FILES = (
     "machine.json",
@@ -26,7 +26,6 @@ FILES = (
     "reference.csv",
 )
 MAX_BYTES = 4 << 30
-MAX_TEXT_BYTES = 64 << 20
 MAX_MEMBERS = 1000
 
 
@@ -59,29 +58,6 @@ def open_bundle(path: str | Path) -> Iterator[BundleFiles]:
         raise BundleError(
             "no such folder or file", file=str(path), remedy="check the path"
         )
-
-
-def replace_file(file: Path, data: bytes) -> None:
-    """Write a file whole or not at all: beside it, synced, then renamed over it."""
-    draft = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        with draft.open("wb") as sink:
-            sink.write(data)
-            sink.flush()
-            os.fsync(sink.fileno())
-        draft.replace(file)
-    finally:
-        draft.unlink(missing_ok=True)
-    sync_folder(file.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename in a folder outlast a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _limit(name: str) -> int:

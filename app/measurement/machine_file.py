@@ -21,6 +21,7 @@ from app.kinematics.machine import (
     TrackerNoise,
 )
 from app.measurement.json_fields import Field, Fields, parse_json, shown
+from app.measurement.whole_files import read_whole
 
 SCHEMA = "machine/1"
 LINEAR_NAMES = ("X", "Y", "Z")
@@ -32,16 +33,7 @@ _STANDS = ("workpiece", "base")
 
 def read_machine(path: str | Path) -> Machine:
     """Read a machine file from disk."""
-    file = Path(path)
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise BundleError(
-            f"cannot be read ({error.strerror})",
-            file=str(path),
-            remedy="check the path",
-        ) from error
-    return decode_machine(data, file=file.name)
+    return decode_machine(read_whole(path), file=Path(path).name)
 
 
 def decode_machine(data: bytes, *, file: str = "machine.json") -> Machine:

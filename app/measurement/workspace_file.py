@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.errors import BundleError
 from app.measurement.json_fields import Field, Fields, parse_json, shown
+from app.measurement.whole_files import read_whole
 from app.planning.workspace import Box, Workspace
 
 SCHEMA = "workspace/1"
@@ -24,16 +24,8 @@ SCHEMA = "workspace/1"
 
 def read_workspace(path: str | Path) -> Workspace:
     """Read a workspace file from disk."""
-    file = Path(path)
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise BundleError(
-            f"cannot be read ({error.strerror})",
-            file=str(path),
-            remedy="check the path",
-        ) from error
-    return workspace_from_json(parse_json(data, file.name), file=file.name)
+    name = Path(path).name
+    return workspace_from_json(parse_json(read_whole(path), name), file=name)
 
 
 def workspace_from_json(

@@ -13,7 +13,7 @@ import pytest
 
 from app.errors import BundleError
 from app.kinematics.machine import RotaryAxis, Target
-from app.measurement import bundle_files
+from app.measurement import bundle_files, whole_files
 from app.measurement.bundle import read_bundle, write_bundle, zip_bundle
 from app.measurement.run import Run
 from app.planning.configurations import Configurations
@@ -216,7 +216,7 @@ def test_a_file_that_cannot_be_written_leaves_no_draft(run, tmp_path, monkeypatc
     def full(_handle: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bundle_files.os, "fsync", full)
+    monkeypatch.setattr(whole_files.os, "fsync", full)
     with pytest.raises(OSError, match="No space"):
         write_bundle(run, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []

@@ -1,0 +1,50 @@
+"""Files that are read and written whole, or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from app.errors import BundleError
+
+MAX_TEXT_BYTES = 64 << 20  # of a file that people write
+
+
+def read_whole(file: str | Path, *, largest_bytes: int = MAX_TEXT_BYTES) -> bytes:
+    """Return the bytes of a file. Raises BundleError where it cannot or must not be."""
+    place = Path(file)
+    try:
+        if place.stat().st_size > largest_bytes:
+            raise BundleError(
+                f"is larger than {largest_bytes >> 20} MiB", file=str(file)
+            )
+        return place.read_bytes()
+    except OSError as error:
+        raise BundleError(
+            f"cannot be read ({error.strerror})",
+            file=str(file),
+            remedy="check the path",
+        ) from error
+
+
+def replace_file(file: Path, data: bytes) -> None:
+    """Write a file whole or not at all: beside it, synced, then renamed over it."""
+    draft = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        with draft.open("wb") as sink:
+            sink.write(data)
+            sink.flush()
+            os.fsync(sink.fileno())
+        draft.replace(file)
+    finally:
+        draft.unlink(missing_ok=True)
+    sync_folder(file.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename in a folder outlast a power cut."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
