@@ -146,7 +146,7 @@ def discover(
     grounds = grounds_of(runs, given)
     told(0.35)
     scenes, search = _prepared(scenes, grounds, given)
-    best = search.found()
+    best = search.grown()
     told(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.

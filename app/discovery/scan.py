@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -16,8 +17,8 @@ from scipy.optimize import minimize_scalar
 
 from app.discovery.evidence import log_bayes
 from app.discovery.spectrum import transform
-from app.discovery.view import TIMING, FastSums, View, line_rows, stretches
-from app.estimation.noise import whiten
+from app.discovery.view import TIMING, FastSums, View
+from app.discovery.whitened import Line
 from app.kinematics.effects.base import Conditions, Effect, in_run
 from app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave, averaged
 from app.kinematics.effects.of_run import OfRun
@@ -97,28 +98,35 @@ class Residual:
 
 
 def weighted_residual(
-    view: View, effects: Sequence[Effect], theta: Float64[np.ndarray, " p"]
+    view: View,
+    lines: Sequence[Line],
+    effects: Sequence[Effect],
+    theta: Float64[np.ndarray, " p"],
 ) -> Residual:
-    """Return what base and effects leave, phase and speed of each line taken out."""
+    """Return what base and effects leave, phase and speed of each line taken out.
+
+    lines : of this view
+    """
     seen, base = view.seen, view.base
     left_mm, weighted = np.zeros((2, len(seen), 3))
     precision = np.zeros((len(seen), 3, 3))
-    for first, last in stretches(seen):
-        part = seen.taken(np.arange(first, last))
-        rows, frame = line_rows(part, base, effects)
-        left = rows[:, :, -1:] - rows[:, :, TIMING:-1] @ theta[:, None]
-        whitener = whiten(part, base.noise, frame)
-        timing = rows[:, :, :TIMING]
+    moved = np.zeros((len(seen), 3, 1))
+    for effect, own in zip(effects, _parts(effects, theta), strict=True):
+        moved[:, :, 0] += effect.jacobian(seen.at) @ own
+    known = theta[: base.size, None]
+    for line in lines:
+        cells, frame, whitener = line.cells, line.frame, line.whitener
+        timing, machine = line.rows[:, :, :TIMING], line.rows[:, :, TIMING:-1]
+        left = line.rows[:, :, -1:] - machine @ known - frame @ moved[cells]
         applied = whitener.applied(np.concatenate([timing, left], axis=2))
         H = np.tensordot(timing, applied[:, :, :TIMING], axes=((0, 1), (0, 1)))
         pull = np.tensordot(timing, applied[:, :, -1], axes=((0, 1), (0, 1)))
         late = np.linalg.lstsq(H, pull, rcond=1e-10)[0]
         out = applied[:, :, -1] - applied[:, :, :TIMING] @ late
-        weighted[first:last] = np.einsum("nij,ni->nj", frame, out)
-        on_line = left[:, :, 0] - timing @ late
-        left_mm[first:last] = np.einsum("nij,ni->nj", frame, on_line)
+        weighted[cells] = np.einsum("nij,ni->nj", frame, out)
+        left_mm[cells] = np.einsum("nij,ni->nj", frame, left[:, :, 0] - timing @ late)
         root = np.matmul(whitener.root, frame)
-        precision[first:last] = np.matmul(np.swapaxes(root, 1, 2), root)
+        precision[cells] = np.matmul(np.swapaxes(root, 1, 2), root)
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
     ratio = np.mean(np.square(noise.slow)) / np.mean(np.square(noise.white))
     slow = float(ratio) * 2.0 * noise.slow_time_s * rate_hz
@@ -131,6 +139,16 @@ def weighted_residual(
         noise.slow_time_s,
         view.within,
     )
+
+
+def _parts(
+    effects: Sequence[Effect], theta: Float64[np.ndarray, " p"]
+) -> list[Float64[np.ndarray, " q"]]:
+    """Return the parameters of each effect, which are the last ones."""
+    sizes = [len(effect.parameters) for effect in effects]
+    first = len(theta) - sum(sizes)
+    ends = first + np.cumsum([0, *sizes])
+    return [theta[a:b] for a, b in pairwise(ends)]
 
 
 def scanned(offer: Offer, left: Sequence[Residual]) -> Offer:

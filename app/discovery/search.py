@@ -80,6 +80,11 @@ class Search:
         self._prior = prior
         self._lines = Lines(views, FOLDS)
         self._offers = tuple(_offered(families, self._at))
+        # What was tried once is not computed again; the objects named by id stay alive.
+        self._explained: dict[
+            tuple[int, ...], tuple[tuple[Offer, ...], Explanation]
+        ] = {}
+        self._looked_in: dict[int, tuple[Explanation, dict[str, Offer]]] = {}
         self._listed = float(np.log(len(self._offers)))
 
     @property
@@ -89,12 +94,17 @@ class Search:
 
     def found(self, chosen: Sequence[Offer] = ()) -> Explanation:
         """Return the effects that the Run has evidence for, starting from some."""
-        best = self._grown(self._pruned(self.explained(chosen)), self._offers)
-        return self._named(best)
+        return self._pruned(self._named(self.grown(chosen)))
 
-    def _grown(self, best: Explanation, among: Sequence[Offer]) -> Explanation:
+    def grown(self, chosen: Sequence[Offer] = ()) -> Explanation:
+        """Return what `found` begins with: shapes may still stand for causes."""
+        return self._grown(self._pruned(self.explained(chosen)), self._offers)
+
+    def _grown(
+        self, best: Explanation, among: Sequence[Offer], most: int = _MOST_EFFECTS
+    ) -> Explanation:
         """Return the explanation with all that evidence asks for besides."""
-        while len(best.chosen) < _MOST_EFFECTS:
+        while len(best.chosen) < most:
             larger = self._larger(best, among)
             if larger is None:
                 break
@@ -104,14 +114,15 @@ class Search:
     def _named(self, best: Explanation) -> Explanation:
         """Let causes explain what structure without a name has taken, if they can.
 
-        One after another, shapes that fit anything may take together what one cause
-        explains by itself.
+        One after another, shapes that fit anything may take together what as many
+        causes explain, or fewer.
         """
         kept = [o for o in best.chosen if not isinstance(o.family, Described)]
         if len(kept) == len(best.chosen):
             return best
         causes = [o for o in self._offers if not isinstance(o.family, Described)]
-        other = self._grown(self._pruned(self.explained(kept)), causes)
+        start = self._pruned(self.explained(kept))
+        other = self._grown(start, causes, len(best.chosen))
         if {o.label for o in other.chosen} == {o.label for o in kept}:
             return best
         other = self._grown(other, self._offers)
@@ -128,6 +139,12 @@ class Search:
 
     def explained(self, chosen: Sequence[Offer]) -> Explanation:
         """Return the Run explained by base and given effects, their values refined."""
+        key = tuple(id(o.candidate) for o in chosen)
+        if key not in self._explained:
+            self._explained[key] = tuple(chosen), self._explain(chosen)
+        return self._explained[key][1]
+
+    def _explain(self, chosen: Sequence[Offer]) -> Explanation:
         size = self._size
         known = self._prior.precision(size) + self._poses
         chosen = refined(self._lines, self._at, known, chosen)
@@ -162,16 +179,23 @@ class Search:
 
     def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:
         """Return offers, but the chosen ones, at their best values."""
-        chosen = explanation.chosen
-        left = self.residuals(explanation)
-        taken = {o.label for o in chosen}
-        return [scanned(offer, left) for offer in among if offer.label not in taken]
+        of, known = self._looked_in.setdefault(id(explanation), (explanation, {}))
+        taken = {o.label for o in of.chosen}
+        wanted = [o for o in among if o.label not in taken]
+        if any(o.label not in known for o in wanted):
+            left = self.residuals(of)
+            new = [o for o in wanted if o.label not in known]
+            known |= {o.label: scanned(o, left) for o in new}
+        return [known[o.label] for o in wanted]
 
     def residuals(self, explanation: Explanation) -> list[Residual]:
         """Return what an explanation leaves in every cell of each Run."""
         effects = _effects(explanation.chosen)
         theta = explanation.fit.theta
-        return [weighted_residual(view, effects, theta) for view in self._views]
+        return [
+            weighted_residual(view, self._lines.of(run), effects, theta)
+            for run, view in enumerate(self._views)
+        ]
 
     def _larger(self, best: Explanation, among: Sequence[Offer]) -> Explanation | None:
         """Return the explanation with one effect more, if evidence asks for it."""
@@ -209,10 +233,10 @@ class Search:
             without = self.explained(others)
             ranked, _ = self.ranked(without, self._scanned(without, among))
             own, _ = self.ranked(without, [offer])
+            if max(ranked[0].evidence, own[0].evidence) < LEAST_EVIDENCE:
+                return without
             if ranked[0].evidence > own[0].evidence + _EQUIVALENT:
                 return self.explained((*without.chosen, ranked[0].offer))
-            if own[0].evidence < LEAST_EVIDENCE:
-                return without
         return best
 
     def _precision(

@@ -121,6 +121,10 @@ class Lines:
         self._ground = self._products(self._base, self._base)
         self._known: dict[tuple[int, int], _Term] = {}
 
+    def of(self, run: int) -> list[Line]:
+        """Return the lines of one Run."""
+        return [line for line in self._lines if line.run == run]
+
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
         """Return the sums of all lines on machine, poses, effects and data."""
         terms = self._terms_of(effects)

@@ -27,31 +27,31 @@ _Pair = tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "s p"]]
 
 @dataclass(frozen=True)
 class Halves:
-    """Columns on lines; those of line k end at row ends[k].
+    """Columns on lines, one after another.
 
-    plus : (m, p); minus : (s, p); plus_ends, minus_ends : (l,)
+    plus : (m, p); minus : (s, p); begin : (l + 1, 2) first row of each line in either,
+        and one past the last
     """
 
     plus: Float64[np.ndarray, "m p"]
     minus: Float64[np.ndarray, "s p"]
-    plus_ends: Int64[np.ndarray, " l"]
-    minus_ends: Int64[np.ndarray, " l"]
+    begin: Int64[np.ndarray, "l 2"]
 
     @staticmethod
     def of_line(
         plus: Float64[np.ndarray, "m p"], minus: Float64[np.ndarray, "s p"]
     ) -> Halves:
         """Return the halves on one line."""
-        return Halves(plus, minus, np.array([len(plus)]), np.array([len(minus)]))
+        return Halves(plus, minus, np.array([[0, 0], [len(plus), len(minus)]]))
 
     @staticmethod
     def joined(lines: Sequence[Halves]) -> Halves:
         """Return the halves on all lines, in their order."""
+        length = [[0, 0], *([len(h.plus), len(h.minus)] for h in lines)]
         return Halves(
             np.concatenate([h.plus for h in lines]),
             np.concatenate([h.minus for h in lines]),
-            np.cumsum([len(h.plus) for h in lines]),
-            np.cumsum([len(h.minus) for h in lines]),
+            np.cumsum(length, axis=0),
         )
 
     @property
@@ -59,20 +59,16 @@ class Halves:
         """Number of columns."""
         return self.plus.shape[1]
 
-    def between(self, first: int, last: int) -> Halves:
-        """Return the halves on some lines that follow one another."""
-        m, s = (np.r_[0, e][[first, last]] for e in (self.plus_ends, self.minus_ends))
-        return Halves(
-            self.plus[m[0] : m[1]],
-            self.minus[s[0] : s[1]],
-            self.plus_ends[first:last] - m[0],
-            self.minus_ends[first:last] - s[0],
-        )
-
     def columns(self, own: slice) -> Halves:
         """Return some of the columns."""
         plus, minus = (np.asfortranarray(h[:, own]) for h in (self.plus, self.minus))
-        return Halves(plus, minus, self.plus_ends, self.minus_ends)
+        return Halves(plus, minus, self.begin)
+
+    def between(self, first: int, last: int) -> Halves:
+        """Return the halves on some lines that follow one another."""
+        (a, b), (c, d) = self.begin[first], self.begin[last]
+        begin = self.begin[first : last + 1] - self.begin[first]
+        return Halves(self.plus[a:c], self.minus[b:d], begin)
 
     def times(self, other: Halves) -> Float64[np.ndarray, "p q"]:
         """Return the sums of these columns with others, on the same lines."""
@@ -85,7 +81,8 @@ class Line:
 
     run, cells : where its cells are; timing : phase and speed, whitened and made
         orthonormal, as far as they are told
-    base : machine, poses, data; freedom : observations less phase and speed
+    rows : (n, 3, q) timing, machine, poses, data in the beam frame
+    base : machine, poses, data, whitened; freedom : observations less phase and speed
     log_determinant : of its noise, and of what timing told
     """
 
@@ -93,6 +90,7 @@ class Line:
     cells: slice
     frame: Float64[np.ndarray, "n 3 3"]
     whitener: Whitener
+    rows: Float64[np.ndarray, "n 3 q"]
     timing: _Pair
     base: Halves
     freedom: float
@@ -122,6 +120,7 @@ def line_of(view: View, run: int, first: int, last: int) -> Line:
         slice(first, last),
         frame,
         whitener,
+        rows,
         timing,
         _without((plus[:, TIMING:], minus[:, TIMING:]), timing),
         (2.0 if across else 3.0) * len(seen) - len(told),
