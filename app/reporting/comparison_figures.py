@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.machine import Axis, position_unit
-from app.kinematics.symbols import error_motions, meaning
+from app.kinematics.machine import Axis
+from app.reporting.axis_panels import LEFT, SIGN, TOP, axis_panels
 from app.reporting.chart import Frame, Scale
 from app.reporting.comparison import ComparedError, Comparison, K
 from app.reporting.comparison_volume import ComparedVolume
 from app.reporting.svg import (
-    WIDTH,
     Colour,
     band,
     curve,
@@ -21,9 +20,6 @@ from app.reporting.svg import (
     words,
 )
 
-SIGN = {"um": "µm", "urad": "µrad"}
-_TOP, _LEFT, _GAP, _EDGE = 16.0, 36.0, 40.0, 7.0
-_PANEL_HEIGHT, _ROW_HEIGHT = 116.0, 146.0
 _BINS = 31
 _VIEW = np.array([[0.87, -0.5, 0.0], [0.28, 0.48, -0.83]])  # from front, right, above
 _LONGEST = 34.0  # of an arrow, in units of the figure
@@ -32,18 +28,14 @@ _ARROWS = 4  # every fourth grid plane is drawn: both ends and the middle
 
 def axis_figure(comparison: Comparison, axis: Axis) -> str:
     """Draw the six error motions of an axis: result in its band, direct runs on it."""
-    name = f"{axis.name}, {position_unit(axis)}"
-    parts: list[str] = []
-    for i, symbol in enumerate(error_motions(axis.name)):
-        frame = _panel(*divmod(i, 3))
-        parts.append(frame.title(f"{symbol}  {meaning(symbol)}"))
+
+    def drawn(frame: Frame, symbol: str, name: str) -> str:
         error = comparison.error(symbol)
         if error is None:
-            parts.append(frame.empty("not compared"))
-        else:
-            parts.append(_motion(frame, error, name if i >= 3 else ""))
-    height = _TOP + _ROW_HEIGHT + _PANEL_HEIGHT + 28.0
-    return image(height, f"Error motions of axis {axis.name}, both methods", parts)
+            return frame.empty("not compared")
+        return _motion(frame, error, name)
+
+    return axis_panels(axis, f"Error motions of axis {axis.name}, both methods", drawn)
 
 
 def volume_figure(volume: ComparedVolume) -> str:
@@ -52,17 +44,11 @@ def volume_figure(volume: ComparedVolume) -> str:
     reach = max(float(np.abs(volume.difference_um).max()), 1e-6)
     edge = np.linspace(-reach, reach, _BINS + 1)
     for row, direction in enumerate("XYZ"):
-        top = _TOP + 84.0 * row
-        frame = Frame(_LEFT, top, 300.0, top + 58.0)
+        top = TOP + 84.0 * row
+        frame = Frame(LEFT, top, 300.0, top + 58.0)
         parts.append(_histogram(frame, volume.difference_um[:, row], edge, direction))
     parts.append(_arrows(volume))
     return image(270.0, "Difference of the volumetric errors", parts)
-
-
-def _panel(row: int, column: int) -> Frame:
-    width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
-    left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW_HEIGHT
-    return Frame(left, top, left + width, top + _PANEL_HEIGHT)
 
 
 def _motion(frame: Frame, error: ComparedError, name: str) -> str:
@@ -151,7 +137,7 @@ def _arrows(volume: ComparedVolume) -> str:
     return "".join(
         [
             segments(edges[0], edges[1], Colour.RULE, width=0.8),
-            words(380.0, _TOP - 5.0, "Difference in the volume", colour=Colour.INK),
+            words(380.0, TOP - 5.0, "Difference in the volume", colour=Colour.INK),
             strokes(dots, Colour.MUTED, width=1.8),
             segments(begin, end, Colour.ACCENT, width=1.2),
             words(380.0, 262.0, note),

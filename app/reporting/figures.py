@@ -5,42 +5,37 @@ from __future__ import annotations
 import numpy as np
 
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.machine import Axis, position_unit
-from app.kinematics.symbols import error_motions, meaning
+from app.kinematics.machine import Axis
+from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, axis_panels
 from app.reporting.chart import Frame, Scale
 from app.reporting.error_tables import MILLI, ErrorTable, error_table
 from app.reporting.findings import Findings, RunFindings
 from app.reporting.svg import WIDTH, Colour, band, curve, image, segments, words
 
-SIGN = {"um": "µm", "urad": "µrad"}
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22
 _DRAWN = 121  # positions of a curve
-_TOP, _LEFT, _GAP, _EDGE = 16.0, 36.0, 40.0, 7.0
-_PANEL_HEIGHT, _ROW_HEIGHT = 116.0, 146.0
 _BINS = 41
 
 
 def axis_figure(found: Findings, axis: Axis) -> str:
     """Draw the six error motions of an axis, each with its band of ±2u."""
-    name = f"{axis.name}, {position_unit(axis)}"
-    parts: list[str] = []
-    for i, symbol in enumerate(error_motions(axis.name)):
-        frame = _panel(*divmod(i, 3))
-        parts.append(frame.title(f"{symbol}  {meaning(symbol)}"))
+
+    def drawn(frame: Frame, symbol: str, name: str) -> str:
         table = _fine_table(found, symbol)
         if table is None:
-            parts.append(frame.empty("not observable\nwith the measured target"))
-        else:
-            parts.append(_motion(frame, table, name if i >= 3 else ""))
-    height = _TOP + _ROW_HEIGHT + _PANEL_HEIGHT + 28.0
-    return image(height, f"Error motions of axis {axis.name} over its travel", parts)
+            return frame.empty("not observable\nwith the measured target")
+        return _motion(frame, table, name)
+
+    return axis_panels(
+        axis, f"Error motions of axis {axis.name} over its travel", drawn
+    )
 
 
 def residual_figure(run: RunFindings) -> str:
     """Draw what is left on each line against the noise, and its distribution."""
-    left = Frame(_LEFT, _TOP, 436.0, 152.0)
-    right = Frame(486.0, _TOP, WIDTH - _EDGE, 152.0)
+    left = Frame(LEFT, TOP, 436.0, 152.0)
+    right = Frame(486.0, TOP, WIDTH - EDGE, 152.0)
     return image(
         180.0,
         "Residuals by line, and the distribution of their components",
@@ -59,12 +54,6 @@ def legend(
         + words(x + 19.0, y + 2.7, label, colour=Colour.INK)
         for y, colour, label in rows
     )
-
-
-def _panel(row: int, column: int) -> Frame:
-    width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
-    left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW_HEIGHT
-    return Frame(left, top, left + width, top + _PANEL_HEIGHT)
 
 
 def _fine_table(found: Findings, symbol: str) -> ErrorTable | None:

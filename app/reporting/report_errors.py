@@ -7,8 +7,9 @@ import numpy as np
 from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import error_motions as symbols_of
 from app.kinematics.symbols import meaning
+from app.reporting.axis_panels import SIGN
 from app.reporting.error_tables import ErrorTable
-from app.reporting.figures import SIGN, axis_figure
+from app.reporting.figures import axis_figure
 from app.reporting.findings import Findings
 from app.reporting.html_parts import (
     drawing,

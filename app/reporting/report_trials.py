@@ -6,7 +6,7 @@ import numpy as np
 
 from app.kinematics.symbols import meaning
 from app.numerics.adaptive_trials import NORMAL_FACTOR
-from app.reporting.figures import SIGN
+from app.reporting.axis_panels import SIGN
 from app.reporting.held_trials import MAP, HeldQuantity, HeldTrials
 from app.reporting.html_parts import callout, plain, table
 
