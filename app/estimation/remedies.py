@@ -19,11 +19,12 @@ from app.estimation.rehearsal import EXPECTED_NOISE
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.model import MachineModel
+from app.numerics.design_criteria import Belief
 from app.planning.configurations import Configurations
+from app.planning.travel import inner_travel
 from drivers.interfaces.records import Path
 
-_POINTS = 12
-_MARGIN = 0.02  # of the travel, kept at its ends
+_POINTS = 12  # cells of a line, or points on it
 _SAMPLES = 100  # in the mean of a cell
 _SHORT = ("low", "middle", "high")
 
@@ -52,16 +53,11 @@ def best_line(
     covariance : of the model's θ as the measurement would leave it
     """
     part = model.slices[symbol]
-    G = gram[part, part]
-
-    def gain(line: Remedy) -> float:
-        rows = _rows(line, seen, model)
-        moved = rows @ covariance
-        spread = np.eye(len(rows)) + moved @ rows.T
-        own = moved[:, part]
-        return float(np.sum(np.linalg.solve(spread, own @ G) * own))
-
-    return max(_lines(model.machine), key=gain)
+    own = np.zeros_like(gram)
+    own[part, part] = gram[part, part]
+    lines = list(_lines(model.machine))
+    rows = np.stack([_rows(line, seen, model) for line in lines])
+    return lines[int(np.argmax(Belief(covariance, own).drops(rows)))]
 
 
 def with_line(commanded: Path | Configurations, line: Remedy) -> Path | Configurations:
@@ -86,7 +82,7 @@ def with_line(commanded: Path | Configurations, line: Remedy) -> Path | Configur
 
 
 def _lines(machine: Machine) -> Iterator[Remedy]:
-    low, high = _ends(machine)
+    low, high = inner_travel(machine)
     middle = (low + high) / 2.0
     rest = np.array([np.clip(0.0, a.low, a.high) for a in machine.rotary_axes])
     linear = len(machine.linear_axes)
@@ -106,15 +102,6 @@ def _lines(machine: Machine) -> Iterator[Remedy]:
         begin = np.concatenate([np.where(side, high[:linear], low[:linear]), rest])
         end = np.concatenate([np.where(side, low[:linear], high[:linear]), rest])
         yield Remedy(_diagonal(machine, begin, end), begin, end)
-
-
-def _ends(
-    machine: Machine,
-) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
-    low = np.array([a.low for a in machine.axes], np.float64)
-    high = np.array([a.high for a in machine.axes], np.float64)
-    margin = _MARGIN * (high - low)
-    return low + margin, high - margin
 
 
 def _where(machine: Machine, columns: list[int], places: tuple[str, ...]) -> str:
