@@ -9,7 +9,7 @@ import numpy as np
 from simulators.machine_file import LinearAxis
 
 _HARMONICS = np.arange(1, 5)
-_GRID = 201
+_GRID = 201  # places to normalise by
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_BISECTIONS = 60
+_BISECTIONS = 60  # to the last digit of a float
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ from simulators.machine_file import MachineFile, TrackerFigures
 from simulators.randomness import generator
 from simulators.truth_machine import perfect
 
-_BLOCK = 256
-_PROBES = 500
+_BLOCK = 256  # samples at once
+_PROBES = 500  # places that stand for the volume
 
 
 @dataclass(frozen=True, slots=True)

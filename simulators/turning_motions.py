@@ -13,7 +13,7 @@ import numpy as np
 from simulators.machine_file import RotaryAxis
 
 _HARMONICS = np.arange(1, 5)
-_GRID = 721
+_GRID = 721  # half a degree of a full turn
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(64)
 
 

@@ -24,7 +24,7 @@ from app.alignment.stretches import (
 from app.errors import AlignmentError
 from app.measurement.run import Run
 
-_FEWEST_SAMPLES = 100
+_FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
 def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 NODES = 8  # of a line, and one more a degree: then a spline is good to a nanometre
-_STRAIGHT_MM = 1e-6
+_STRAIGHT_MM = 1e-6  # off the chord: rounding
 _BRANCH = 0.05  # weight of what was travelled against what is near
 
 

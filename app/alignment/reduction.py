@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.machine import TrackerNoise
 
+# The longest cell: in it a machine error is as good as straight, and the air steady.
 CELL_MM = 8.0
 CELL_S = 0.25
 CELL_DEG = 3.0

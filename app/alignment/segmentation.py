@@ -25,9 +25,9 @@ from app.numerics.rigid import RigidTransform
 
 _ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
 _STEADY = 0.02  # relative change of speed that counts as a ramp
-_SPEED_NOISE_MM_S = 0.8
-_SHORTEST_S = 0.1
-_FEWEST_SAMPLES = 20
+_SPEED_NOISE_MM_S = 0.8  # tolerance of a speed at the least, for the tracker's noise
+_SHORTEST_S = 0.1  # a pass
+_FEWEST_SAMPLES = 20  # of a pass
 _SLOW_PACE = 0.2  # of its mean speed: slower than this the target tells no share
 _AGREES = 0.05  # what is gone and how fast belong together
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 SPEED_BLOCK = 10  # samples on either side: 20 ms at 500 Hz
-SAME_PLACE_MM = 0.1
+SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
 
 
 @dataclass(frozen=True, slots=True)

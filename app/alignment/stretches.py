@@ -19,8 +19,8 @@ from app.kinematics.machine import Machine
 from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform
 
-_SETTLE_S = 0.05
-_FEWEST_SAMPLES = 10
+_SETTLE_S = 0.05  # left out at both ends of a standstill
+_FEWEST_SAMPLES = 10  # of a standstill
 _CREEP_MM = 0.03  # several times what the air does in a second
 
 

@@ -12,7 +12,7 @@ from app.cli.terminal import print_json
 from app.errors import BadInput
 from app.jobs.grading import graded, read_set_up
 
-_PLACE = 3
+_PLACE = 3  # coordinates
 
 
 def grade_set_up(

@@ -13,7 +13,7 @@ from app.numerics.rigid import cross_matrix
 from app.reporting.prediction import predict
 from app.reporting.result_json import read_result
 
-_POINTS = 500
+_POINTS = 500  # places in the volume at which errors are compared
 _SEED = 7  # of the points, which the measurement has not been told
 
 

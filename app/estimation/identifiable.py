@@ -24,11 +24,13 @@ from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, meaning
 from app.numerics.splines import natural_spline
 
+# Of an error motion. How much it bends is for the prior to say: closer knots only cost
+# time.
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
-_SAME_TARGET_MM = 1e-6
+_SAME_TARGET_MM = 1e-6  # rounding
 _PROBE = 400  # configurations that stand for the whole volume
-_SHAPES = 5
+_SHAPES = 5  # knots of the shapes that motions are told apart by
 _NEW_SHAPE = 1e-6  # relative size of a new singular value
 
 

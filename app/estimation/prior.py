@@ -27,8 +27,8 @@ from app.estimation.information import (
 from app.kinematics.effects.base import Charge
 from app.kinematics.model import MachineModel
 
-_ROUNDS = 40
-_SETTLED = 0.15
+_ROUNDS = 40  # at most
+_SETTLED = 0.15  # change of a log strength that no table shows
 _SPREAD = 1.2  # τ: standard deviation of log strength within a kind
 _STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
 

@@ -23,16 +23,16 @@ from app.kinematics.model import MachineModel
 from app.kinematics.symbols import DIRECTION, is_turn, meaning
 
 _ENOUGH_RAD = usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
-_STEP_MM = 10.0
-_TRIAL_MM = 100.0
-_SHAPES = 4
-_GRID = 25
+_STEP_MM = 10.0  # in which lengths are stated
+_TRIAL_MM = 100.0  # by which a trial target is farther
+_SHAPES = 4  # intervals of the knots: few do, as what merges does not depend on them
+_GRID = 25  # places of an axis, to average over
 # What is tried, in this order: the first that separates is asked for.
 _TRIALS = {
     "a second tool at least {} mm longer or shorter": (0.0, 0.0, 1.0),
     "a second target at least {} mm to the side, in X or Y,": (0.6, 0.8, 0.0),
 }
-_LONGEST_MM = 500.0
+_LONGEST_MM = 500.0  # that is asked for
 
 
 def statements(

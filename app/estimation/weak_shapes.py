@@ -27,10 +27,10 @@ _LEFT = 0.5  # standard deviation left, of a usual machine's, from which a shape
 _MATTERS_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
 _BLIND = 0.9999  # left: all but rounding
 _TAKES_PART = 0.25  # of the largest part, at the tool
-_MOST = 3
+_MOST = 3  # shapes that are named
 _WITH_IT = 3  # more motions than these are not named
 _BENT = 0.05  # of a slope's square: below it a motion is straight
-_GRID = 41
+_GRID = 41  # places of an axis at which its form is looked at
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from app.planning.configurations import Configurations
 from app.planning.paths import line_times_s
 from drivers.interfaces.records import Path
 
-_TRUST_S = 3.0
+_TRUST_S = 3.0  # before it the pace so far says little
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from drivers.interfaces.link import ByteLink
 from drivers.interfaces.records import TrackerSamples
 from drivers.interfaces.tracker import Tracker
 
-BATCH_S = 0.1
-READ_S = 0.02
+BATCH_S = 0.1  # that is committed at once
+READ_S = 0.02  # between looks at the tracker
 
 
 class Pump:

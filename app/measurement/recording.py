@@ -43,8 +43,8 @@ from app.measurement.run_file import (
 from app.measurement.whole_files import sync_folder
 from drivers.interfaces.records import AxisSamples, TrackerSamples
 
-_LEAST_ROW_BYTES = 64
-_NAMED_PROBLEMS = 100
+_LEAST_ROW_BYTES = 64  # no row of the file is smaller
+_NAMED_PROBLEMS = 100  # beyond them nobody reads on
 _TORN = "torn"  # outcome of a Run whose writer was killed
 _NO_RUN = ("no such table", "not a database")
 

@@ -27,10 +27,10 @@ from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions
 from app.numerics.design_criteria import Belief
 
-SIGMA_MM = 0.004
-EXPECTED_ERROR_MM = 0.02
-POINTS_A_LINE = 8
-GRID = 5
+SIGMA_MM = 0.004  # of a tracker at usual distance
+EXPECTED_ERROR_MM = 0.02  # of a usual machine, at the tool
+POINTS_A_LINE = 8  # error motions of four intervals bend less often
+GRID = 5  # places of each axis that stand for the volume
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r 
 
 _DRAWS = 80  # places judged for each that climbs
 _CLIMB_ON = 0.4  # of those that have climbed each axis once
-_ROUNDS = 30
+_ROUNDS = 30  # of all axes, at most
 _RISEN = 1e-4  # relative rise of a round that is worth another
 # A turn moves levers like a cosine: this order follows it to 1e-7 over 60 deg.
 _DEGREE_OF_TURN = 9

@@ -22,11 +22,11 @@ from app.planning.turning_points import turning_points
 from drivers.interfaces.records import Path
 
 DEFAULT_FEED_MM_MIN = 6000.0
-DEFAULT_LINES = 22
-DEFAULT_POINTS = 60
+DEFAULT_LINES = 22  # a minute and a half on a small mill
+DEFAULT_POINTS = 60  # some four minutes on a small mill
 POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
-ACCELERATION_MM_S2 = 1000.0
-_CANDIDATES = 64
+ACCELERATION_MM_S2 = 1000.0  # of a usual machine; times are foretold with it
+_CANDIDATES = 64  # ends that are judged for each line; corners beside
 _LONG = 0.55  # of the diagonal of the travel: no line is shorter
 
 

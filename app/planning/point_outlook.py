@@ -13,8 +13,8 @@ from app.planning.motion_times import Drive
 from app.planning.next_configuration import climbed_from, search_space
 from app.planning.outlook import Outlook
 
-_LEAST_MOVE_MM = 1.0
-_LEAST_TURN_DEG = 10.0
+_LEAST_MOVE_MM = 1.0  # else standstills look like one
+_LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 
 
 @dataclass(frozen=True)

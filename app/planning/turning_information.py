@@ -22,9 +22,9 @@ from app.kinematics.symbols import error_motions
 from app.numerics.design_criteria import Belief
 from app.planning.line_information import SIGMA_MM, Knowledge, prior_covariance
 
-POINTS_A_LINE = 12
+POINTS_A_LINE = 12  # an arc bends: more than a straight line takes
 _VOLUME = 400  # configurations that stand for the volume
-_INTERVALS, _INTERVALS_TURNING = 3, 6
+_INTERVALS, _INTERVALS_TURNING = 3, 6  # of the knots: enough to choose by
 
 
 def nothing_known_of_turning(machine: Machine) -> Knowledge:

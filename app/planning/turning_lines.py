@@ -29,10 +29,10 @@ from app.planning.turning_points import moving_targets
 from drivers.interfaces.records import Path
 
 LINES_WITH_ROTARY_AXES = 72
-FASTEST_DEG_MIN = 1800.0
-_CANDIDATES = 24
+FASTEST_DEG_MIN = 1800.0  # of a rotary axis
+_CANDIDATES = 24  # ends that are judged for each line
 _DRAWS = 4  # of candidates, if the target hardly moves on any of them
-_SHORTEST_MM = 100.0
+_SHORTEST_MM = 100.0  # way of the target on a line, on average
 _PINNED = 0.4  # share of the ends of lines that are ends of the travel
 _STOP_S = 1.0  # ramps and dwell
 _CHANGE_S = 5.0  # for the tracker to turn to another target

@@ -10,7 +10,7 @@ from app.kinematics.machine import Machine, Target
 from app.planning.configurations import Configurations
 from app.planning.travel import DECIMALS, inner_travel
 
-_LEAST_TURN_DEG = 10.0
+_LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 
 
 def turning_points(

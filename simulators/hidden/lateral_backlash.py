@@ -11,7 +11,7 @@ from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
 from simulators.tracker_head import TrackerClock
 
-_ARM_M = 0.33
+_ARM_M = 0.33  # a turn is drawn so that it moves the tool as far as a shift does
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from drivers.interfaces.records import Path
 
-_DIGITS = 12
+_DIGITS = 12  # of a checksum: short enough to compare by eye
 
 
 @dataclass(frozen=True, slots=True)

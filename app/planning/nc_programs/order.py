@@ -14,9 +14,9 @@ from app.planning.nc_programs.motion import path_checksum
 from app.planning.paths import ACCELERATION_MM_S2, travel_time_s
 from drivers.interfaces.records import Path
 
-COLUMNS = 60
+COLUMNS = 60  # of a header; every control's screen shows them
 LARGEST_FEED = 99_999.0  # mm/min, that controls of all kinds read
-_NAME_LENGTH = 16
+_NAME_LENGTH = 16  # within what every control here takes
 # What comments of all controls may hold; a bracket or a quote would end them.
 _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
