@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 import pytest
+import structlog
 
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine
@@ -146,3 +147,19 @@ def volume() -> Callable[[Machine], np.ndarray]:
 def at_rest() -> Callable[[Machine, np.ndarray], Any]:
     """Give the conditions of a machine at rest."""
     return standstill
+
+
+@pytest.fixture(scope="session")
+def plain_log() -> Iterator[None]:
+    """Log with short traces."""
+    plain = structlog.dev.ConsoleRenderer(
+        colors=False, exception_formatter=structlog.dev.plain_traceback
+    )
+    structlog.configure(
+        processors=[structlog.contextvars.merge_contextvars, plain],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+        cache_logger_on_first_use=False,
+    )
+    yield
+    structlog.reset_defaults()

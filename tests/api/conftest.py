@@ -13,7 +13,6 @@ from pathlib import Path
 
 import httpx2
 import pytest
-import structlog
 import uvicorn
 from starlette.testclient import TestClient
 
@@ -46,19 +45,8 @@ MAX_UPLOAD_BYTES = 2 << 20
 
 
 @pytest.fixture(autouse=True, scope="session")
-def plain_log():
+def logged_plainly(plain_log):
     """The fancy traces of the default take seconds each."""
-    plain = structlog.dev.ConsoleRenderer(
-        colors=False, exception_formatter=structlog.dev.plain_traceback
-    )
-    structlog.configure(
-        processors=[structlog.contextvars.merge_contextvars, plain],
-        logger_factory=structlog.stdlib.LoggerFactory(),
-        wrapper_class=structlog.stdlib.BoundLogger,
-        cache_logger_on_first_use=False,
-    )
-    yield
-    structlog.reset_defaults()
 
 
 @pytest.fixture(autouse=True)

@@ -6,9 +6,6 @@ import pytest
 from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.estimation.identifiable import identifiable_model
-from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.base import standstill
-from app.kinematics.effects.error_motion import ErrorMotion
 from app.measurement.machine_file import machine_from_json
 from app.measurement.run import Run
 from app.planning.configurations import Configurations
@@ -34,46 +31,17 @@ def measured(name, seed, points=200):
     return Run(name, machine, commanded, samples), made.truth
 
 
-def deviations(result, truth):
-    """Estimate minus truth, in standard uncertainties, over tables and numbers."""
-    known = {**truth.squareness_rad, **truth.locations()}
-    motions = truth.error_motions()
-    found = []
-    for effect in result.model.effects:
-        part = result.model.slices[effect.name]
-        theta, covariance = result.theta[part], result.covariance[part, part]
-        if isinstance(effect, ErrorMotion):
-            s = np.linspace(effect.axis.low, effect.axis.high, 7)
-            rows, true = effect.rows(s), motions[effect.symbol].at(s)
-        elif effect.name in known:
-            rows, true = np.eye(1), np.array([known[effect.name]])
-        else:
-            continue
-        sigma = np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows))
-        told = sigma > 1e-8  # not where the gauge makes both nothing
-        found.append(((rows @ theta - true) / np.maximum(sigma, 1e-12))[told])
-    return np.concatenate(found)
-
-
-def share_left(result, truth, rigid_free):
-    machine = truth.machine
-    q = np.random.default_rng(1).uniform(machine.low, machine.high, (200, 5))
-    at, maps = standstill(result.model.machine, q), volumetric_map(result.model)
-    before = rigid_free(at.point_mm, truth.deviation_mm(q, "T1"))
-    left = before - rigid_free(at.point_mm, maps.error_mm(at, result.theta))
-    inside = np.abs(left) < 2 * maps.sigma_mm(at, result.covariance)
-    return np.abs(left).mean() / np.abs(before).mean(), inside.mean()
-
-
 @pytest.mark.parametrize("name", ["head-table", "trunnion"])
-def test_a_five_axis_machine_is_found_within_its_uncertainty(name, rigid_free):
+def test_a_five_axis_machine_is_found_within_its_uncertainty(
+    name, deviations, share_left
+):
     run, truth = measured(name, 3)
     result = estimate(align(run))
     assert result.observability.rank == result.observability.parameters
     assert not result.observability.unobservable
     names = {e.name for e in result.model.effects}
     assert set(truth.locations()) | set(truth.error_motions()) <= names
-    share, inside = share_left(result, truth, rigid_free)
+    share, inside = share_left(result, truth)
     assert share < 0.05
     assert inside > 0.85
     z = deviations(result, truth)
@@ -82,7 +50,7 @@ def test_a_five_axis_machine_is_found_within_its_uncertainty(name, rigid_free):
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_ten_random_machines_are_recovered_within_their_uncertainties():
+def test_ten_random_machines_are_recovered_within_their_uncertainties(deviations):
     inside = []
     for seed in range(10):
         run, truth = measured(("head-table", "trunnion")[seed % 2], 50 + seed)

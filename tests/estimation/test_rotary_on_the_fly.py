@@ -16,9 +16,6 @@ from app.estimation.live import LiveEstimator
 from app.estimation.noise import NoiseModel
 from app.estimation.problem import pose_problem
 from app.estimation.recursive import Linearisation, begun
-from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.base import standstill
-from app.kinematics.effects.error_motion import ErrorMotion
 from app.measurement.machine_file import machine_from_json
 from app.measurement.run import Run
 from app.planning.paths import default_path
@@ -53,46 +50,16 @@ def from_base(name):
     return found
 
 
-def deviations(result, truth):
-    """Estimate minus truth, in standard uncertainties, over tables and numbers."""
-    known = {**truth.squareness_rad, **truth.locations()}
-    found = []
-    for effect in result.model.effects:
-        part = result.model.slices[effect.name]
-        theta, covariance = result.theta[part], result.covariance[part, part]
-        if isinstance(effect, ErrorMotion):
-            s = np.linspace(effect.axis.low, effect.axis.high, 7)
-            rows, true = effect.rows(s), truth.error_motions()[effect.symbol].at(s)
-        elif effect.name in known:
-            rows, true = np.eye(1), np.array([known[effect.name]])
-        else:
-            continue
-        sigma = np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows))
-        told = sigma > 1e-8  # not where the gauge makes both nothing
-        found.append(((rows @ theta - true) / np.maximum(sigma, 1e-12))[told])
-    return np.concatenate(found)
-
-
-def share_left(result, truth, rigid_free):
-    machine = truth.machine
-    q = np.random.default_rng(1).uniform(machine.low, machine.high, (200, 5))
-    at, maps = standstill(result.model.machine, q), volumetric_map(result.model)
-    before = rigid_free(at.point_mm, truth.deviation_mm(q, "T1"))
-    left = before - rigid_free(at.point_mm, maps.error_mm(at, result.theta))
-    inside = np.abs(left) < 2 * maps.sigma_mm(at, result.covariance)
-    return np.abs(left).mean() / np.abs(before).mean(), inside.mean()
-
-
 @pytest.mark.parametrize("name", ["head-table", "trunnion"])
 def test_a_planned_path_recovers_all_tables_within_their_uncertainties(
-    name, rigid_free
+    name, deviations, share_left
 ):
     result, truth = from_base(name).result, from_base(name).truth
     names = {e.name for e in result.model.effects}
     assert set(truth.locations()) | set(truth.error_motions()) <= names
     assert result.observability.rank == result.observability.parameters
     assert not result.observability.unobservable
-    share, inside = share_left(result, truth, rigid_free)
+    share, inside = share_left(result, truth)
     assert share < 0.03
     assert inside > 0.85
     assert (np.abs(deviations(result, truth)) < 2.0).mean() > 0.87
@@ -115,11 +82,11 @@ def _turns(run, row):
     return bool(np.diff(run.commanded.position[row - 1 : row + 1], axis=0)[0][3:].any())
 
 
-def test_a_tracker_on_the_table_sees_turns_of_both_sides(rigid_free):
+def test_a_tracker_on_the_table_sees_turns_of_both_sides(share_left):
     found = measured("head-table", 4, "workpiece")
     assert set(found.run.commanded.target) == {"T1", "T2", "T3"}
     result = estimate(found.seen)
-    share, inside = share_left(result, found.truth, rigid_free)
+    share, inside = share_left(result, found.truth)
     assert share < 0.03
     assert inside > 0.85
 
@@ -172,12 +139,14 @@ def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
 
 @pytest.mark.long
 @pytest.mark.timeout(1800)
-def test_ten_random_machines_are_recovered_within_their_uncertainties(rigid_free):
+def test_ten_random_machines_are_recovered_within_their_uncertainties(
+    deviations, share_left
+):
     inside, left = [], []
     for seed in range(10):
         found = measured(("head-table", "trunnion")[seed % 2], 50 + seed)
         result = estimate(found.seen)
         inside.append((np.abs(deviations(result, found.truth)) < 2.0).mean())
-        left.append(share_left(result, found.truth, rigid_free)[0])
+        left.append(share_left(result, found.truth)[0])
     assert 0.88 < np.mean(inside) <= 1.0
     assert np.median(left) < 0.03

@@ -12,7 +12,6 @@ import threading
 from pathlib import Path
 
 import pytest
-import structlog
 
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
@@ -110,19 +109,8 @@ def feed():
 
 
 @pytest.fixture(autouse=True, scope="session")
-def plain_log():
+def logged_plainly(plain_log):
     """The fancy traces of the default take seconds each."""
-    plain = structlog.dev.ConsoleRenderer(
-        colors=False, exception_formatter=structlog.dev.plain_traceback
-    )
-    structlog.configure(
-        processors=[structlog.contextvars.merge_contextvars, plain],
-        logger_factory=structlog.stdlib.LoggerFactory(),
-        wrapper_class=structlog.stdlib.BoundLogger,
-        cache_logger_on_first_use=False,
-    )
-    yield
-    structlog.reset_defaults()
 
 
 @pytest.fixture(autouse=True)

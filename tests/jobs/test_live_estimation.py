@@ -101,18 +101,23 @@ def test_a_stream_that_is_no_measurement_ends_without_a_word(record, followed):
     assert shown == []
 
 
-def test_an_estimate_is_told_again_with_its_age_while_none_is_newer(record, followed):
-    """Whatever the process does: here it is stopped in the middle of its work."""
-    run, _ = record(31, rows=32)
-    shown = []
-    live = followed(run, shown.append)
-    live.start()
+def feed_until_shown(live, run, shown):
+    """Offer blocks until the first estimate is told."""
     for block in blocks_of(run):
         wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
         live.offer(block)
         if shown:
             break
     wait_until(lambda: shown)
+
+
+def test_an_estimate_is_told_again_with_its_age_while_none_is_newer(record, followed):
+    """Whatever the process does: here it is stopped in the middle of its work."""
+    run, _ = record(31, rows=32)
+    shown = []
+    live = followed(run, shown.append)
+    live.start()
+    feed_until_shown(live, run, shown)
     os.kill(live._process.pid, signal.SIGSTOP)
     wait_until(lambda: shown[-1]["age_s"] > 1.0)
     told = [body for body in shown if body["done"] == shown[-1]["done"]]
@@ -129,12 +134,7 @@ def test_nothing_is_told_of_a_process_that_has_died(record, followed):
     shown = []
     live = followed(run, shown.append)
     live.start()
-    for block in blocks_of(run):
-        wait_until(lambda: live._queue.qsize() < WAITING_BLOCKS)
-        live.offer(block)
-        if shown:
-            break
-    wait_until(lambda: shown)
+    feed_until_shown(live, run, shown)
     live._process.kill()
     live.finish()
     told = len(shown)
