@@ -14,17 +14,12 @@ from typing import Any
 
 import structlog
 
-from app.errors import MeasurementFailed, TruepathError
+from app.errors import MeasurementFailed
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.control import Control
 from app.jobs.errors import (
-    Aborted,
-    Interrupted,
-    MachineFault,
-    MeasurementEnded,
     NoMachine,
     StorageUnavailable,
-    TaskFailed,
 )
 from app.jobs.executor import Executor, Task
 from app.jobs.growth import Growth
@@ -33,6 +28,7 @@ from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
 from app.jobs.models import model_file
+from app.jobs.outcome import outcome_of
 from app.jobs.plan_orders import first_part, plan_measurement
 from app.jobs.plans import Commanded, commanded_from_plan, plan_json
 from app.jobs.runs import RunCatalogue
@@ -43,7 +39,6 @@ from app.jobs.workers import Workers
 from app.kinematics.machine import Machine
 from app.measurement.cell import Order
 from app.planning.paths import check_travel
-from drivers.interfaces.errors import DeviceError
 
 TRY_AGAIN_S = 0.5
 
@@ -92,7 +87,7 @@ def carry_out(job: Job, control: Control, shop: Workshop) -> None:
                 conclude = discover if job.kind.discovers else analyse
                 conclude(job, run_ids, control, shop)
         except Exception as error:
-            _end(control, *_outcome(error))
+            _end(control, *outcome_of(error))
         else:
             _end(control, State.SUCCEEDED)
 
@@ -105,18 +100,8 @@ def plan(job: Job, control: Control, shop: Workshop) -> None:
     order = shop.store.plan_request(job.id)
     if job.kind is Kind.MEASURE_ADAPTIVE:
         order = first_part(shop.machine, order)
-
-    def report(fraction: float, _stage: str) -> None:
-        control.report(Progress(fraction, 1.0), stage=Stage.PLANNING)
-
-    def started() -> None:
-        control.enter(state, Stage.PLANNING)
-
-    computation = shop.executor.submit(
-        shop.planner, shop.machine, order, report=report, started=started
-    )
-    planned = control.compute(computation)
-    control.checkpoint()
+    begins = state, Stage.PLANNING
+    planned = _computed(control, shop, begins, shop.planner, shop.machine, order)
     shop.store.keep_plan(job.id, planned)
 
 
@@ -209,26 +194,17 @@ def _growth(
 def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) -> None:
     """Turn Runs into error tables."""
     files = [str(shop.runs.file(run_id)) for run_id in run_ids]
-    total = 1.0
-
-    def report(fraction: float, stage: str) -> None:
-        control.report(Progress(fraction, total), stage=_stage(stage))
-
-    def started() -> None:
-        control.enter(State.RUNNING, Stage.ALIGNING)
-
-    computation = shop.executor.submit(
+    _computed(
+        control,
+        shop,
+        (State.RUNNING, Stage.ALIGNING),
         shop.science,
         files,
         str(shop.results / job.id),
         job.perpendicular_only,
         job.monte_carlo,
         shop.workers,
-        report=report,
-        started=started,
     )
-    control.compute(computation)
-    control.checkpoint()
 
 
 def discover(
@@ -238,24 +214,40 @@ def discover(
     files = [str(shop.runs.file(run_id)) for run_id in run_ids]
     model_id = shop.store.plan_request(job.id).get("model_id")
     model = None if model_id is None else str(model_file(shop.results, model_id))
-
-    def report(fraction: float, stage: str) -> None:
-        control.report(Progress(fraction, 1.0), stage=_stage(stage))
-
-    def started() -> None:
-        control.enter(State.RUNNING, Stage.DISCOVERING)
-
-    computation = shop.executor.submit(
+    _computed(
+        control,
+        shop,
+        (State.RUNNING, Stage.DISCOVERING),
         shop.discoverer,
         files,
         str(shop.results / job.id),
         model,
         model_id,
-        report=report,
-        started=started,
     )
-    control.compute(computation)
+
+
+def _computed(
+    control: Control,
+    shop: Workshop,
+    begins: tuple[State, Stage],
+    task: Task,
+    *arguments: object,
+) -> Any:
+    """Return what the executor makes of a task; report, and end when called off.
+
+    begins : state and stage once it is computed
+    """
+
+    def report(fraction: float, stage: str) -> None:
+        control.report(Progress(fraction, 1.0), stage=_stage(stage))
+
+    def started() -> None:
+        control.enter(*begins)
+
+    computation = shop.executor.submit(task, *arguments, report=report, started=started)
+    found = control.compute(computation)
     control.checkpoint()
+    return found
 
 
 def _keep_run(run_id: str, control: Control, shop: Workshop) -> None:
@@ -292,24 +284,3 @@ def _end(control: Control, state: State, failure: Failure | None = None) -> None
         else:
             log.info("job ended", state=str(job.state), reason=failure)
             return
-
-
-def _outcome(error: Exception) -> tuple[State, Failure | None]:
-    """Return the final state that an error means, and what to tell about it."""
-    match error:
-        case Aborted():
-            return State.ABORTED, None
-        case Interrupted():
-            return State.INTERRUPTED, Failure("Interrupted", str(error))
-        case MeasurementEnded():
-            state = State.FAULTED if isinstance(error, MachineFault) else State.FAILED
-            family = type(error).__name__
-            return state, Failure(family, str(error), error.code, error.action)
-        case TaskFailed():
-            log.warning("task failed", trace=error.trace)
-            return State.FAILED, Failure(error.family, error.text)
-        case TruepathError() | DeviceError():
-            return State.FAILED, Failure(type(error).__name__, str(error))
-        case _:
-            log.error("job failed unexpectedly", exc_info=error)
-            return State.FAILED, Failure(type(error).__name__, str(error))
