@@ -17,10 +17,7 @@ import structlog
 from app.errors import MeasurementFailed
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.control import Control
-from app.jobs.errors import (
-    NoMachine,
-    StorageUnavailable,
-)
+from app.jobs.errors import NoMachine, StorageUnavailable
 from app.jobs.executor import Executor, Task
 from app.jobs.growth import Growth
 from app.jobs.job import Failure, Job, Kind, Progress, Stage
