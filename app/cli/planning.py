@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from app.cli.effects import effect_line
 from app.cli.terminal import print_json, print_table, progress
 from app.errors import BadInput
 from app.jobs.plan_files import write_plan
@@ -51,6 +52,8 @@ def _print_plan(document: Mapping[str, Any], files: Sequence[str]) -> None:
     name = document["machine"]["name"]
     columns = ("error", "predicted U (k = 2)", "")
     print_table(f"What a measurement of {name} will leave", columns, rows)
+    for effect in predicted["effects"]:
+        print(f"foretold: {effect_line(effect)}")
     for statement in document["unobservable"]:
         print(f"will not be seen: {statement}")
     if document["tracker"]["assumed"]:

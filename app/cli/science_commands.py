@@ -193,6 +193,13 @@ def plan(
         float | None,
         typer.Option(min=0.01, help="Volumetric uncertainty (k = 1) to reach, µm."),
     ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL.json",
+            help="Model whose effects are to be told apart as well.",
+        ),
+    ] = None,
     feed: Annotated[
         list[float] | None,
         typer.Option(min=1.0, help="mm/min; several tell dynamic effects apart."),
@@ -224,6 +231,7 @@ def plan(
     compute_on_one_thread()
     from app.cli.planning import plan_files
     from app.jobs.planning import PlanRequest
+    from app.jobs.result_files import read_model
     from app.measurement.workspace_file import read_workspace
     from app.planning.paths import DEFAULT_FEED_MM_MIN
     from app.planning.workspace import Workspace
@@ -238,5 +246,6 @@ def plan(
         corner_path,
         read_workspace(workspace) if workspace else Workspace(),
         seed,
+        None if model is None else read_model(model),
     )
     plan_files(machine, output, request, control or (), as_json=json)

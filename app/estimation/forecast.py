@@ -19,6 +19,7 @@ from scipy.linalg import block_diag
 from app.alignment.observations import Observations
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import posterior
+from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.observability import observability
 from app.estimation.prior import first_guess
@@ -27,6 +28,7 @@ from app.estimation.rehearsal import EXPECTED_NOISE, rehearsed
 from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision
+from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -47,6 +49,7 @@ class Forecast:
     """The uncertainty after a plan, and on the way.
 
     covariance : (p, p) of the model's parameters
+    known : effects in the model that an earlier measurement has told, as they were
     volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
         of the volumetric error vector, its rigid motion left out
     row, sigma_mm : (k,) the same once the plan's row is reached, in its order
@@ -54,6 +57,7 @@ class Forecast:
     """
 
     model: MachineModel
+    known: KnownEffects
     covariance: Float64[np.ndarray, "p p"]
     volumetric_sigma_mm: float
     row: tuple[int, ...]
@@ -67,7 +71,7 @@ class Forecast:
         """
         found: dict[str, float] = {}
         for effect in self.model.effects:
-            if effect.parameters[0].nuisance:
+            if isinstance(effect, Catalogued) or effect.parameters[0].nuisance:
                 continue
             part = self.model.slices[effect.name]
             C = self.covariance[part, part]
@@ -85,6 +89,7 @@ def forecast(
     commanded: Path | Configurations,
     stand_mm: Float64[np.ndarray, "3"],
     *,
+    known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
     strength: Mapping[str, float] | None = None,
@@ -92,14 +97,17 @@ def forecast(
     """Return what is to be expected of a plan, the tracker standing at a place.
 
     stand_mm : in the frame that the tracker stands on
+    known : effects beside the error motions, before the plan
     strength : of the prior, by the effect's name; usual ones where left out
     """
     seen = rehearsed(machine, commanded, stand_mm)
     offsets = np.unique(seen.at.offset_mm, axis=0)
-    model, _ = identifiable_model(machine, offsets)
+    known = known or KnownEffects()
+    model = known.beside(identifiable_model(machine, offsets)[0])
     if perpendicular_only:
         noise = replace(noise, along_sigma_mm=np.inf)
     prior = usual_precision(model, strength or usual_strength(model))
+    prior[known.part(model), known.part(model)] += known.precision()
     judge = _Judge(model, prior, volumetric_gram(model))
     sums = _begun(model, seen, noise)
     rows: list[int] = []
@@ -116,6 +124,7 @@ def forecast(
     told_of = observability(machine, [Measured(seen, seen.pose, noise)])
     return Forecast(
         model,
+        known,
         covariance,
         sigmas[-1],
         tuple(rows),

@@ -62,6 +62,7 @@ class PartChoice:
         self._on_the_fly = request.mode == "otf"
         self._machine = machine
         self._moving = linear_part(machine) if self._on_the_fly else machine
+        self._known = request.known(machine)
         self._number = 0
 
     def next(self, found: Findings, sigma_mm: float) -> Part:
@@ -117,6 +118,7 @@ class PartChoice:
             return line_outlook(
                 self._machine,
                 found.stand_mm,
+                known=self._known,
                 perpendicular_only=self._request.perpendicular_only,
                 noise=noise,
                 strength=found.strength,
@@ -125,6 +127,7 @@ class PartChoice:
             self._machine,
             found.stand_mm,
             self.commanded.target[-1] if self.commanded.target else "",
+            known=self._known,
             noise=noise,
             strength=found.strength,
         )

@@ -17,6 +17,8 @@ from app.planning.nc_programs.programs import (
     nc_program,
     program_file_name,
 )
+from app.reporting.earlier_model import EarlierModel
+from app.reporting.effects_beside import foretold_json
 from app.reporting.plan_page import plan_page
 from drivers.interfaces.records import Path
 
@@ -37,6 +39,7 @@ def plan_document(planned: Planned) -> dict[str, Any]:
         "corner_path": request.corner_path,
         "perpendicular_only": request.perpendicular_only,
         "feeds_mm_min": list(request.feeds_mm_min),
+        "model": None if request.model is None else _model_json(request.model),
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.stand_mm],
             "assumed": request.workspace.tracker_mm is None,
@@ -44,6 +47,7 @@ def plan_document(planned: Planned) -> dict[str, Any]:
         "predicted": {
             **_both(planned.uncertainty_um),
             "errors": _errors(planned),
+            "effects": foretold_json(found.known, found.model, found.covariance),
             "servo_mismatch": {
                 axis: {"uncertainty_ms": 1e3 * sigma}
                 for axis, sigma in planned.lag_sigma_s.items()
@@ -61,6 +65,14 @@ def plan_document(planned: Planned) -> dict[str, Any]:
             for row, sigma in zip(found.row, found.sigma_mm, strict=True)
         ],
         "unobservable": list(unobservable(planned)),
+    }
+
+
+def _model_json(model: EarlierModel) -> dict[str, Any]:
+    return {
+        "source": model.source,
+        "version": model.loaded.version,
+        "sha256": model.sha256,
     }
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from app.errors import PlanningError
 from app.estimation.forecast import Forecast, forecast
+from app.estimation.known_effects import KnownEffects
 from app.jobs.outlooks import (
     line_outlook,
     mismatch_sigma_s,
@@ -28,6 +29,7 @@ from app.planning.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
 from app.planning.planner import Planner
 from app.planning.turning_points import moves_where_seen
 from app.planning.workspace import Workspace
+from app.reporting.earlier_model import EarlierModel
 from drivers.interfaces.records import Path
 
 Progress = Callable[[float, str], None]
@@ -48,6 +50,7 @@ class PlanRequest:
     minutes : at most; target_um : volumetric uncertainty (k = 1) to reach
     feeds_mm_min : several to tell dynamic effects from static ones
     corner_path : the path of the 2023 paper instead, to compare with
+    model : whose effects are to be told apart from the error motions and each other
     """
 
     mode: str = "otf"
@@ -59,6 +62,11 @@ class PlanRequest:
     corner_path: bool = False
     workspace: Workspace = field(default_factory=Workspace)
     seed: int = 0
+    model: EarlierModel | None = None
+
+    def known(self, machine: Machine) -> KnownEffects:
+        """Return what the model knows of a machine's effects. Raises BundleError."""
+        return KnownEffects() if self.model is None else self.model.known(machine)
 
     def refuse_nonsense(self) -> None:
         """Raise PlanningError for numbers that no plan can follow."""
@@ -121,12 +129,14 @@ def make_plan(
     With a target it is the shortest plan found that reaches it; where none does within
     the minutes (an hour without), the plan of that length, which says how far it comes.
 
-    Raises PlanningError if nothing can be planned; it names the reason.
+    Raises PlanningError if nothing can be planned; it names the reason. BundleError if
+    the model is of another machine.
     """
     request.refuse_nonsense()
     told = progress or _untold
     told(0.0, "planning")
-    attempt = _Attempt(machine, request, stand_of(machine, request.workspace))
+    stand_mm = stand_of(machine, request.workspace)
+    attempt = _Attempt(machine, request, request.known(machine), stand_mm)
     if request.corner_path:
         return attempt.of_corners()
     minutes = request.minutes
@@ -173,6 +183,7 @@ def _for_target(
 class _Attempt:
     machine: Machine
     request: PlanRequest
+    known: KnownEffects
     stand_mm: NDArray[np.float64]
 
     @property
@@ -214,6 +225,7 @@ class _Attempt:
         outlook = line_outlook(
             self.machine,
             self.stand_mm,
+            known=self.known,
             perpendicular_only=request.perpendicular_only,
             dynamic=len(request.feeds_mm_min) > 1,
         )
@@ -233,7 +245,7 @@ class _Attempt:
         blocks: list[Path | Configurations] = []
         precision, start = None, None
         for name in names:
-            outlook = point_outlook(self.machine, self.stand_mm, name)
+            outlook = point_outlook(self.machine, self.stand_mm, name, known=self.known)
             if precision is not None:
                 outlook = replace(outlook, precision=precision)
             planner = Planner(
@@ -257,6 +269,7 @@ class _Attempt:
             self._moving,
             commanded,
             self.stand_mm,
+            known=self.known,
             perpendicular_only=self.request.perpendicular_only,
         )
         return Planned(

@@ -9,9 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float64
+
 from app.estimation.estimate import Estimate
+from app.estimation.known_effects import KnownEffects
 from app.kinematics.effects.catalogue import Measured
 from app.kinematics.effects.catalogued import Catalogued, measured
+from app.kinematics.model import MachineModel
 from app.plugins import load
 from app.reporting.catalogued_json import parameters_json
 from app.reporting.effect_titles import effect_title
@@ -101,6 +106,36 @@ def effects_json(
         }
         for one in effects
     ]
+
+
+def foretold_json(
+    known: KnownEffects,
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> list[dict[str, Any]]:
+    """Return effects as a plan states them: as known, and as it is foretold to leave.
+
+    covariance : of the model's parameters, once the plan is measured
+    """
+    found: list[dict[str, Any]] = []
+    begin = 0
+    for effect in known.effects:
+        own = slice(begin, begin + len(effect.parameters))
+        now, begin = model.slices[effect.name], own.stop
+        family = load("truepath.effects", effect.family)()
+        before, after = (
+            parameters_json(measured(family, effect, known.theta[own], C))
+            for C in (known.covariance[own, own], covariance[now, now])
+        )
+        found.append(
+            {
+                "name": effect.family,
+                **dict(effect.keys),
+                "parameters": after,
+                "known_before": before,
+            }
+        )
+    return found
 
 
 def account_json(account: ModelAccount | None) -> dict[str, Any] | None:

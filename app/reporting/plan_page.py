@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from app.reporting.effect_titles import effect_title
 from app.reporting.html_parts import drawing, escape, facts, table
+from app.reporting.model_difference import in_words
 from app.reporting.report_style import STYLE
 from app.reporting.svg import NUMBER, WIDTH, Colour, curve, image, segments, words
 
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
 _TICKS = 5
+_AT = ("known_before", "parameters")
 _MODES = {"otf": "On the fly", "standstill": "At standstills"}
 
 
@@ -40,6 +43,7 @@ def plan_page(document: Mapping[str, Any]) -> str:
         f"<title>{name}: plan</title>\n<style>{STYLE}</style>\n</head>\n<body><main>\n"
         f"<header><p class=kind>Measurement plan</p><h1>{name}</h1></header>\n"
         f"{facts(pairs)}{_curve(document['curve'])}{_motions(predicted)}"
+        f"{_effects(predicted['effects'])}"
         f"<h2>What stays unseen</h2><ul>{unseen or '<li>nothing</li>'}</ul>"
         "</main></body>\n</html>\n"
     )
@@ -55,6 +59,30 @@ def _motions(predicted: Mapping[str, Any]) -> str:
     return "<h2>Error motions</h2>" + table(
         ("error", "predicted uncertainty (k = 2)", ""), rows, numbers=1
     )
+
+
+def _effects(effects: Sequence[Mapping[str, Any]]) -> str:
+    """Return what will be known of a model's effects; nothing without any."""
+    if not effects:
+        return ""
+    rows = [
+        (escape(_title(effect)), *(_numbers(effect[at]) for at in _AT))
+        for effect in effects
+    ]
+    return "<h2>Effects of the model (k = 2)</h2>" + table(
+        ("effect", "known before", "with this plan"), rows, numbers=3
+    )
+
+
+def _title(effect: Mapping[str, Any]) -> str:
+    keys = {k: v for k, v in effect.items() if isinstance(v, str) and k != "name"}
+    return effect_title(effect["name"], keys)
+
+
+def _numbers(parameters: Mapping[str, Any]) -> str:
+    pairs = parameters.items()
+    said = [in_words(n, m["value"], m["uncertainty"]) for n, m in pairs]
+    return escape("; ".join(said))
 
 
 def _curve(points: Sequence[Mapping[str, float]]) -> str:

@@ -1,0 +1,131 @@
+"""A plan for a machine whose effects are known in part tells these apart as well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.alignment.surroundings import with_surroundings
+from app.errors import BundleError
+from app.estimation.batch import estimate
+from app.estimation.forecast import forecast
+from app.jobs.plan_files import plan_document
+from app.jobs.planning import PlanRequest, make_plan
+from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.elastic_sag import ElasticSagFamily
+from app.kinematics.effects.lost_motion import BacklashFamily
+from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from app.kinematics.model import MachineModel
+from app.measurement.machine_file import machine_from_json
+from app.reporting.earlier_model import EarlierModel
+from app.reporting.plan_page import plan_page
+from app.reporting.result_json import LoadedResult
+from simulators import synthetic
+from simulators.hidden.backlash import Backlash
+from simulators.hidden.elastic_sag import ElasticSag
+from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.scenario import load_machine
+from simulators.synthetic import Setting
+from simulators.timeline import Program
+
+FEEDS = (3000.0, 9000.0)
+SMALL = load_machine("demo")
+for axis in SMALL["axes"].values():
+    axis["min_mm"], axis["max_mm"] = 0.0, 220.0
+MACHINE = machine_from_json(SMALL, file="machine.json")
+# Lost motion, a lag, and a guide that bends: within these, and alike as far as one
+# earlier Run could tell.
+SIGMA = np.array([0.003, 1e-4, 0.02])
+
+
+@pytest.fixture(scope="module")
+def model() -> EarlierModel:
+    families = (BacklashFamily(), ServoMismatchFamily(), ElasticSagFamily())
+    keys = ({"axis": "X"}, {"axis": "X"}, {"axis": "X", "by": "Y", "direction": "Z"})
+    effects = tuple(
+        catalogued(family, MACHINE, key, {})
+        for family, key in zip(families, keys, strict=True)
+    )
+    likeness = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    covariance = likeness * np.outer(SIGMA, SIGMA)
+    loaded = LoadedResult(
+        MACHINE, "otf", MachineModel(MACHINE, effects), 0.2 * SIGMA, covariance, (), {}
+    )
+    return EarlierModel(loaded, "model.json", "abc")
+
+
+@pytest.fixture(scope="module")
+def planned(model):
+    """Plan a minute with and without the model: planned[True], planned[False]."""
+    return {
+        knows: make_plan(
+            MACHINE,
+            PlanRequest(
+                minutes=0.8, feeds_mm_min=FEEDS, model=model if knows else None
+            ),
+        )
+        for knows in (True, False)
+    }
+
+
+def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
+    planned, model
+):
+    known = model.known(MACHINE)
+
+    def left(plan):
+        after = forecast(MACHINE, plan.commanded, plan.stand_mm, known=known)
+        part = known.part(after.model)
+        return np.sqrt(np.diag(after.covariance)[part]) / SIGMA
+
+    assert np.mean(left(planned[True])) < 0.9 * np.mean(left(planned[False]))
+
+
+def test_what_is_foretold_is_what_the_measurement_then_states(planned, model, run_of):
+    plan = planned[True]
+    path = plan.commanded
+    hidden = (
+        Backlash("X", 4.0),
+        ServoMismatch("X", 0.05),
+        ElasticSag("X", "Y", "Z", 12.0),
+    )
+    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+    setting = Setting(machine_seed=6, hidden=hidden)
+    run = run_of(synthetic.record(SMALL, program, 7, "otf", setting))
+    known = model.known(MACHINE)
+    found = estimate(with_surroundings(align(run), run.commanded), known=known)
+    part = known.part(found.model)
+    stated = np.sqrt(np.diag(found.covariance)[part])
+    foretold = np.sqrt(
+        np.diag(plan.forecast.covariance)[known.part(plan.forecast.model)]
+    )
+    assert (np.abs(np.log(stated / foretold)) < np.log(2.0)).all()
+    true = np.array([-0.002, 5e-5, 0.012])
+    assert (np.abs(found.theta[part] - true) < 3.0 * stated).all()
+
+
+def test_the_plan_states_the_effects_before_and_after(planned):
+    document = plan_document(planned[True])
+    assert document["model"]["source"] == "model.json"
+    lost, lag, sag = document["predicted"]["effects"]
+    assert (lost["name"], lag["name"], sag["by"]) == ("backlash", "servo-mismatch", "Y")
+    before, after = lag["known_before"]["lag_ms"], lag["parameters"]["lag_ms"]
+    assert before["uncertainty"] == pytest.approx(0.1)
+    assert after["uncertainty"] < 0.5 * before["uncertainty"]
+    assert "Sag of a guide of X under Y along Z" in plan_page(document)
+    assert plan_document(planned[False])["model"] is None
+
+
+def test_a_model_of_another_machine_is_refused(model):
+    other = machine_from_json(load_machine("demo"), file="machine.json")
+    with pytest.raises(BundleError, match=r"model.json: machine.axes: X 0 to 220"):
+        make_plan(other, PlanRequest(minutes=0.5, model=model))
+
+
+@pytest.mark.parametrize("mode", ["otf", "standstill"])
+def test_points_and_lines_are_planned_for_it(model, mode):
+    plan = make_plan(MACHINE, PlanRequest(mode, minutes=0.4, model=model))
+    (lost, *_) = plan_document(plan)["predicted"]["effects"]
+    before, after = lost["known_before"]["width_um"], lost["parameters"]["width_um"]
+    assert after["uncertainty"] < before["uncertainty"]
