@@ -19,6 +19,8 @@ from app.errors import BadInput
 GRACE_S = 3
 """How long an answer under way may take once the service is told to end."""
 
+_OWN = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
+
 log = structlog.get_logger(__name__)
 
 
@@ -101,6 +103,6 @@ def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
 def address_of(listener: socket.socket) -> str:
     """Return where a program on this computer reaches it."""
     host, port = listener.getsockname()[:2]
-    host = "127.0.0.1" if host in ("0.0.0.0", "::") else host  # noqa: S104 (read)
+    host = _OWN.get(host, host)
     shown = f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"

@@ -202,6 +202,16 @@ def test_a_result_that_does_not_stand_yet_is_not_found(client, ready, is_problem
     assert "ready) has no" in is_problem(answer, 404, "not-found")["detail"]
 
 
+def test_a_result_file_of_a_job_that_has_not_succeeded_is_not_given_out(
+    client, ready, service, is_problem
+):
+    folder = service.results / ready["id"]
+    folder.mkdir()
+    (folder / "result.json").write_text('{"half": "made"')
+    answer = client.get(f"/api/v1/jobs/{ready['id']}/result")
+    assert "ready) has no" in is_problem(answer, 404, "not-found")["detail"]
+
+
 def test_a_retried_request_makes_one_job(client, order, until):
     headers = {"Idempotency-Key": "0d9f-retry"}
     first = client.post("/api/v1/jobs", json=order, headers=headers)

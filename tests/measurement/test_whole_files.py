@@ -1,0 +1,27 @@
+"""Files that are read and written whole, or not at all."""
+
+import pytest
+
+from app.errors import BundleError
+from app.measurement.whole_files import read_whole, replace_file
+
+
+def test_what_was_written_is_read(tmp_path):
+    file = tmp_path / "a.json"
+    replace_file(file, b"old")
+    replace_file(file, b"new")
+    assert read_whole(file) == b"new"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_file_larger_than_it_may_be_is_not_read(tmp_path):
+    file = tmp_path / "large.csv"
+    file.write_bytes(b"x" * ((1 << 20) + 1))
+    assert len(read_whole(file)) == (1 << 20) + 1
+    with pytest.raises(BundleError, match=r"large\.csv.*is larger than 1 MiB"):
+        read_whole(file, largest_bytes=1 << 20)
+
+
+def test_a_file_that_is_not_there_is_named_with_what_to_do(tmp_path):
+    with pytest.raises(BundleError, match=r"nowhere\.csv.*No such file.*check"):
+        read_whole(tmp_path / "nowhere.csv")
