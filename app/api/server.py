@@ -102,7 +102,7 @@ def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
 
 def address_of(listener: socket.socket) -> str:
     """Return where a program on this computer reaches it."""
-    host, port = listener.getsockname()[:2]
-    host = _OWN.get(host, host)
+    bound, port = listener.getsockname()[:2]
+    host = _OWN.get(bound, str(bound))
     shown = f"[{host}]" if ":" in host else host
     return f"http://{shown}:{port}"
