@@ -189,6 +189,28 @@ def test_spikes_and_bad_status_are_not_samples(rng):
     assert np.flatnonzero(~valid_samples(samples)).tolist() == [10, 50, 60]
 
 
+def test_a_spike_beside_a_larger_one_is_no_sample_either(rng):
+    n = 400
+    position = np.cumsum(np.full((n, 3), 0.2), axis=0) + 0.004 * rng.normal(size=(n, 3))
+    position[50] += 0.9
+    position[51] += 0.3
+    clean = np.zeros(n, np.int64)
+    samples = TrackerSamples(np.arange(n), np.arange(n) / 500.0, position, clean)
+    assert np.flatnonzero(~valid_samples(samples)).tolist() == [50, 51]
+
+
+def test_a_target_that_creeps_is_not_at_a_standstill(record):
+    run, _ = record(4, "standstill", rows=30)
+    seen = align(run)
+    time = run.tracker.device_time_s
+    at = seen.at.time_s[seen.row == 7]
+    creeping = (time > at[0] - 0.2) & (time < at[-1] + 0.2)
+    off = np.where(creeping, 0.2 * (time - at[0]), 0.0)  # mm, far below any feed
+    moved = run.tracker.position_mm + off[:, None] * np.array([1.0, 0.0, 0.0])
+    slid = align(replace(run, tracker=replace(run.tracker, position_mm=moved)))
+    assert set(seen.row.tolist()) - set(slid.row.tolist()) == {7}
+
+
 def test_direction_of_approach_is_that_of_the_last_motion(record):
     run, _ = record(3)
     seen = align(run)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from app.alignment import streaming
 from app.alignment.align import align
 from app.alignment.streaming import StreamingAlignment
 from app.errors import AlignmentError
@@ -100,6 +101,16 @@ def test_samples_are_kept_for_a_line_or_so_however_long_the_run(record):
         live.taken(rows_of(run.tracker, slice(begin, begin + 50)))
         most = max(most, live.samples_kept)
     assert most < 0.4 * len(run.tracker)
+
+
+def test_samples_that_wait_for_a_stop_in_vain_are_let_go(record, monkeypatch):
+    monkeypatch.setattr(streaming, "_MOST_KEPT", 2000)
+    run, _ = record(3)
+    live = StreamingAlignment(run.machine, run.commanded)
+    for _ in range(20):
+        moving = rows_of(run.tracker, slice(600, 900))  # in the middle of a line
+        live.taken(moving)
+        assert live.samples_kept <= 2000
 
 
 def test_another_machines_path_gives_no_pose_and_no_lines(record):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.estimation import separation
 from app.estimation.grade import grade
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import posterior
@@ -132,3 +133,13 @@ def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
     for symbol in ("EXC", "EAC", "ECC", "XOC", "AOC"):
         assert "targets on the workpiece, three off one line" in said[symbol]
     assert "a second tool at least" in said["EBZ"]
+
+
+def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
+    machine = mill((0.0, 0.0, -150.0))
+    offsets = np.array([[0.0, 0.0, -150.0]])
+    model, merged = identifiable_model(machine, offsets, intervals=5)
+    poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
+    for said in separation.statements(machine, offsets, merged, model, poor):
+        assert "at least" not in said
+        assert "tell too little for any tool" in said
