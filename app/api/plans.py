@@ -37,7 +37,7 @@ checks = APIRouter(tags=["plans"])
     "",
     operation_id="create_plan",
     status_code=202,
-    responses=answers(409, 422),
+    responses=answers(404, 409, 422),
 )
 def create_plan(
     request: PlanRequest,
@@ -56,6 +56,7 @@ def create_plan(
         Kind.PLAN,
         perpendicular_only=request.perpendicular_only,
         target_um=request.target_um,
+        model_id=request.model_id,
         plan_request=order,
     )
     job, _ = service.dispatcher.create(wish, key)

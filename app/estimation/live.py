@@ -20,10 +20,12 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.alignment.streaming import StreamingAlignment
 from app.alignment.stretches import Stretch, offsets_mm
+from app.alignment.surroundings import with_surroundings
 from app.errors import Unidentifiable
 from app.estimation.direction import with_half_widths
 from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, information, posterior
+from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import first_noise, looked_at, residual_noise
 from app.estimation.prior import (
@@ -87,7 +89,11 @@ class Findings:
 
 
 class LiveEstimator:
-    """Takes blocks of samples and answers with the estimate so far. One thread."""
+    """Takes blocks of samples and answers with the estimate so far. One thread.
+
+    known : effects that an earlier measurement has told, to be estimated beside; what
+        depends on temperatures waits for the analysis of the Run, which has them
+    """
 
     def __init__(
         self,
@@ -95,12 +101,14 @@ class LiveEstimator:
         commanded: Path | Configurations,
         *,
         perpendicular_only: bool = False,
+        known: KnownEffects | None = None,
     ) -> None:
+        self._commanded, self._known = commanded, known or KnownEffects()
         self._alignment = StreamingAlignment(machine, commanded)
         self._perpendicular_only = perpendicular_only
         offsets = offsets_mm(machine, commanded.target, len(commanded))
         model, _ = identifiable_model(machine, offsets)
-        self._model = with_half_widths(model)
+        self._model = with_half_widths(self._known.beside(model))
         self._gram = volumetric_gram(self._model)
         self._prior: BendingPrior = first_guess(self._model)
         self._parts: list[Stretch] = []
@@ -109,6 +117,7 @@ class LiveEstimator:
 
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""
+        self._commanded = commanded
         self._alignment.extend(commanded)
 
     def findings(self) -> Findings | None:
@@ -140,7 +149,7 @@ class LiveEstimator:
         if self._sums is None:
             return None
         size = self._model.size
-        data = _weakened(self._sums.information(), _pose_parameters(self._model))
+        data = self._informed(self._sums.information(), _pose_parameters(self._model))
         self._prior, result = fitted(data, self._prior)
         widened = with_unknown_strengths(self._prior, result)
         covariance = widened.covariance[:size, :size]
@@ -162,15 +171,24 @@ class LiveEstimator:
         if self._sums is None or len(self._parts) >= max(2 * self._looked, _FIRST_LOOK):
             self._look_again()
         else:
-            self._sums = self._sums.added(self._alignment.observations(parts))
+            self._sums = self._sums.added(self._observations(parts))
         return True
+
+    def _observations(self, parts: list[Stretch]) -> Observations:
+        return with_surroundings(self._alignment.observations(parts), self._commanded)
+
+    def _informed(
+        self, data: Information, parameters: tuple[Parameter, ...]
+    ) -> Information:
+        """Return data with the weak prior, and what was known before, in them."""
+        return self._known.informed(_weakened(data, parameters), self._model)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
         """Take the newest pose and noise, and add all cells anew.
 
         thoroughly : judge the noise as the batch does, which takes its time
         """
-        seen = self._alignment.observations(self._parts)
+        seen = self._observations(self._parts)
         noise = first_noise(seen, perpendicular_only=self._perpendicular_only)
         pose = seen.pose
         if len(self._parts) >= _FIRST_LOOK:
@@ -178,22 +196,24 @@ class LiveEstimator:
             if self._sums is not None:
                 noise = replace(self._sums.about.noise, white=noise.white)
             problem = pose_problem(seen, self._model, pose)
-            data = _weakened(information(problem, noise), problem.model.parameters)
+            told, every = information(problem, noise), problem.model.parameters
+            data = self._informed(told, every)
             strong = self._prior.precision(len(data.vector))
             theta = posterior(data, strong).theta
             pose = refined_pose(problem, theta)
             noise = residual_noise(problem, theta, noise)
             if thoroughly:
-                noise = _fitted_noise(seen, pose, noise)
+                noise = _fitted_noise(seen, pose, noise, self._known)
         about = _about(self._model, pose, noise)
         self._sums = begun(about).added(seen)
 
 
 def _fitted_noise(
-    seen: Observations, pose: RigidTransform, noise: NoiseModel
+    seen: Observations, pose: RigidTransform, noise: NoiseModel, known: KnownEffects
 ) -> NoiseModel:
+    run = Measured(seen, pose, noise)
     try:
-        return looked_at(seen.at.machine, (Measured(seen, pose, noise),))[0].noise
+        return looked_at(seen.at.machine, (run,), known=known)[0].noise
     except Unidentifiable:
         return noise  # too few lines to judge it better
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import structlog
 
@@ -40,7 +41,8 @@ class Wish:
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
     monte_carlo : trials to hold the uncertainty of an analysis against
     plan_id : of a plan whose rows are driven
-    model_id : of the job whose model or result a discovery holds its Runs against
+    model_id : of the job whose model or result Runs are held against, analysed with,
+        or planned for
     discovery_id : of the job whose discovery asks for the extra lines to drive
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it
@@ -157,16 +159,15 @@ class Dispatcher:
         if wish.kind is Kind.PLAN:
             if self._shop.machine is None:
                 raise NoMachine("no machine is set up; give the service a machine_file")
-            only = wish.perpendicular_only
-            request = {"request": dict(wish.plan_request or {})}
-            return NewJob(wish.kind, None, only, wish.target_um, request)
+            only, order = wish.perpendicular_only, {"request": self._order(wish)}
+            return NewJob(wish.kind, None, only, wish.target_um, order)
         if not wish.kind.measures:
             first, *further = [self._shop.runs.get(i).id for i in wish.run_ids]
             return NewJob(
                 wish.kind,
                 first,
                 wish.perpendicular_only,
-                plan=self._held_against(wish),
+                plan={"request": self._order(wish)},
                 monte_carlo=wish.monte_carlo,
                 further_run_ids=tuple(further),
             )
@@ -175,14 +176,15 @@ class Dispatcher:
             raise NoMachine("no machine is set up; give the service a machine_file")
         if wish.kind is Kind.MEASURE_EXTRA:
             return self._asked_for(wish.discovery_id or "", machine)
+        plan: dict[str, Any] = {}
         if wish.kind is Kind.MEASURE_ADAPTIVE:
-            plan = {"request": dict(wish.plan_request or {})}
-            refuse_several_targets(machine, plan["request"])
+            refuse_several_targets(machine, dict(wish.plan_request or {}))
         elif wish.plan_id is None:
             rows, feed_mm_min = wish.rows, wish.feed_mm_min
             plan = plan_json(plan_motion(machine, wish.kind, rows, feed_mm_min))
         else:
-            plan = self._planned(wish.plan_id, wish.kind, machine)
+            plan = dict(self._planned(wish.plan_id, wish.kind, machine))
+        plan["request"] = self._order(wish)
         only, target_um = wish.perpendicular_only, wish.target_um
         return NewJob(wish.kind, None, only, target_um, plan)
 
@@ -205,13 +207,14 @@ class Dispatcher:
         plan = {**rows, "request": {"model_id": model_id}}
         return NewJob(Kind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)
 
-    def _held_against(self, wish: Wish) -> Json | None:
-        """Return the order of a discovery: the model, which has to be there."""
-        if wish.model_id is None:
-            return None
-        job = self._shop.store.get(wish.model_id)
-        model_file(self._shop.results, job.id)
-        return {"request": {"model_id": job.id}}
+    def _order(self, wish: Wish) -> dict[str, Any]:
+        """Return what is asked beside the rows; a model has to be there."""
+        order = dict(wish.plan_request or {})
+        if wish.model_id is not None:
+            job = self._shop.store.get(wish.model_id)
+            model_file(self._shop.results, job.id)
+            order["model_id"] = job.id
+        return order
 
     def _begin(self, job: Job) -> None:
         control = Control(job, self._shop.store, self._feed)

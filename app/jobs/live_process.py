@@ -23,6 +23,7 @@ from drivers.interfaces.records import Path, TrackerSamples
 if TYPE_CHECKING:
     from app.estimation.live import LiveEstimator
     from app.jobs.part_choice import Part, PartChoice
+    from app.jobs.planning import PlanRequest
 
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""
@@ -33,8 +34,9 @@ _MICRO = 1e3  # mm to µm
 class LiveOrder:
     """What is measured.
 
-    request : of an adaptive measurement, as `plan_orders` states it; its further parts
-        are chosen in here, where the estimate is
+    request : what is asked beside the rows, as `plan_orders` states it: the model whose
+        effects are estimated beside; of an adaptive measurement, what its further parts
+        are chosen for in here, where the estimate is
     """
 
     machine: Machine
@@ -68,11 +70,16 @@ def main(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
 def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
     # Imported where it computes: the service itself carries no science.
     from app.estimation.live import LiveEstimator
+    from app.jobs.plan_orders import plan_request
 
+    request = plan_request(order.request or {})
     live = LiveEstimator(
-        order.machine, order.commanded, perpendicular_only=order.perpendicular_only
+        order.machine,
+        order.commanded,
+        perpendicular_only=order.perpendicular_only,
+        known=request.known(order.machine),
     )
-    supply = _Supply(order, live)
+    supply = _Supply(order, request, live)
     stream = _Stream(blocks)
     while not stream.is_over:
         is_new = False
@@ -96,19 +103,19 @@ class _Supply:
     total : lines or points so far
     """
 
-    def __init__(self, order: LiveOrder, live: LiveEstimator) -> None:
-        self._order, self._live = order, live
+    def __init__(
+        self, order: LiveOrder, request: PlanRequest, live: LiveEstimator
+    ) -> None:
+        self._order, self._request, self._live = order, request, live
         self._choice: PartChoice | None = None
         self.total = len(order.commanded) - isinstance(order.commanded, Path)
 
     def next(self) -> Part:
         from app.jobs.part_choice import Part, PartChoice
-        from app.jobs.plan_orders import plan_request
 
         if self._choice is None:
-            request = plan_request(self._order.request or {})
             order = self._order
-            self._choice = PartChoice(order.machine, order.commanded, request)
+            self._choice = PartChoice(order.machine, order.commanded, self._request)
         now, found = self._live.estimate(), self._live.findings()
         if now is None or found is None:
             return Part(None)  # what is known so far is not enough to go on

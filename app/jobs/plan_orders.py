@@ -2,10 +2,11 @@
 
     {"mode": "otf", "minutes": 5, "target_um": 1.0, "feeds_mm_min": [6000],
      "dwell_s": 0.4, "perpendicular_only": false, "corner_path": false, "seed": 0,
-     "workspace": {…}}
+     "workspace": {…}, "model_id": "…", "model_file": "…"}
 
 All keys but `mode` may be left out. `target_um` is a standard uncertainty (k = 1), as
-everywhere in the interface; `workspace` is the content of a workspace file.
+everywhere in the interface; `workspace` is the content of a workspace file;
+`model_file` is that of the job `model_id`, put in when the plan is computed.
 """
 
 from __future__ import annotations
@@ -78,12 +79,15 @@ def plan_measurement(
 def plan_request(order: Json) -> PlanRequest:
     """Return the request that an order states."""
     from app.jobs.planning import PlanRequest
+    from app.jobs.result_files import read_model
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):
         given["feeds_mm_min"] = tuple(order["feeds_mm_min"])
+    file = order.get("model_file")
     return PlanRequest(
         **given,
+        model=None if file is None else read_model(file, order.get("model_id") or ""),
         workspace=workspace_from_json(order.get("workspace") or {}),
     )
 

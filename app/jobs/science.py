@@ -19,21 +19,27 @@ def analyse_recorded(
     perpendicular_only: bool,
     monte_carlo: TrialPlan | None,
     workers: Workers,
+    model_file: str | None = None,
+    model_id: str | None = None,
     *,
     progress: Callable[[float, str], None],
 ) -> None:
     """Analyse Runs together and write the result into `folder`, whole or not at all.
 
     monte_carlo : trials to hold the uncertainty against, cut into blocks for `workers`
+    model_file, model_id : the model whose effects are estimated beside, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
     from app.jobs.analysis import analyse, read_all, write_analysis
+    from app.jobs.result_files import read_model
 
+    model = None if model_file is None else read_model(model_file, model_id or "")
     runs = read_all(run_files, open_recorded)
     shared = nullcontext(map) if monte_carlo is None else opened(workers)
     with shared as mapper:
         analysis = analyse(
             *runs,
+            model=model,
             perpendicular_only=perpendicular_only,
             monte_carlo=monte_carlo,
             mapper=mapper,

@@ -20,7 +20,7 @@ from app.jobs.control import Control
 from app.jobs.errors import NoMachine, StorageUnavailable
 from app.jobs.executor import Executor, Task
 from app.jobs.growth import Growth
-from app.jobs.job import Failure, Job, Kind, Progress, Stage
+from app.jobs.job import Failure, Job, Json, Kind, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
@@ -48,8 +48,8 @@ class Workshop:
 
     machine, cell : None where the service drives no machine
     planner : task `(machine, order, *, progress)` that returns the plan as JSON
-    science : task `(run_files, folder, perpendicular_only, monte_carlo, workers, *,
-        progress)`
+    science : task `(run_files, folder, perpendicular_only, monte_carlo, workers,
+        model_file, model_id, *, progress)`
     discoverer : task `(run_files, folder, model_file, model_id, *, progress)`
     workers : who computes what science can cut into blocks
     results : folder of results, one folder a job
@@ -94,7 +94,7 @@ def plan(job: Job, control: Control, shop: Workshop) -> None:
     if shop.machine is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
     state = State.PREPARING if job.kind.measures else State.RUNNING
-    order = shop.store.plan_request(job.id)
+    order = _order(job, shop)
     if job.kind is Kind.MEASURE_ADAPTIVE:
         order = first_part(shop.machine, order)
     begins = state, Stage.PLANNING
@@ -154,8 +154,9 @@ def _live_estimation(
     """
     if shop.live is None or shop.machine is None or job.kind is Kind.MEASURE_EXTRA:
         return None
-    request = shop.store.plan_request(job.id)
-    order = LiveOrder(shop.machine, commanded, job.perpendicular_only, request)
+    order = LiveOrder(
+        shop.machine, commanded, job.perpendicular_only, _order(job, shop)
+    )
     live = shop.live(order, control.show_estimate)
     try:
         live.start()
@@ -201,6 +202,7 @@ def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) 
         job.perpendicular_only,
         job.monte_carlo,
         shop.workers,
+        *_model(job, shop),
     )
 
 
@@ -209,8 +211,6 @@ def discover(
 ) -> None:
     """Find what a model of Runs lacks: one of ours, or the one fitted to them."""
     files = [str(shop.runs.file(run_id)) for run_id in run_ids]
-    model_id = shop.store.plan_request(job.id).get("model_id")
-    model = None if model_id is None else str(model_file(shop.results, model_id))
     _computed(
         control,
         shop,
@@ -218,9 +218,22 @@ def discover(
         shop.discoverer,
         files,
         str(shop.results / job.id),
-        model,
-        model_id,
+        *_model(job, shop),
     )
+
+
+def _model(job: Job, shop: Workshop) -> tuple[str | None, str | None]:
+    """Return file and identifier of the model that a job rests on, if it does."""
+    model_id = shop.store.plan_request(job.id).get("model_id")
+    if model_id is None:
+        return None, None
+    return str(model_file(shop.results, model_id)), model_id
+
+
+def _order(job: Job, shop: Workshop) -> Json:
+    """Return what is asked of a plan, with the file of the model it rests on."""
+    file, _ = _model(job, shop)
+    return {**shop.store.plan_request(job.id), "model_file": file}
 
 
 def _computed(

@@ -321,12 +321,23 @@ class Science:
         self.raises: Exception | None = None
         self.calls: list[tuple] = []
         self.trials: list[tuple] = []
+        self.models: list[tuple] = []
 
     def __call__(
-        self, run_files, folder, perpendicular_only, monte_carlo, workers, *, progress
+        self,
+        run_files,
+        folder,
+        perpendicular_only,
+        monte_carlo,
+        workers,
+        model_file,
+        model_id,
+        *,
+        progress,
     ):
         self.calls.append((run_files, folder, perpendicular_only))
         self.trials.append((monte_carlo, workers))
+        self.models.append((model_file, model_id))
         progress(0.0, "aligning")
         while self.hold is not None and not self.hold.wait(0.01):
             progress(0.1, "aligning")

@@ -17,11 +17,11 @@ from app.jobs.plans import MAX_ROWS
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
 _ALLOWED = {
-    "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um"},
-    "measure-standstill": {"points", "plan_id", "target_um"},
-    "measure-adaptive": {"planning", "target_um"},
+    "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um", "model_id"},
+    "measure-standstill": {"points", "plan_id", "target_um", "model_id"},
+    "measure-adaptive": {"planning", "target_um", "model_id"},
     "measure-extra": {"discovery_id"},
-    "analyse": {"run_id", "run_ids", "monte_carlo"},
+    "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
 }
 
@@ -39,6 +39,7 @@ class JobRequest(Taken):
                 {"kind": "analyse", "run_id": JOB_ID, "perpendicular_only": False},
                 {"kind": "analyse", "run_id": JOB_ID, "monte_carlo": {"seed": 1}},
                 {"kind": "analyse", "run_ids": [JOB_ID, OTHER_ID]},
+                {"kind": "analyse", "run_id": JOB_ID, "model_id": OTHER_ID},
                 {"kind": "discover", "run_id": JOB_ID},
                 {"kind": "measure-extra", "discovery_id": JOB_ID},
                 {
@@ -85,8 +86,10 @@ class JobRequest(Taken):
     )
     model_id: Identifier | None = Field(
         None,
-        description="Job whose model, or result, the Runs are held against. Without it "
-        "the rigid-body model fitted to them.",
+        description="Job whose model, or result, tells what is known of the machine: a "
+        "discovery holds its Runs against it, without it against the rigid-body model "
+        "fitted to them; an analysis, and a measurement, has its effects beside the "
+        "error motions.",
     )
     discovery_id: Identifier | None = Field(
         None,
@@ -133,6 +136,8 @@ class JobRequest(Taken):
         planning = self.planning
         if planning and (planning.corner_path or planning.target_um is not None):
             raise ValueError("planning has no target and no corner path; see target_um")
+        if planning and planning.model_id is not None:
+            raise ValueError("planning has no model_id; it stands beside planning")
         beside = [self.path, self.points, self.feed_mm_min]
         if self.plan_id is not None and any(x is not None for x in beside):
             raise ValueError("plan_id stands beside rows or a feed; the plan has them")

@@ -6,7 +6,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from app.api.models.base import JOB_ID, PREFIX, Feed, Mm, Taken, TargetUm
+from app.api.models.base import (
+    JOB_ID,
+    PREFIX,
+    Feed,
+    Identifier,
+    Mm,
+    Taken,
+    TargetUm,
+)
 from app.api.models.plan import PlanOut, Point, Waypoint
 from app.api.models.problem import Problem
 from app.jobs.plans import MAX_ROWS
@@ -109,6 +117,11 @@ class PlanRequest(Taken):
     )
     workspace: WorkspaceIn | None = None
     seed: int = Field(0, ge=0, le=2**31 - 1)
+    model_id: Identifier | None = Field(
+        None,
+        description="Job whose model, or result, tells effects of the machine: they "
+        "are to be told apart as well.",
+    )
 
     @model_validator(mode="after")
     def _leaves_a_corner_path_alone(self) -> Self:
@@ -122,7 +135,7 @@ class PlanRequest(Taken):
 
     def order(self) -> dict[str, Any]:
         """Return the request as it is kept and computed."""
-        return self.model_dump(exclude_none=True)
+        return self.model_dump(exclude_none=True, exclude={"model_id"})
 
 
 class PlanCheck(Taken):
