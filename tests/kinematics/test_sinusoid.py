@@ -1,9 +1,19 @@
-"""A sine and a cosine, stated as amplitude and phase."""
+"""A sine and a cosine: over a cell, and stated as amplitude and phase."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from app.kinematics.effects.base import Surroundings, standstill
+from app.kinematics.effects.screw_cyclic import ScrewCyclic
 from app.kinematics.effects.sinusoid import amplitude_and_phase
+from app.kinematics.effects.vibration import Vibration
+from app.kinematics.effects.waves import PositionWave, TimeWave
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+
+SPAN_S = 0.08
+RATE_MM_S = np.array([60.0, 0.0, 0.0])
 
 
 def test_amplitude_and_phase_make_the_same_wave():
@@ -24,3 +34,39 @@ def test_the_uncertainties_are_the_spread_of_what_could_have_been_found(rng):
     # A spread of 20 000 draws is known to half a per cent.
     assert amplitude.uncertainty == pytest.approx(spread[0], rel=0.02)
     assert phase.uncertainty == pytest.approx(spread[1], rel=0.02)
+
+
+def moving(span_s, count):
+    """A machine in motion along X: conditions of one cell, or of moments within it."""
+    axes = tuple(LinearAxis(name, 0.0, 500.0) for name in "XYZ")
+    machine = Machine(
+        "m", ("X",), ("Y", "Z"), axes, (Target("", "tool", (0.0, 0.0, -150.0)),),
+        TrackerNoise(),
+    )  # fmt: skip
+    lag_s = ((np.arange(count) + 0.5) / count - 0.5) * SPAN_S
+    position = np.array([[210.0, 40.0, 30.0]]) + lag_s[:, None] * RATE_MM_S
+    around = Surroundings(
+        np.tile(RATE_MM_S, (count, 1)),
+        np.full(count, span_s),
+        np.full((count, 3), np.inf),
+        np.tile([900.0, 0.0, 0.0], (count, 1)),
+        np.eye(3),
+    )
+    return replace(standstill(machine, position), time_s=3.7 + lag_s, around=around)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Vibration("Y", 7.0, 3.0),
+        TimeWave("Z", 0.4, 3.0),
+        PositionWave(LinearAxis("X", 0.0, 500.0), "Z", 9.0),
+        ScrewCyclic(LinearAxis("X", 0.0, 500.0), 10.0),
+    ],
+    ids=lambda effect: type(effect).__name__,
+)
+def test_a_wave_over_a_cell_is_the_mean_of_the_wave_at_its_moments(effect):
+    cell = effect.jacobian(moving(SPAN_S, 1))[0]
+    moments = effect.jacobian(moving(0.0, 4001))
+    assert cell == pytest.approx(moments.mean(axis=0), abs=1e-5)
+    assert np.abs(cell).max() < 0.99 * np.abs(moments).max()
