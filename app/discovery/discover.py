@@ -19,7 +19,7 @@ from app.discovery.scan import Offer
 from app.discovery.scene import Scene, at_pose, scene_of
 from app.discovery.search import Explanation, Search
 from app.discovery.view import View
-from app.discovery.where import Where, where
+from app.discovery.where import Shown, shown
 from app.discovery.within import within_cells
 from app.estimation.noise import floor_mm
 from app.kinematics.effects.base import Conditions
@@ -89,13 +89,12 @@ class Gap:
 
 @dataclass(frozen=True)
 class Discovery:
-    """What the model lacks. Where it errs is shown on the first Run.
+    """What the model lacks.
 
     scenes, grounds : of each Run; search : to ask for other explanations
     plain : the Runs explained by the base alone
     findings : by evidence, greatest first; compared : effects that were looked for
-    left_before_mm, left_after_mm : (n, 3) what base alone and explanation leave, where
-        the tracker stands
+    shown : of each Run, what base alone and explanation leave, and where
     """
 
     scenes: tuple[Scene, ...]
@@ -105,10 +104,7 @@ class Discovery:
     explanation: Explanation
     findings: tuple[Finding, ...]
     gap: Gap
-    before: Where
-    after: Where
-    left_before_mm: Float64[np.ndarray, "n 3"]
-    left_after_mm: Float64[np.ndarray, "n 3"]
+    shown: tuple[Shown, ...]
     compared: int
 
     @property
@@ -158,7 +154,7 @@ def discover(
     findings = _findings(search, plain, best)
     told(0.95)
     floor = _floor_um(scenes, grounds)
-    before, after = (search.residuals(e)[0].left_mm for e in (plain, best))
+    left = zip(scenes, search.residuals(plain), search.residuals(best), strict=True)
     return Discovery(
         scenes,
         grounds,
@@ -167,10 +163,7 @@ def discover(
         best,
         findings,
         _gap(floor, plain, best),
-        where(scenes[0].seen, before),
-        where(scenes[0].seen, after),
-        before,
-        after,
+        tuple(shown(s.seen, b.left_mm, a.left_mm) for s, b, a in left),
         search.compared,
     )
 

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from typing import Any
 
 from app.discovery.discover import Discovery, Finding
-from app.discovery.where import Segment, Where
+from app.discovery.where import Segment, Shown
 from app.kinematics.effects.catalogue import Candidate, Described
 from app.kinematics.symbols import is_turn
 from app.reporting.catalogued_json import parameters_json
@@ -34,14 +34,20 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             "noise_floor": found.gap.noise_floor_um,
             "on": "held-out segments",
         },
-        "where": [_segment_json(s) for s in found.before.segments[:_SEGMENTS]],
-        "explained_by": {
-            "before": _shares(found.before),
-            "after": _shares(found.after),
-        },
+        "where": _worst(found),
+        "explained_by": _explained(found.shown[0]),
+        "runs": [
+            {
+                "name": scene.run.name,
+                "mode": scene.run.mode,
+                "where": [_segment_json(s) for s in one.before.segments[:_SEGMENTS]],
+                "explained_by": _explained(one),
+            }
+            for scene, one in zip(found.scenes, found.shown, strict=True)
+        ],
         "compared": found.compared,
         "provenance": {
-            "run": found.scene.run.name,
+            "run": ", ".join(scene.run.name for scene in found.scenes),
             "software": f"truepath {version('truepath')}",
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
         },
@@ -97,5 +103,12 @@ def _segment_json(segment: Segment) -> dict[str, Any]:
     }
 
 
-def _shares(where: Where) -> dict[str, float]:
-    return dict(where.shares)
+def _worst(found: Discovery) -> list[dict[str, Any]]:
+    """Return the segments of all Runs that disagree most; `run` counts them from 0."""
+    every = [(s, k) for k, one in enumerate(found.shown) for s in one.before.segments]
+    every.sort(key=lambda pair: -pair[0].rms_um)
+    return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
+
+
+def _explained(shown: Shown) -> dict[str, dict[str, float]]:
+    return {"before": shown.before.shares, "after": shown.after.shares}

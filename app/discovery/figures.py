@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.discovery.discover import Discovery, Gap
-from app.discovery.where import Segment
+from app.discovery.discover import Gap
+from app.discovery.where import Segment, Shown
 from app.kinematics.machine import position_unit
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (
@@ -93,14 +93,14 @@ def gap_figure(gap: Gap) -> str:
     return image(76.0, "Gap on lines not seen, before and after", parts)
 
 
-def along_run_figure(found: Discovery) -> str:
+def along_run_figure(shown: Shown) -> str:
     """Draw what is left along the Run, before and after, on one scale."""
-    seen = found.scene.seen
+    seen = shown.seen
     time_s = seen.at.time_s - seen.at.time_s.min()
     edges = np.linspace(0.0, float(time_s.max()) + 1e-9, _POINTS + 1)
     drawn = [
         _binned(time_s, 1e3 * left, seen.count, edges)
-        for left in (found.left_before_mm, found.left_after_mm)
+        for left in (shown.left_before_mm, shown.left_after_mm)
     ]
     reach = 1.05 * max(float(np.abs(mean).max()) for _, mean in drawn)
     parts: list[str] = []
@@ -161,30 +161,30 @@ def shares_figure(before: dict[str, float], after: dict[str, float]) -> str:
     return image(frame.bottom + 4.0, "Share explained by each grouping", parts)
 
 
-def profiles_figure(found: Discovery, names: Sequence[str]) -> str:
+def profiles_figure(shown: Shown) -> str:
     """Draw the mean disagreement against what explains most of it, before."""
-    known = covariates(found.scene.seen)
-    chosen = [known[name] for name in names if name in known][:_PROFILES]
+    known = covariates(shown.seen)
+    chosen = [known[name] for name in shown.before.shares if name in known][:_PROFILES]
     parts: list[str] = []
     for number, covariate in enumerate(chosen):
         row, column = divmod(number, 3)
         width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
         left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW
         frame = Frame(left, top, left + width, top + _HEIGHT)
-        parts.append(_profile(frame, found, covariate))
+        parts.append(_profile(frame, shown, covariate))
     rows = -(-len(chosen) // 3)
     return image(_TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
 
 
-def _profile(frame: Frame, found: Discovery, covariate: Covariate) -> str:
-    seen = found.scene.seen
+def _profile(frame: Frame, shown: Shown, covariate: Covariate) -> str:
+    seen = shown.seen
     edges = np.unique(np.quantile(covariate.values, np.linspace(0.0, 1.0, _BINS + 1)))
     if len(edges) <= _BINS // 2:  # few values: a bin for each
         own = np.unique(covariate.values)
         middle = 0.5 * (own[1:] + own[:-1])
         edges = np.concatenate([[own[0] - 1.0], middle, [own[-1] + 1.0]])
     edges[-1] += 1e-9 * max(abs(float(edges[-1])), 1.0)
-    at, mean = _binned(covariate.values, 1e3 * found.left_before_mm, seen.count, edges)
+    at, mean = _binned(covariate.values, 1e3 * shown.left_before_mm, seen.count, edges)
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())
     x = frame.across(low, high, margin=0.03)

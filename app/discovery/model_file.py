@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from app.alignment.observations import Observations
 from app.discovery.base import GivenModel
 from app.discovery.discover import Discovery, Finding
 from app.discovery.discovery_json import effect_json
@@ -92,12 +91,12 @@ def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
             "mode": found.scene.run.mode,
             "effects": [_effect_json(f, grown) for f in found.findings],
             **_tables_json(grown, found),
-            "observability": _observability_json(found.ground.coarse, found),
+            "observability": _observability_json(found),
             "provenance": {
                 "software": "truepath",
                 "software_version": version("truepath"),
                 "created": datetime.now(UTC).isoformat(timespec="seconds"),
-                "run": found.scene.run.name,
+                "run": ", ".join(scene.run.name for scene in found.scenes),
                 "input_sha256": run_digest(found.scene.run),
                 "runs": [*_earlier_runs(parent), *_runs_json(found)],
             },
@@ -113,7 +112,8 @@ def _before(
         base = plain(found)
         told = {
             "version": 1,
-            "source": f"rigid-body model fitted to {found.scene.run.name}",
+            "source": "rigid-body model fitted to "
+            + ", ".join(scene.run.name for scene in found.scenes),
             "sha256": None,
         }
         return ModelState(base.model, base.theta, base.covariance), told
@@ -152,7 +152,7 @@ def _effect_json(finding: Finding, grown: Extended) -> dict[str, Any]:
 
 
 def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
-    ranges = measured_ranges(found.scene.seen)
+    ranges = measured_ranges(*(scene.seen for scene in found.scenes))
     tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
     halves = half_differences(grown.model, grown.theta, grown.covariance)
     return {
@@ -170,9 +170,9 @@ def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
     }
 
 
-def _observability_json(coarse: Observations, found: Discovery) -> dict[str, Any]:
-    base = found.ground.base
-    seen = observability(coarse.at.machine, [Measured(coarse, base.pose, base.noise)])
+def _observability_json(found: Discovery) -> dict[str, Any]:
+    runs = [Measured(g.coarse, g.base.pose, g.base.noise) for g in found.grounds]
+    seen = observability(found.ground.base.model.machine, runs)
     return {
         "rank": seen.rank,
         "parameters": seen.parameters,

@@ -7,6 +7,7 @@ did not see. Uncertainties are expanded ones (k = 2).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from typing import Any
 
@@ -21,7 +22,7 @@ from app.discovery.figures import (
 )
 from app.discovery.model_file import NextModel
 from app.discovery.report_ask import asked_section
-from app.discovery.where import Segment
+from app.discovery.where import Segment, Shown
 from app.discovery.wording import others, title
 from app.kinematics.effects.catalogue import Described
 from app.reporting.html_parts import (
@@ -81,10 +82,14 @@ def _header(found: Discovery, model: NextModel, name: str) -> str:
     created = datetime.fromisoformat(model.content["provenance"]["created"])
     return (
         f"<header><p class=kind>Discovery report</p><h1>{name}</h1>"
-        f"<p>What the model of {escape(found.scene.run.name)} lacks, held against "
+        f"<p>What the model of {escape(_names(found))} lacks, held against "
         f"{escape(model.content['parent']['source'])}, {created:%Y-%m-%d %H:%M} UTC"
         "</p></header>\n"
     )
+
+
+def _names(found: Discovery) -> str:
+    return ", ".join(scene.run.name for scene in found.scenes)
 
 
 def _tiles(found: Discovery) -> str:
@@ -184,41 +189,60 @@ def _gap(found: Discovery) -> tuple[str, ...]:
             gap_figure(gap),
             "Weighted root mean square of one component, on whole lines held out.",
         ),
-        drawing(
-            along_run_figure(found),
-            "What is left along the run in X, Y and Z where the tracker stands, on one "
-            "scale. Phase and speed of each line are taken out.",
-        ),
+        *_of_each_run(found, _along_run),
+    )
+
+
+def _along_run(shown: Shown) -> str:
+    return drawing(
+        along_run_figure(shown),
+        "What is left along the run in X, Y and Z where the tracker stands, on one "
+        "scale. Phase and speed of each line are taken out.",
     )
 
 
 def _where(found: Discovery) -> tuple[str, ...]:
-    shares = found.before.shares
-    worst = found.before.segments[:_WORST]
     return (
         "Where they disagree",
         "<p>The share of the squared disagreement that the means of each grouping "
         "hold: what depends on time shows by time and by line and nowhere else.</p>",
-        drawing(
-            shares_figure(shares, found.after.shares),
-            "Grey: before; coloured: after. Noise gives every grouping a small share; "
-            "many groups, such as lines, hold more of it.",
-        ),
-        drawing(
-            by_line_figure(found.before.segments, found.after.segments),
-            "Root mean square on every line.",
-        ),
-        drawing(
-            profiles_figure(found, list(shares)),
-            "Mean disagreement before, in X, Y and Z, against what explains most.",
-        ),
-        "<details><summary>The worst lines</summary>"
-        + table(
-            ("Row", "Axis", "Region", "Time, s", "Feed, mm/min", "rms, µm"),
-            (_segment(s) for s in worst),
-            numbers=3,
-        )
-        + "</details>",
+        *_of_each_run(found, _where_of),
+    )
+
+
+def _of_each_run(found: Discovery, draw: Callable[[Shown], str]) -> Iterator[str]:
+    """Yield what is drawn of each Run, under its name where there are several."""
+    runs = zip(found.scenes, found.shown, strict=True)
+    for number, (scene, shown) in enumerate(runs, start=1):
+        if len(found.scenes) > 1:
+            yield f"<h3>Run {number}: {escape(scene.run.name)}</h3>"
+        yield draw(shown)
+
+
+def _where_of(shown: Shown) -> str:
+    before, after = shown.before, shown.after
+    rows = table(
+        ("Row", "Axis", "Region", "Time, s", "Feed, mm/min", "rms, µm"),
+        (_segment(s) for s in before.segments[:_WORST]),
+        numbers=3,
+    )
+    return "".join(
+        [
+            drawing(
+                shares_figure(before.shares, after.shares),
+                "Grey: before; coloured: after. Noise gives every grouping a small "
+                "share; many groups, such as lines, hold more of it.",
+            ),
+            drawing(
+                by_line_figure(before.segments, after.segments),
+                "Root mean square on every line.",
+            ),
+            drawing(
+                profiles_figure(shown),
+                "Mean disagreement before, in X, Y and Z, against what explains most.",
+            ),
+            f"<details><summary>The worst lines</summary>{rows}</details>",
+        ]
     )
 
 
@@ -285,9 +309,13 @@ def _documentation(found: Discovery, model: NextModel) -> tuple[str, ...]:
     provenance = model.content["provenance"]
     pairs = [
         ("Software", f"truepath {escape(provenance['software_version'])}"),
-        ("Run", escape(found.scene.run.name)),
+        ("Runs", escape(_names(found))),
         ("Input", f"<code>{escape(provenance['input_sha256'])}</code>"),
-        ("Cells", f"{len(found.scene.seen)} of {found.scene.seen.used} samples"),
+        (
+            "Cells",
+            f"{sum(len(scene.seen) for scene in found.scenes)} of "
+            f"{sum(scene.seen.used for scene in found.scenes)} samples",
+        ),
         ("Looked for", f"{found.compared} effects of the installed catalogue"),
     ]
     return ("Documentation", facts(pairs))

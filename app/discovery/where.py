@@ -42,6 +42,31 @@ class Where:
     shares: dict[str, float]
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What is left of one Run, before the effects are in the model and with them.
+
+    left_before_mm, left_after_mm : (n, 3) of its cells, where the tracker stands
+    before, after : where that lies
+    """
+
+    seen: Observations
+    left_before_mm: Float64[np.ndarray, "n 3"]
+    left_after_mm: Float64[np.ndarray, "n 3"]
+    before: Where
+    after: Where
+
+
+def shown(
+    seen: Observations,
+    left_before_mm: Float64[np.ndarray, "n 3"],
+    left_after_mm: Float64[np.ndarray, "n 3"],
+) -> Shown:
+    """Return what is left of a Run, and where it lies."""
+    before, after = where(seen, left_before_mm), where(seen, left_after_mm)
+    return Shown(seen, left_before_mm, left_after_mm, before, after)
+
+
 def where(seen: Observations, left_mm: Float64[np.ndarray, "n 3"]) -> Where:
     """Return where what is left lies."""
     segments = [_segment(seen, left_mm, first, last) for first, last in stretches(seen)]

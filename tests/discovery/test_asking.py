@@ -7,6 +7,7 @@ tracker, another clock and other noise.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -18,8 +19,11 @@ from app.discovery.asking import Ask, ask
 from app.discovery.asking_json import ask_json
 from app.discovery.base import GivenModel
 from app.discovery.discover import Discovery, discover
+from app.discovery.discovery_json import discovery_json
 from app.discovery.extending import Extended, plain
+from app.discovery.model_file import next_model
 from app.discovery.report_ask import asked_section
+from app.discovery.report_html import report_html
 from app.errors import BundleError
 from app.kinematics.model import MachineModel
 from app.measurement.commanded_file import decode_path, encode_commanded
@@ -167,6 +171,22 @@ def test_lateral_backlash_and_squareness_are_told_apart_by_few_lines(leaning):
     found = done.both.findings[0]
     assert found.candidate.family == name
     assert not found.alternatives
+
+
+def test_every_run_is_shown_where_it_disagrees(moved):
+    _, done = moved
+    both = json.loads(json.dumps(discovery_json(done.both)))
+    assert [run["mode"] for run in both["runs"]] == ["otf", "otf"]
+    rows = [len(scene.run.commanded) - 1 for scene in done.both.scenes]
+    assert [len(run["where"]) for run in both["runs"]] == [min(20, r) for r in rows]
+    worst = [segment["rms_um"] for segment in both["where"]]
+    assert worst == sorted(worst, reverse=True)
+    every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
+    assert worst[0] == max(every)
+    model = next_model(done.both, None)
+    page = report_html(done.both, model, None, "ask/path.csv")
+    assert page.count("Run 2: ") == 2
+    assert page.count("Root mean square on every line") == 2
 
 
 def test_the_lines_stay_within_the_travel(moved):
