@@ -246,6 +246,17 @@ def test_a_discovery_and_its_model_are_taken_away(curl, follow, bundle, tmp_path
     assert (tmp_path / "model.json").stat().st_size > 0
 
 
+def test_a_model_is_used_by_naming_it(curl, follow, bundle, tmp_path):
+    (tmp_path / "run.zip").write_bytes(bundle())
+    upload, *_ = section("Analyse a measurement from elsewhere")
+    curl.names["RUN"] = curl.names["OTHER"] = curl(upload).json()["id"]
+    curl.take(curl(section("Discover what the model lacks")[0]).json())
+    follow("succeeded")
+    analyse, plan = section("Use a model")
+    for words in (analyse, plan):
+        assert curl(words).status_code == 202, words
+
+
 def test_the_machine_is_asked_for_extra_lines(
     curl, follow, bundle, tmp_path, explorer, make_cell
 ):
