@@ -10,11 +10,18 @@ from jaxtyping import Float64
 
 from app.errors import BadInput
 from app.plugins import installed, load
+from app.reporting.compensation.carried import carried_effects
 from app.reporting.compensation.format import CompensationFormat, Correction
 from app.reporting.compensation.order import (
     AxisTable,
     CompensationOrder,
     axis_table,
+)
+from app.reporting.compensation.places import (
+    ANYWHERE,
+    GRID,
+    positions,
+    without_rigid,
 )
 from app.reporting.compensation.source import Source
 from app.reporting.error_tables import MILLI
@@ -22,7 +29,6 @@ from app.reporting.error_tables import MILLI
 GROUP = "truepath.compensation_formats"
 SPACING_MM = 10.0
 SCHEMA = "compensation/1"
-_GRID, _ANYWHERE = 5, 400  # positions an axis of the grid; random ones between rows
 _BETTER = 0.999  # of the error before: a file that leaves more is not worth loading
 
 
@@ -67,11 +73,15 @@ def export_result(
     controller, do not make the error smaller.
     """
     kind = _format(name)
-    tables = tuple(
-        axis_table(source, axis, spacing_mm, kind.most_points) for axis in source.axes
-    )
     stamp = _stamp(source, name)
-    files = kind.write(CompensationOrder(stem, source.machine, tables, stamp))
+
+    def ordered(of: Source) -> CompensationOrder:
+        most = kind.most_points
+        tables = tuple(axis_table(of, axis, spacing_mm, most) for axis in of.axes)
+        return CompensationOrder(stem, of.machine, tables, stamp)
+
+    order = ordered(source)
+    files = kind.write(order)
     correction = kind.read(files, source.machine)
     before, after = _left(source, None), _left(source, correction)
     if after.mean_um > _BETTER * before.mean_um:
@@ -80,9 +90,11 @@ def export_result(
             f"volumetric error from {before.mean_um:.2f} to {after.mean_um:.2f} µm; "
             "what it carries is below what it resolves: choose another format"
         )
-    return Export(
-        files, _account(source, name, kind, tables, before, after, list(files))
-    )
+    account = _account(source, name, kind, order.tables, before, after, list(files))
+    effects = [
+        one.in_words() for one in carried_effects(source, kind, ordered, correction)
+    ]
+    return Export(files, {**account, "effects": effects})
 
 
 def _format(name: str) -> CompensationFormat:
@@ -91,42 +103,15 @@ def _format(name: str) -> CompensationFormat:
 
 def _left(source: Source, correction: Correction | None) -> Left:
     """Return what δ and the correction leave, coming up and coming down."""
-    position = _positions(source)
+    position = positions(source)
     lengths: list[Float64[np.ndarray, " n"]] = []
     for direction in (1.0, -1.0):
         error = source.error_mm(position, direction)
         if correction is not None:
             error = error + correction(position, direction)
-        lengths.append(np.linalg.norm(_without_rigid(position, error), axis=1))
+        lengths.append(np.linalg.norm(without_rigid(position, error), axis=1))
     every = MILLI * np.concatenate(lengths)
     return Left(float(every.mean()), float(every.max()))
-
-
-def _positions(source: Source) -> Float64[np.ndarray, "n a"]:
-    """Return a grid of the travel, and random positions for what is between rows."""
-    low = np.array([axis.min_mm for axis in source.axes])
-    high = np.array([axis.max_mm for axis in source.axes])
-    unit = np.stack(
-        np.meshgrid(*[np.linspace(0.0, 1.0, _GRID)] * len(low), indexing="ij"), -1
-    ).reshape(-1, len(low))
-    anywhere = np.random.default_rng(0).random((_ANYWHERE, len(low)))
-    place = np.tile(source.middle_mm(), (len(unit) + _ANYWHERE, 1))
-    place[:, : len(low)] = low + np.vstack([unit, anywhere]) * (high - low)
-    return place
-
-
-def _without_rigid(
-    position_mm: Float64[np.ndarray, "n a"], error_mm: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n 3"]:
-    """Remove the best-fit rigid motion, which is no error of the machine."""
-    point = position_mm[:, :3] - position_mm[:, :3].mean(axis=0)
-    columns = np.zeros((len(point), 3, 6))
-    columns[:, :, :3] = np.eye(3)
-    for k, axis in enumerate(np.eye(3)):
-        columns[:, :, 3 + k] = np.cross(axis, point)
-    flat = columns.reshape(-1, 6)
-    fit, *_ = np.linalg.lstsq(flat, error_mm.reshape(-1), rcond=None)
-    return error_mm - (flat @ fit).reshape(-1, 3)
 
 
 def _interpolation_loss_um(source: Source, tables: tuple[AxisTable, ...]) -> float:
@@ -201,7 +186,7 @@ def _account(
         "volumetric_error_um": {
             "before": {"mean": before.mean_um, "largest": before.largest_um},
             "after": {"mean": after.mean_um, "largest": after.largest_um},
-            "on": f"{_GRID} positions an axis and {_ANYWHERE} random ones in the "
+            "on": f"{GRID} positions an axis and {ANYWHERE} random ones in the "
             "travel, coming up and coming down, without the rigid motion of the whole; "
             "of the map of the result, read back by the rule of the controller",
         },
