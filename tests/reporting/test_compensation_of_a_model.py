@@ -59,6 +59,18 @@ def test_tables_of_both_directions_carry_lost_motion_and_waves_but_no_sag(source
     assert sag[1] == pytest.approx(sag[0], rel=1e-6)
 
 
+def test_blocks_of_two_axes_carry_the_sag_of_a_guide(source):
+    export = export_result(source, "isg-csv", "comp")
+    (text,) = export.files.values()
+    assert "Y  X  EXX  EYX  EZX" in text
+    found = left(source, "isg-csv")
+    assert found["elastic-sag"][1] < 0.01 * found["elastic-sag"][0]
+    assert found["backlash"][1] == pytest.approx(found["backlash"][0], rel=1e-6)
+    tables = [block for block in text.split("#") if "Y  X" in block]
+    assert len(tables) == 1
+    assert len(tables[0].splitlines()) <= 1010
+
+
 def test_a_table_of_the_mean_leaves_lost_motion(source):
     found = left(source, "siemens-lec")
     assert found["backlash"][1] == pytest.approx(found["backlash"][0], rel=1e-6)

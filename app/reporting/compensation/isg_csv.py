@@ -4,7 +4,9 @@ Blocks of an argument and the motions of an axis, mm and rad, split by `#`. Squa
 is in the straightness, the target's offset in the displacements, so that lever arms
 count from the zero of the axes and the tool length is 0. The controller computes the
 tool point of the chain and takes the error away; the sign at the machine has to be
-tried (it has a switch `negate`). Source: ISG kernel manual, volumetric compensation.
+tried (it has a switch `negate`). A guide that bends under another axis has a block of
+two arguments, the other axis first, on a grid. Source: ISG kernel manual, volumetric
+compensation.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ class IsgCsv(CompensationFormat):
     suffix: ClassVar[str] = ".csv"
     most_points: ClassVar[int] = 1000
     carries: ClassVar[str] = (
-        "all error motions and squareness, with their lever arms in the whole volume"
+        "all error motions and squareness, with their lever arms in the whole volume; "
+        "of each axis what it does with one other one, as sag"
     )
     not_carried: ClassVar[str] = "backlash and what depends on direction"
     sign: ClassVar[str] = "the file has the errors; the controller takes them away"
@@ -60,7 +63,11 @@ class IsgCsv(CompensationFormat):
             for axis in reversed([name for name in machine.order if name in LINEAR]):
                 at = position_mm[:, machine.axis_names.index(axis)]
                 if axis in blocks:
-                    motion = _between(blocks[axis], at)
+                    by, rows = blocks[axis]
+                    motion = _between(rows, at)
+                    if by:
+                        other = position_mm[:, machine.axis_names.index(by)]
+                        motion = _on_grid(rows, other, at)
                     added -= motion[:, :3] + np.cross(motion[:, 3:], lever)
                 lever[:, LINEAR.index(axis)] += at
             return added
@@ -69,9 +76,20 @@ class IsgCsv(CompensationFormat):
 
 
 def _block(table: AxisTable) -> Iterator[str]:
-    symbols = error_motions(table.axis.name)
-    yield "  ".join([table.axis.name, *symbols])
+    symbols, bending = error_motions(table.axis.name), table.bending
     motions = np.hstack([table.shift_mm, table.turn_rad])
+    if bending is None:
+        yield "  ".join([table.axis.name, *symbols])
+        yield from _rows(table, motions)
+        return
+    yield "  ".join([bending.by.name, table.axis.name, *symbols])
+    for by, more in zip(bending.by_mm, bending.more_mm, strict=True):
+        bent = motions + np.hstack([more, np.zeros_like(more)])
+        yield from (f"{by:.6f}  {row}" for row in _rows(table, bent))
+
+
+def _rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterator[str]:
+    symbols = error_motions(table.axis.name)
     for at, row in zip(table.position_mm, motions, strict=True):
         values = zip(symbols, row, strict=True)
         numbers = [f"{v:z.9f}" if is_turn(s) else f"{v:z.6f}" for s, v in values]
@@ -85,12 +103,31 @@ def _between(
     return np.stack(columns, axis=1)
 
 
-def _parsed(text: str) -> Iterator[tuple[str, Float64[np.ndarray, "n 7"]]]:
-    """Yield (axis, rows of position and six motions) of each block."""
+def _on_grid(
+    table: Float64[np.ndarray, "r 8"],
+    by_mm: Float64[np.ndarray, " n"],
+    at_mm: Float64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "n 6"]:
+    """Return the motions between the four neighbours on the grid."""
+    places = np.unique(table[:, 0])
+    lines = [_between(table[table[:, 0] == place, 1:], at_mm) for place in places]
+    high = np.clip(np.searchsorted(places, by_mm), 1, len(places) - 1)
+    share = (by_mm - places[high - 1]) / (places[high] - places[high - 1])
+    share = np.clip(share, 0.0, 1.0)[:, None]
+    each, n = np.stack(lines), np.arange(len(at_mm))
+    return (1.0 - share) * each[high - 1, n] + share * each[high, n]
+
+
+def _parsed(text: str) -> Iterator[tuple[str, tuple[str, Float64[np.ndarray, "r c"]]]]:
+    """Yield (axis, (second axis, rows of positions and six motions)) of each block.
+
+    The second axis is empty for a block of one argument.
+    """
     plain = [line for line in text.splitlines() if not line.startswith("//")]
     for block in "\n".join(plain).split("#"):
         head, *rows = [line.split() for line in block.splitlines() if line.strip()]
+        by = head.pop(0) if len(head) > 1 and head[1] in LINEAR else ""
         axis = head[0]
         if head[1:] != list(error_motions(axis)):
             raise BadInput(f"the block of {axis} does not have its six motions")
-        yield axis, np.array([[float(word) for word in row] for row in rows])
+        yield axis, (by, np.array([[float(word) for word in row] for row in rows]))

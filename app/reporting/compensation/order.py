@@ -13,6 +13,22 @@ from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import LINEAR
 from app.reporting.compensation.source import Source
 
+_FEWEST, _FINEST = 2, 11  # positions of the axis that another one bends with
+
+
+@dataclass(frozen=True, slots=True)
+class Bending:
+    """What an axis does beyond its own table, as another axis stands elsewhere.
+
+    by_mm : (m,) positions of the other axis, equidistant over its travel
+    more_mm : (m, n, 3) at the axis' own n positions; 0 where either axis is at its
+        reference
+    """
+
+    by: LinearAxis
+    by_mm: Float64[np.ndarray, " m"]
+    more_mm: Float64[np.ndarray, "m n 3"]
+
 
 @dataclass(frozen=True, slots=True)
 class AxisTable:
@@ -24,6 +40,7 @@ class AxisTable:
         its mean over both directions at the reference
     shift_mm, turn_rad : (n, 3) E and ω of the axis, for lever arms that count from the
         zero of the later axes; the target's offset is in E
+    bending : with one other axis, where the model has such an effect
     """
 
     axis: LinearAxis
@@ -33,6 +50,7 @@ class AxisTable:
     backward_mm: Float64[np.ndarray, "n 3"]
     shift_mm: Float64[np.ndarray, "n 3"]
     turn_rad: Float64[np.ndarray, "n 3"]
+    bending: Bending | None = None
 
     @property
     def mean_mm(self) -> Float64[np.ndarray, "n 3"]:
@@ -86,7 +104,33 @@ def axis_table(
         forward - zero,
         backward - zero,
         *_motions(source, axis, at_mm),
+        _bending(source, axis, at_mm, most_points // count),
     )
+
+
+def _bending(
+    source: Source, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"], most: int
+) -> Bending | None:
+    """Return what the model's effects of two axes do; None without any.
+
+    most : positions of the other axis that the controller has room for
+    """
+    machine = source.machine
+    by = next((b for a, b in source.pairs() if a == axis.name), "")
+    if not by or most < _FEWEST:
+        return None
+    other = machine.linear(by)
+    by_mm = np.linspace(other.min_mm, other.max_mm, min(most, _FINEST))
+    rest = np.array([reference_position_mm(a) for a in machine.axes])
+    grid = np.stack(np.meshgrid(by_mm, at_mm, indexing="ij"), axis=-1).reshape(-1, 2)
+    columns = [machine.axis_names.index(name) for name in (by, axis.name)]
+    total = np.zeros((len(grid), 3))
+    for kept, sign in (((0, 1), 1.0), ((0,), -1.0), ((1,), -1.0), ((), 1.0)):
+        place = np.tile(rest, (len(grid), 1))
+        for k in kept:
+            place[:, columns[k]] = grid[:, k]
+        total += sign * source.bent_mm(place, axis.name, by)
+    return Bending(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
 
 
 def _along(

@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.volumetric_map import VolumetricMap, volumetric_map
-from app.kinematics.effects.base import standstill
+from app.kinematics.effects.base import Effect, standstill
+from app.kinematics.effects.catalogued import bare
+from app.kinematics.effects.elastic_sag import ElasticSag
 from app.kinematics.effects.error_motion import ErrorMotion, reference_position_mm
+from app.kinematics.effects.plane_error import PlaneError
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, is_turn
 from app.measurement.json_fields import Field
@@ -80,6 +83,22 @@ class Source:
                 omega[:, DIRECTION[motion.symbol[1]]] = value
         return omega
 
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the pairs of axes that the model has effects of, a guide first."""
+        return [pair for pair in map(_pair, self.result.model.effects) if pair]
+
+    def bent_mm(
+        self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return what the effects of a pair of axes do to the tool point."""
+        at = standstill(self.machine, position_mm)
+        model, theta = self.result.model, self.result.theta
+        total = np.zeros((len(position_mm), 3))
+        for effect in model.effects:
+            if _pair(effect) == (axis, by):
+                total += effect.displacement_mm(at, theta[model.slices[effect.name]])
+        return total
+
     def middle_mm(self) -> Float64[np.ndarray, " a"]:
         """Return the middle of the travel; rotary axes at their zero."""
         return np.array(
@@ -90,6 +109,16 @@ class Source:
                 for axis in self.machine.axes
             ]
         )
+
+
+def _pair(effect: Effect) -> tuple[str, str] | None:
+    """Return the two axes that an effect depends on at once, the guide first."""
+    own = bare(effect)
+    if isinstance(own, ElasticSag):
+        return own.axis.name, own.by.name
+    if isinstance(own, PlaneError):
+        return own.first.name, own.second.name
+    return None
 
 
 def source_of(result: LoadedResult, direction: Field | None = None) -> Source:
