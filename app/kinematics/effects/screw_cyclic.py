@@ -21,7 +21,7 @@ from app.kinematics.effects.catalogue import (
     rate_of,
 )
 from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.effects.sinusoid import measured_wave
+from app.kinematics.effects.sinusoid import is_resolved, measured_wave, wave_numbers
 from app.kinematics.machine import LinearAxis, Machine
 
 _SHORTEST_MM, _LONGEST_MM = 2.5, 45.0
@@ -89,14 +89,13 @@ class ScrewCyclicFamily(Family):
                 10.0,
             )
             for axis in at.machine.linear_axes
-            if np.ptp(at.axis_mm(axis.name)) > 2.0 * _LONGEST_MM
+            if is_resolved(at, axis.name, _LONGEST_MM)
         ]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return leads at equal steps of turns, four to a period over the travel."""
-        # In a further Run the axis may stand.
-        travel = max(float(np.ptp(at.axis_mm(candidate.keys["axis"]))), _LONGEST_MM)
-        turns = np.arange(1.0 / _LONGEST_MM, 1.0 / _SHORTEST_MM, 0.25 / travel)
+        axis = candidate.keys["axis"]
+        turns = wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)
         return Scan("lead_mm", 1.0 / turns[::-1])
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Parameter
+from app.kinematics.effects.base import Conditions, Parameter
 from app.kinematics.effects.catalogue import Candidate, Measured
+
+_FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
 
 
 def sine_and_cosine(effect: str, unit: str) -> tuple[Parameter, ...]:
@@ -14,6 +16,22 @@ def sine_and_cosine(effect: str, unit: str) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(f"{effect}-{p}", unit, nuisance=True) for p in ("sin", "cos")
     )
+
+
+def is_resolved(at: Conditions, axis: str, longest_mm: float) -> bool:
+    """Tell whether positions tell waves apart: travel enough, and places in it."""
+    places = np.unique(np.round(at.axis_mm(axis)))
+    travel = float(np.ptp(places))
+    return len(places) >= _FEWEST_PLACES and travel > 2.0 * longest_mm
+
+
+def wave_numbers(
+    at: Conditions, axis: str, shortest_mm: float, longest_mm: float
+) -> Float64[np.ndarray, " v"]:
+    """Return waves a millimetre, four steps to one wave over the travel."""
+    # In a further Run the axis may stand.
+    travel = max(float(np.ptp(at.axis_mm(axis))), longest_mm)
+    return np.arange(1.0 / longest_mm, 1.0 / shortest_mm, 0.25 / travel)
 
 
 def amplitude_and_phase(

@@ -20,7 +20,12 @@ from app.kinematics.effects.catalogue import (
     averaged,
     rate_of,
 )
-from app.kinematics.effects.sinusoid import measured_wave, sine_and_cosine
+from app.kinematics.effects.sinusoid import (
+    is_resolved,
+    measured_wave,
+    sine_and_cosine,
+    wave_numbers,
+)
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
 
@@ -181,14 +186,13 @@ class PositionWaveFamily(Described):
             )
             for axis in at.machine.linear_axes
             for d in LINEAR
-            if d != axis.name and np.ptp(at.axis_mm(axis.name)) > 2.0 * _LONGEST_MM
+            if d != axis.name and is_resolved(at, axis.name, _LONGEST_MM)
         ]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return periods at equal steps of waves, four to one over the travel."""
-        # In a further Run the axis may stand.
-        travel = max(float(np.ptp(at.axis_mm(candidate.keys["axis"]))), _LONGEST_MM)
-        waves = np.arange(1.0 / _LONGEST_MM, 1.0 / _SHORTEST_MM, 0.25 / travel)
+        axis = candidate.keys["axis"]
+        waves = wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)
         return Scan("period_mm", 1.0 / waves[::-1])
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave:
