@@ -165,13 +165,20 @@ def within_cells(run: Run, seen: Observations, base: Base) -> Within | None:
     parts: list[Within] = []
     for number, (first, last) in enumerate(stretches(seen)):
         line = int(seen.at.line[first])
-        if line < 0:
+        if line < 0 or _bends(seen, first):
             continue
         each = seen.passes[line]
         samples = each.first + np.flatnonzero(valid[each.first : each.last])
         if len(samples) > 3 * (last - first):
             parts.append(_part(run, seen, base, samples, slice(first, last), number))
     return _joined(parts) if parts else None
+
+
+def _bends(seen: Observations, cell: int) -> bool:
+    """Tell whether a line is an arc, which is straight in no cell."""
+    around, machine = seen.at.around, seen.at.machine
+    turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
+    return around is not None and bool(around.rate[cell, turning].any())
 
 
 def _part(
