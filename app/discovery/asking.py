@@ -86,7 +86,7 @@ def _questions(found: Discovery) -> Iterator[Question]:
 
 def _more(found: Discovery, gram: Float64[np.ndarray, "m m"]) -> Iterator[Question]:
     """Yield the effect that the evidence was not quite enough for."""
-    ranked, _ = found.search.ranked(found.explanation)
+    ranked = found.search.promising(found.explanation)
     chosen = found.explanation.chosen
     near = ranked[0] if ranked else None
     if near is not None and _WORTH_ASKING < near.evidence < LEAST_EVIDENCE:

@@ -80,11 +80,16 @@ class Finding:
 
 @dataclass(frozen=True)
 class Gap:
-    """Weighted root mean square of measured minus simulated on lines not seen."""
+    """Weighted root mean square of measured minus simulated on lines not seen.
+
+    expected_um : what a complete model would leave there, as the other lines tell it:
+        noise and the fit's own uncertainty
+    """
 
     before_um: float
     after_um: float
     noise_floor_um: float
+    expected_um: float
 
 
 @dataclass(frozen=True)
@@ -212,6 +217,7 @@ def _gap(floor_um: float, plain: Explanation, best: Explanation) -> Gap:
         floor_um * plain.foretold.ratio(fast=fast),
         floor_um * best.foretold.ratio(fast=fast),
         floor_um,
+        floor_um * best.foretold.expected(fast=fast),
     )
 
 
@@ -229,7 +235,7 @@ def _finding(
 ) -> Finding:
     offer = best.chosen[number]
     without = search.explained([o for o in best.chosen if o is not offer])
-    (own,), _ = search.ranked(without, [offer])
+    own = search.ranked(without, [offer])[0]
     theta, covariance = best.effect(number)
     if offer.covariance is not None:
         covariance = offer.covariance
@@ -249,10 +255,9 @@ def _rivals(
     search: Search, without: Explanation, offer: Offer, evidence: float
 ) -> tuple[Offer, ...]:
     """Return the effects that would explain the same as well."""
-    others, _ = search.ranked(without)
     return tuple(
         r.offer
-        for r in others
+        for r in search.promising(without)
         if r.offer.label != offer.label
         and r.evidence > evidence - _EQUIVALENT
         and not isinstance(r.offer.family, Described)

@@ -32,6 +32,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             "before": found.gap.before_um,
             "after": found.gap.after_um,
             "noise_floor": found.gap.noise_floor_um,
+            "expected": found.gap.expected_um,
             "on": "held-out segments",
         },
         "where": _worst(found),

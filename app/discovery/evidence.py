@@ -96,12 +96,14 @@ class HeldOut:
 
     square : (k,) squared misfit of each fold in units of the noise
     freedom : (k,) what noise alone would make it, on average
+    unknown : (k,) what the fit's own uncertainty adds to that, on average
     fast_square, fast_freedom : (k,) of the samples within their cells; `square` has
         only what fast effects take from them
     """
 
     square: Float64[np.ndarray, " k"]
     freedom: Float64[np.ndarray, " k"]
+    unknown: Float64[np.ndarray, " k"]
     fast_square: Float64[np.ndarray, " k"]
     fast_freedom: Float64[np.ndarray, " k"]
 
@@ -116,6 +118,11 @@ class HeldOut:
             freedom += self.fast_freedom.sum()
         return float(np.sqrt(square / freedom))
 
+    def expected(self, *, fast: bool = False) -> float:
+        """Return the ratio of a complete model: noise, and what the fit leaves open."""
+        freedom = self.freedom.sum() + (self.fast_freedom.sum() if fast else 0.0)
+        return float(np.sqrt(1.0 + self.unknown.sum() / freedom))
+
 
 def held_out(
     sums: FoldedSums,
@@ -124,10 +131,12 @@ def held_out(
 ) -> HeldOut:
     """Foretell each fold of lines from all others, with some of the columns."""
     total = sums.total()
-    square = np.zeros(len(sums.fold))
+    square, unknown = np.zeros((2, len(sums.fold)))
     for k, fold in enumerate(sums.fold):
         train = information_of(total - fold, columns)
-        theta = posterior(train, precision).theta
+        fit = posterior(train, precision)
+        theta = fit.theta
         ask = fold[np.ix_(columns, columns)]
         square[k] = fold[-1, -1] - 2.0 * theta @ fold[columns, -1] + theta @ ask @ theta
-    return HeldOut(square, sums.freedom, sums.fast_square, sums.fast_freedom)
+        unknown[k] = float(np.sum(ask * fit.covariance))
+    return HeldOut(square, sums.freedom, unknown, sums.fast_square, sums.fast_freedom)

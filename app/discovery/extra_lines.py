@@ -22,7 +22,7 @@ from app.planning.planner import with_resting_axes
 from app.planning.travel import DECIMALS, inner_travel
 from drivers.interfaces.records import Path
 
-DECIDED = 12.0  # expected log Bayes factor: one in twenty falls short of 4
+DECIDED = 12.0  # expected log Bayes factor: few fall short of 5
 MOST_LINES = 9
 _FEWEST_LINES = 4  # tell the tracker's new place well
 _DWELL_S = 0.35

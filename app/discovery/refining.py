@@ -17,6 +17,7 @@ from app.kinematics.effects.base import Conditions, Effect, Parameter
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty
 _GRID, _GRIDS = 25, 2  # values tried at once, and how often
+_AS_GOOD = 0.05  # log Bayes factors closer than this are of one value
 _FREE = 4.0  # spacings: what limits a step must not pass for knowledge
 _STEP = 0.02  # of a scan's spacing, for the derivative
 
@@ -117,7 +118,8 @@ def _tried(
         others = tuple(o for j, o in enumerate(found) if j != k)
         for _ in range(_GRIDS):
             offer = _best_of_grid(lines, here, precision, others, offer, reach)
-            reach *= 4.0 / _GRID
+            # As far as values are as good: a step may lie anywhere between two cells.
+            reach = max(4.0 / _GRID * reach, 3.0 * offer.value_sigma)
         found[k] = offer
     return tuple(found)
 
@@ -148,8 +150,16 @@ def _best_of_grid(
     spread = float(np.sqrt(weight @ (values - mean) ** 2))
     # Between neighbours of the grid nothing is known: that is the least spread.
     least = float(values[1] - values[0]) / np.sqrt(12.0)
-    best = tries[int(np.argmax(gains))]
+    best = tries[_middle(values, gains, mean)]
     return replace(offer, candidate=best, value_sigma=max(spread, float(least)))
+
+
+def _middle(
+    values: Float64[np.ndarray, " v"], gains: Float64[np.ndarray, " v"], mean: float
+) -> int:
+    """Return the number of the best value; of as good ones that nearest to the mean."""
+    off = np.where(gains > gains.max() - _AS_GOOD, np.abs(values - mean), np.inf)
+    return int(np.argmin(off))
 
 
 def _ends(offers: Sequence[Offer]) -> Int64[np.ndarray, " o"]:

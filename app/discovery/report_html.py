@@ -95,7 +95,7 @@ def _names(found: Discovery) -> str:
 def _tiles(found: Discovery) -> str:
     gap = found.gap
     named, described_ = _split(found)
-    closed = gap.after_um <= CLOSED * gap.noise_floor_um
+    closed = gap.after_um <= CLOSED * gap.expected_um
     texts = [title(f.candidate) for f in named]
     tiles = (
         tile(
@@ -174,14 +174,15 @@ def _finding(finding: Finding, found: Discovery, model: NextModel) -> str:
 
 def _gap(found: Discovery) -> tuple[str, ...]:
     gap = found.gap
-    left = max(gap.after_um / max(gap.noise_floor_um, 1e-12) - 1.0, 0.0)
+    left = max(gap.after_um / max(gap.expected_um, 1e-12) - 1.0, 0.0)
     text = (
         f"Measured minus simulated on lines that the fit did not see falls from "
         f"{gap.before_um:.2f} µm to {gap.after_um:.2f} µm; noise alone would leave "
-        f"{gap.noise_floor_um:.2f} µm."
+        f"{gap.noise_floor_um:.2f} µm, a complete model {gap.expected_um:.2f} µm, as "
+        "well as the other lines tell it."
     )
     if left > CLOSED - 1.0:
-        text += f" It stays {100 * left:.0f} % above the noise: something is left."
+        text += f" It stays {100 * left:.0f} % above that: something is left."
     return (
         "The gap, before and after",
         callout(text, warn=left > CLOSED - 1.0),

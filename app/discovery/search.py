@@ -11,7 +11,6 @@ from jaxtyping import Float64
 from app.discovery.base import BasePrior
 from app.discovery.evidence import (
     HeldOut,
-    Rest,
     held_out,
     prior_precision,
     rest,
@@ -25,8 +24,9 @@ from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import Candidate, Described, Family
 
 FOLDS = 8
-LEAST_EVIDENCE = 4.0  # log Bayes factor beyond the price of the search
+LEAST_EVIDENCE = 5.0  # log Bayes factor, price paid: a false alarm in a hundred Runs
 _MOST_EFFECTS = 6
+_SHARPENED, _MOST_VALUES = 4, 32  # offers whose scans are tried exactly, values at once
 _TRIED = 2  # offers that held-out lines may refuse before the search ends
 _EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 # Of a tracker's place, about where alignment found it: a millimetre, a milliradian. So
@@ -62,7 +62,6 @@ class Ranked:
     """
 
     offer: Offer
-    number: int
     evidence: float
 
 
@@ -85,6 +84,7 @@ class Search:
             tuple[int, ...], tuple[tuple[Offer, ...], Explanation]
         ] = {}
         self._looked_in: dict[int, tuple[Explanation, dict[str, Offer]]] = {}
+        self._sharp: dict[tuple[int, int], Offer] = {}
         self._listed = float(np.log(len(self._offers)))
 
     @property
@@ -133,8 +133,7 @@ class Search:
         """Return the log Bayes factor of all chosen effects, price of search paid."""
         chosen, total = explanation.chosen, 0.0
         for k, offer in enumerate(chosen):
-            (own,), _ = self.ranked(self.explained(chosen[:k]), [offer])
-            total += own.evidence
+            total += self.ranked(self.explained(chosen[:k]), [offer])[0].evidence
         return total
 
     def explained(self, chosen: Sequence[Offer]) -> Explanation:
@@ -158,24 +157,67 @@ class Search:
         precision = self._precision(prior, chosen)
         return Explanation(chosen, size, prior, fit, held_out(sums, columns, precision))
 
-    def ranked(
-        self, explanation: Explanation, offers: Sequence[Offer] | None = None
-    ) -> tuple[list[Ranked], Rest]:
+    def ranked(self, explanation: Explanation, offers: Sequence[Offer]) -> list[Ranked]:
         """Return what offers would gain beyond an explanation, best first.
 
-        offers : with their values, as they are; all of the catalogue, scanned anew, if
-            not given
+        offers : with their values, as they are
         """
         chosen = explanation.chosen
-        if offers is None:
-            offers = self._scanned(explanation, self._offers)
         offered = self._lines.offered(_effects(chosen), _effects(offers))
         left = rest(offered, self._precision(explanation.prior, chosen))
         found = [
-            Ranked(o, k, left.log_bayes(k, o.candidate.usual) - o.price - self._listed)
+            Ranked(o, left.log_bayes(k, o.candidate.usual) - o.price - self._listed)
             for k, o in enumerate(offers)
         ]
-        return sorted(found, key=lambda r: -r.evidence), left
+        return sorted(found, key=_by_evidence)
+
+    def promising(
+        self, explanation: Explanation, among: Sequence[Offer] | None = None
+    ) -> list[Ranked]:
+        """Return what effects would gain, best first, scanned anew.
+
+        among : the whole catalogue if not given
+        The quick gain of a scan leaves the base aside: values of the best are tried
+        again with it.
+        """
+        among = self._offers if among is None else among
+        found = self.ranked(explanation, self._scanned(explanation, among))
+        best = [self._sharpened(explanation, r.offer) for r in found[:_SHARPENED]]
+        again = self.ranked(explanation, best) if best else []
+        return sorted([*again, *found[_SHARPENED:]], key=_by_evidence)
+
+    def _sharpened(self, explanation: Explanation, offer: Offer) -> Offer:
+        """Return the offer at the best value of its scan, the base integrated out."""
+        key = id(explanation), id(offer.candidate)
+        if key not in self._sharp:
+            best = self._sharpen(explanation, offer)
+            self._sharp |= {key: best, (key[0], id(best.candidate)): best}
+        return self._sharp[key]
+
+    def _sharpen(self, explanation: Explanation, offer: Offer) -> Offer:
+        at = self._at[offer.run or 0]
+        scan = offer.family.scan(offer.candidate, at)
+        if scan is None or offer.family.wave(offer.candidate, at) is not None:
+            return offer
+        apart = -(-len(scan.values) // _MOST_VALUES)
+        coarse = np.arange(apart // 2, len(scan.values), apart)
+        best = self._best(explanation, offer, at, scan.values[coarse])
+        if apart == 1:
+            return best
+        middle = int(np.argmin(np.abs(scan.values - (best.candidate.value or 0.0))))
+        fine = slice(max(middle - apart, 0), middle + apart + 1)
+        return self._best(explanation, best, at, scan.values[fine])
+
+    def _best(
+        self,
+        explanation: Explanation,
+        offer: Offer,
+        at: Conditions,
+        values: Float64[np.ndarray, " v"],
+    ) -> Offer:
+        """Return the offer at the best of values, its own included."""
+        tries = [replace(offer, candidate=offer.at_value(at, float(v))) for v in values]
+        return self.ranked(explanation, [offer, *tries])[0].offer
 
     def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:
         """Return offers, but the chosen ones, at their best values."""
@@ -199,8 +241,7 @@ class Search:
 
     def _larger(self, best: Explanation, among: Sequence[Offer]) -> Explanation | None:
         """Return the explanation with one effect more, if evidence asks for it."""
-        offers, _ = self.ranked(best, self._scanned(best, among))
-        for offer in offers[:_TRIED]:
+        for offer in self.promising(best, among)[:_TRIED]:
             if offer.evidence < LEAST_EVIDENCE:
                 return None
             larger = self.explained((*best.chosen, offer.offer))
@@ -217,7 +258,7 @@ class Search:
             others = [[o for o in best.chosen if o is not k] for k in best.chosen]
             without = [self.explained(left) for left in others]
             evidence = [
-                self.ranked(one, [offer])[0][0].evidence
+                self.ranked(one, [offer])[0].evidence
                 for one, offer in zip(without, best.chosen, strict=True)
             ]
             least = int(np.argmin(evidence))
@@ -231,12 +272,12 @@ class Search:
         for offer in best.chosen[:-1]:
             others = [o for o in best.chosen if o is not offer]
             without = self.explained(others)
-            ranked, _ = self.ranked(without, self._scanned(without, among))
-            own, _ = self.ranked(without, [offer])
-            if max(ranked[0].evidence, own[0].evidence) < LEAST_EVIDENCE:
+            other = self.promising(without, among)[0]
+            own = self.ranked(without, [offer])[0]
+            if max(other.evidence, own.evidence) < LEAST_EVIDENCE:
                 return without
-            if ranked[0].evidence > own[0].evidence + _EQUIVALENT:
-                return self.explained((*without.chosen, ranked[0].offer))
+            if other.evidence > own.evidence + _EQUIVALENT:
+                return self.explained((*without.chosen, other.offer))
         return best
 
     def _precision(
@@ -244,6 +285,10 @@ class Search:
     ) -> Float64[np.ndarray, "p p"]:
         known = prior.precision(self._size) + self._poses
         return prior_precision(known, _candidates(chosen))
+
+
+def _by_evidence(ranked: Ranked) -> float:
+    return -ranked.evidence
 
 
 def _effects(offers: Sequence[Offer]) -> list[Effect]:

@@ -60,7 +60,9 @@ def test_the_file_states_what_the_contract_asks(knocked, clean):
     assert set(effect["parameters"]["t_s"]) == {"value", "uncertainty"}
     assert len(effect["parameters"]["step_um"]["uncertainty"]) == 3
     assert effect["indistinguishable_from"] == []
-    assert set(content["gap"]) == {"unit", "before", "after", "noise_floor", "on"}
+    stated = {"unit", "before", "after", "noise_floor", "expected", "on"}
+    assert set(content["gap"]) == stated
+    assert content["gap"]["noise_floor"] < content["gap"]["expected"]
     assert content["unnamed"] == []
     worst = content["where"]
     assert [s["rms_um"] for s in worst] == sorted(s["rms_um"] for s in worst)[::-1]
