@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.discovery.discover import Discovery
+from app.discovery.explaining import Explanation
 from app.discovery.extra_lines import DECIDED, ExtraLines, highest_feed_mm_min
 from app.discovery.scan import Offer
-from app.discovery.search import LEAST_EVIDENCE, Explanation
+from app.discovery.search import LEAST_EVIDENCE
 from app.discovery.telling_apart import Question, belief_of
 from app.estimation.volumetric_map import volumetric_gram
 from app.planning.paths import travel_time_s
@@ -71,27 +72,27 @@ def ask(found: Discovery, *, seed: int = 0) -> Ask | None:
 
 
 def _questions(found: Discovery) -> Iterator[Question]:
-    best, search = found.explanation, found.search
+    best, explainer = found.explanation, found.explainer
     gram = volumetric_gram(found.ground.base.model)
     for finding in (f for f in found.findings if f.structure is None):
         others = [o for o in best.chosen if o is not finding.offer]
         for rival in finding.rivals:
-            instead = search.explained([*others, rival])
+            instead = explainer.explained([*others, rival])
             yield _question(found, gram, finding.offer, rival, best, instead)
         if finding.evidence.log_bayes < _THIN:
-            without = search.explained(others)
+            without = explainer.explained(others)
             yield _question(found, gram, finding.offer, None, best, without)
     yield from _more(found, gram)
 
 
 def _more(found: Discovery, gram: Float64[np.ndarray, "m m"]) -> Iterator[Question]:
     """Yield the effect that the evidence was not quite enough for."""
-    ranked = found.search.promising(found.explanation)
+    ranked = found.explainer.promising(found.explanation)
     chosen = found.explanation.chosen
     near = ranked[0] if ranked else None
     if near is not None and _WORTH_ASKING < near.evidence < LEAST_EVIDENCE:
         offer = near.offer
-        larger = found.search.explained([*chosen, offer])
+        larger = found.explainer.explained([*chosen, offer])
         yield _question(found, gram, offer, None, larger, found.explanation)
 
 

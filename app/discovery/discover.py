@@ -15,9 +15,10 @@ from jaxtyping import Float64
 from app.alignment.reduction import beam_frame
 from app.discovery.base import GivenModel, Ground, grounds_of, renoised
 from app.discovery.catalogue import families
+from app.discovery.explaining import Explainer, Explanation
 from app.discovery.scan import Offer
 from app.discovery.scene import Scene, at_pose, scene_of
-from app.discovery.search import Explanation, Search
+from app.discovery.search import Search
 from app.discovery.view import View
 from app.discovery.where import Shown, shown
 from app.discovery.within import within_cells
@@ -96,7 +97,7 @@ class Gap:
 class Discovery:
     """What the model lacks.
 
-    scenes, grounds : of each Run; search : to ask for other explanations
+    scenes, grounds : of each Run; explainer : to ask for other explanations
     plain : the Runs explained by the base alone
     findings : by evidence, greatest first; compared : effects that were looked for
     shown : of each Run, what base alone and explanation leave, and where
@@ -104,7 +105,7 @@ class Discovery:
 
     scenes: tuple[Scene, ...]
     grounds: tuple[Ground, ...]
-    search: Search
+    explainer: Explainer
     plain: Explanation
     explanation: Explanation
     findings: tuple[Finding, ...]
@@ -146,37 +147,39 @@ def discover(
     told(0.05)
     grounds = grounds_of(runs, given)
     told(0.35)
-    scenes, search = _prepared(scenes, grounds, given)
-    best = search.grown()
+    scenes, explainer = _prepared(scenes, grounds, given)
+    best = Search(explainer).grown()
     told(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.
         grounds = renoised(grounds, [o.effect for o in best.chosen])
-        scenes, search = _prepared(scenes, grounds, given)
-        best = search.found(best.chosen)
+        scenes, explainer = _prepared(scenes, grounds, given)
+        best = Search(explainer).found(best.chosen)
     told(0.8)
-    plain = search.explained([]) if best.chosen else best
-    findings = _findings(search, plain, best)
+    plain = explainer.explained([]) if best.chosen else best
+    findings = _findings(explainer, plain, best)
     told(0.95)
     floor = _floor_um(scenes, grounds)
-    left = zip(scenes, search.residuals(plain), search.residuals(best), strict=True)
+    left = zip(
+        scenes, explainer.residuals(plain), explainer.residuals(best), strict=True
+    )
     return Discovery(
         scenes,
         grounds,
-        search,
+        explainer,
         plain,
         best,
         findings,
         _gap(floor, plain, best),
         tuple(shown(s.seen, b.left_mm, a.left_mm) for s, b, a in left),
-        search.compared,
+        explainer.compared,
     )
 
 
 def _prepared(
     scenes: Sequence[Scene], grounds: Sequence[Ground], given: GivenModel | None
-) -> tuple[tuple[Scene, ...], Search]:
-    """Return the scenes where their trackers stand, and the search on them."""
+) -> tuple[tuple[Scene, ...], Explainer]:
+    """Return the scenes where their trackers stand, and what explains them."""
     placed = tuple(
         Scene(scene.run, at_pose(scene.seen, ground.base.pose))
         for scene, ground in zip(scenes, grounds, strict=True)
@@ -185,7 +188,7 @@ def _prepared(
         View(s.seen, g.base, within_cells(s.run, s.seen, g.base))
         for s, g in zip(placed, grounds, strict=True)
     ]
-    return placed, Search(views, grounds[0].prior, _looked_for(given))
+    return placed, Explainer(views, grounds[0].prior, _looked_for(given))
 
 
 def _floor_um(scenes: Sequence[Scene], grounds: Sequence[Ground]) -> float:
@@ -222,20 +225,20 @@ def _gap(floor_um: float, plain: Explanation, best: Explanation) -> Gap:
 
 
 def _findings(
-    search: Search, plain: Explanation, best: Explanation
+    explainer: Explainer, plain: Explanation, best: Explanation
 ) -> tuple[Finding, ...]:
     found = [
-        _finding(search, plain, best, number) for number in range(len(best.chosen))
+        _finding(explainer, plain, best, number) for number in range(len(best.chosen))
     ]
     return tuple(sorted(found, key=lambda f: -f.evidence.log_bayes))
 
 
 def _finding(
-    search: Search, plain: Explanation, best: Explanation, number: int
+    explainer: Explainer, plain: Explanation, best: Explanation, number: int
 ) -> Finding:
     offer = best.chosen[number]
-    without = search.explained([o for o in best.chosen if o is not offer])
-    own = search.ranked(without, [offer])[0]
+    without = explainer.explained([o for o in best.chosen if o is not offer])
+    own = explainer.ranked(without, [offer])[0]
     theta, covariance = best.effect(number)
     if offer.covariance is not None:
         covariance = offer.covariance
@@ -247,17 +250,17 @@ def _finding(
         theta,
         covariance,
         Evidence(own.evidence, 0.5 * float(lost), float(lost / max(gap, 1e-12))),
-        _rivals(search, without, offer, own.evidence),
+        _rivals(explainer, without, offer, own.evidence),
     )
 
 
 def _rivals(
-    search: Search, without: Explanation, offer: Offer, evidence: float
+    explainer: Explainer, without: Explanation, offer: Offer, evidence: float
 ) -> tuple[Offer, ...]:
     """Return the effects that would explain the same as well."""
     return tuple(
         r.offer
-        for r in search.promising(without)
+        for r in explainer.promising(without)
         if r.offer.label != offer.label
         and r.evidence > evidence - _EQUIVALENT
         and not isinstance(r.offer.family, Described)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.discovery.search import Explanation
+from app.discovery.explaining import Explanation
 from app.discovery.sums import Lines
 from app.discovery.view import Base, View
 from app.kinematics.effects.base import Effect
