@@ -27,6 +27,7 @@ from app.kinematics.model import MachineModel
 from app.measurement.one_machine import one_machine
 from app.measurement.run import Run
 
+_POINTS = 6  # to a knot, where the machine stands
 _SPLINE_S = 6.0  # what is slower is structure to be explained, not noise
 
 
@@ -128,6 +129,14 @@ def _first_base(seen: Observations, given: GivenModel, runs: int) -> Base:
     return Base(given.model, seen.pose, centre, noise, given.theta, runs)
 
 
+def _spacing_s(seen: Observations) -> float:
+    """Return the distance of knots in time that points do not follow one by one."""
+    if seen.passes:
+        return _SPLINE_S
+    each_s = float(np.ptp(seen.at.time_s)) / len(seen)
+    return max(_SPLINE_S, _POINTS * each_s)
+
+
 def renoised(
     grounds: Sequence[Ground], effects: Sequence[Effect] = ()
 ) -> tuple[Ground, ...]:
@@ -140,7 +149,7 @@ def renoised(
     slow = [
         OfRun(spline, number)
         for number, ground in enumerate(grounds)
-        for spline in time_splines(ground.coarse.at, _SPLINE_S)
+        for spline in time_splines(ground.coarse.at, _spacing_s(ground.coarse))
     ]
     known = [e for e in model.effects if isinstance(e, Catalogued)]
     runs = [
