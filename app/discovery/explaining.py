@@ -19,7 +19,7 @@ from app.kinematics.effects.base import Conditions, Effect
 from app.kinematics.effects.catalogue import Candidate, Described, Family
 
 FOLDS = 8
-_SHARPENED, _MOST_VALUES = 4, 32  # offers whose scans are tried exactly, values at once
+_SHARPENED = 4  # offers whose scans are tried exactly
 # Of a tracker's place, about where alignment found it: a millimetre, a milliradian. So
 # it stays told where a few lines are all of a Run, and one of them is held out.
 _POSE = np.repeat([1.0, 1e6], 3)
@@ -151,24 +151,8 @@ class Explainer:
         scan = offer.family.scan(offer.candidate, at)
         if scan is None or offer.family.wave(offer.candidate, at) is not None:
             return offer
-        apart = -(-len(scan.values) // _MOST_VALUES)
-        coarse = np.arange(apart // 2, len(scan.values), apart)
-        best = self._best(explanation, offer, at, scan.values[coarse])
-        if apart == 1:
-            return best
-        middle = int(np.argmin(np.abs(scan.values - (best.candidate.value or 0.0))))
-        fine = slice(max(middle - apart, 0), middle + apart + 1)
-        return self._best(explanation, best, at, scan.values[fine])
-
-    def _best(
-        self,
-        explanation: Explanation,
-        offer: Offer,
-        at: Conditions,
-        values: Float64[np.ndarray, " v"],
-    ) -> Offer:
-        """Return the offer at the best of values, its own included."""
-        tries = [replace(offer, candidate=offer.at_value(at, float(v))) for v in values]
+        values = [offer.at_value(at, float(value)) for value in scan.values]
+        tries = [replace(offer, candidate=candidate) for candidate in values]
         return self.ranked(explanation, [offer, *tries])[0].offer
 
     def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:

@@ -19,7 +19,7 @@ from app.kinematics.effects.catalogue import (
 )
 
 _STEP_S = 2.0
-_MOST = 120
+_MOST = 80
 _AXES = ("x", "y", "z")
 
 
@@ -66,11 +66,17 @@ class SetupStepFamily(Family):
         ]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
-        """Return moments, none so early or late that one line would decide."""
+        """Return moments, none so early or late that one line would decide.
+
+        Between lines above all: a step elsewhere tears a line in two.
+        """
         first, last = float(at.time_s.min()), float(at.time_s.max())
         margin = 0.02 * (last - first)
         count = int(min(_MOST, max(8, (last - first) / _STEP_S)))
-        return Scan("t_s", np.linspace(first + margin, last - margin, count))
+        even = np.linspace(first + margin, last - margin, count)
+        between = _between_lines(at)
+        inside = (between > even[0]) & (between < even[-1])
+        return Scan("t_s", np.union1d(even, between[inside]))
 
     def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
         """Return the candidate of another moment."""
@@ -90,3 +96,11 @@ class SetupStepFamily(Family):
             for a, t, s in zip(_AXES, theta, sigma, strict=True)
         }
         return {"t_s": Measured(candidate.value or 0.0, value_sigma), **steps}
+
+
+def _between_lines(at: Conditions) -> Float64[np.ndarray, " l"]:
+    """Return the middle of each pause between lines or standstills, in order."""
+    order = np.argsort(at.time_s, kind="stable")
+    time_s, line = at.time_s[order], at.line[order]
+    last = np.flatnonzero((np.diff(line) != 0) | (line[1:] < 0))
+    return 0.5 * (time_s[last] + time_s[last + 1])
