@@ -114,7 +114,7 @@ def _tried(
         if not _is_scanned(offer) or offer.family.is_smooth:
             continue
         here = _its(at, offer)
-        reach = 2.0 * _spacing(offer, here)
+        reach = 2.0 * max(_spacing(offer, here), _mean_spacing(offer, here))
         others = tuple(o for j, o in enumerate(found) if j != k)
         for _ in range(_GRIDS):
             offer = _best_of_grid(lines, here, precision, others, offer, reach)
@@ -198,6 +198,12 @@ def _spacing(offer: Offer, at: Conditions) -> float:
         return 1.0
     place = int(np.clip(np.searchsorted(scan.values, value), 1, len(scan.values) - 1))
     return float(scan.values[place] - scan.values[place - 1])
+
+
+def _mean_spacing(offer: Offer, at: Conditions) -> float:
+    """Return the distance of neighbours of the scan on average."""
+    scan = offer.family.scan(offer.candidate, at)
+    return 0.0 if scan is None else float(np.ptp(scan.values)) / len(scan.values)
 
 
 def _by_value(

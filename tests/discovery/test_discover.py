@@ -47,9 +47,10 @@ def test_the_gap_on_lines_not_seen_falls_to_the_noise(knocked):
 
 
 def test_the_disagreement_is_located_by_line_and_time(knocked):
-    shares = knocked.before.shares
+    (shown,) = knocked.shown
+    shares = shown.before.shares
     assert list(shares)[:2] == ["line", "time"]
-    assert shares["line"] > 2.0 * knocked.after.shares["line"]
+    assert shares["line"] > 2.0 * shown.after.shares["line"]
 
 
 def test_the_file_states_what_the_contract_asks(knocked, clean):
