@@ -25,7 +25,7 @@ from app.measurement.machine_file import machine_from_json
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parent))
-from scripted_cell import CellMaker, Inline, Science
+from scripted_cell import CellMaker, Inline, Science, wait_until
 
 
 def _postgres_programs() -> dict[str, str] | None:
@@ -199,3 +199,17 @@ def dispatcher(shop, feed):
     dispatcher = Dispatcher(shop, feed)
     yield dispatcher
     dispatcher.close()
+
+
+@pytest.fixture
+def until(shop):
+    """Wait until a job is in a state; return it."""
+
+    def wait(job, *states):
+        def reached():
+            now = shop.store.get(job.id)
+            return now if now.state in states else None
+
+        return wait_until(reached, f"{states}, is {shop.store.get(job.id)}")
+
+    return wait

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scripted_cell import Explorer, wait_until
+from scripted_cell import Explorer
 
 from app.errors import NotFound, OutOfTravel, PlanningError
 from app.jobs.dispatcher import Dispatcher, Wish
@@ -55,20 +55,6 @@ def run(shop, machine, tmp_path):
     packed = tmp_path / "bundle.zip"
     packed.write_bytes(zip_bundle(Run("b", machine, points, samples)))
     return shop.runs.add_uploaded(packed, "from the shop floor")
-
-
-@pytest.fixture
-def until(shop):
-    """Wait until a job is in a state; return it."""
-
-    def wait(job, *states):
-        def reached():
-            now = shop.store.get(job.id)
-            return now if now.state in states else None
-
-        return wait_until(reached, f"{states}, is {shop.store.get(job.id)}")
-
-    return wait
 
 
 @pytest.fixture

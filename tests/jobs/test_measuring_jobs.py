@@ -35,20 +35,6 @@ STANDSTILL = Wish(Kind.MEASURE_STANDSTILL)
 
 
 @pytest.fixture
-def until(shop):
-    """Wait until a job is in a state; return it."""
-
-    def wait(job, *states):
-        def reached():
-            now = shop.store.get(job.id)
-            return now if now.state in states else None
-
-        return wait_until(reached, f"{states}, is {shop.store.get(job.id)}")
-
-    return wait
-
-
-@pytest.fixture
 def ready(dispatcher, until):
     """A job that waits to be armed."""
     job, _ = dispatcher.create(OTF)

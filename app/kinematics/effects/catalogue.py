@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -76,16 +76,11 @@ class Candidate:
     effect: Effect
     usual: Float64[np.ndarray, " p"]
     value: float | None = None
-    found: dict[str, Measured] = field(default_factory=dict[str, Measured])
 
     @property
     def label(self) -> str:
         """Return name and keys in one line."""
         return " ".join([self.family, *self.keys.values()])
-
-    def with_found(self, found: dict[str, Measured]) -> Candidate:
-        """Return it with its parameters as files state them."""
-        return replace(self, found=found)
 
 
 class Family(ABC):
