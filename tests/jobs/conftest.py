@@ -126,7 +126,7 @@ def machine():
     return machine_from_json(load_machine("demo"))
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def scheduler():
     """A real Dask scheduler with two workers, in threads of this process."""
     distributed = pytest.importorskip("distributed")
