@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 from app.kinematics.chain import nominal_point_mm
 from app.kinematics.machine import Machine
 from app.kinematics.reach import NominalChain
+from app.kinematics.symbols import DIRECTION
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +161,13 @@ def standstill(
     )
 
 
+def along(
+    direction: str, size: Float64[np.ndarray, "n p"]
+) -> Float64[np.ndarray, "n 3 p"]:
+    """Return columns of displacements along X, Y or Z, of given sizes."""
+    return np.eye(3)[DIRECTION[direction]][:, None] * size[:, None, :]
+
+
 def in_run(name: str, run: int) -> str:
     """Return the name of an effect of one Run; the first Run's needs no number."""
     return name if run == 0 else f"{name}-{run + 1}"
@@ -193,6 +201,7 @@ class Charge:
     kind: str = ""
 
 
+@dataclass(frozen=True)
 class Effect(ABC):
     """One physical cause that moves the measured point off its nominal, linear in θ."""
 

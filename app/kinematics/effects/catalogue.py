@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -35,6 +35,17 @@ class Measured:
 
     value: float
     uncertainty: float
+
+    @classmethod
+    def only(
+        cls,
+        theta: Float64[np.ndarray, "1"],
+        covariance: Float64[np.ndarray, "1 1"],
+        scale: float,
+    ) -> Measured:
+        """Return the one parameter of an effect, in the unit of files."""
+        sigma = float(np.sqrt(covariance[0, 0]))
+        return cls(scale * float(theta[0]), abs(scale) * sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +100,7 @@ class Family(ABC):
     in_machine : part of the machine, and so of its volumetric error; else of the
         measurement
     is_smooth : in what is scanned; else every value is tried, for want of a slope
-    scanned : name of what is scanned, as files state it
+    scanned : name of what is scanned, as files state it and the effect has it
     """
 
     name: str
@@ -114,8 +125,9 @@ class Family(ABC):
 
     def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
         """Return the candidate with what is scanned at another value."""
-        del at, value
-        return candidate
+        del at
+        effect = replace(candidate.effect, **{self.scanned: value})
+        return replace(candidate, effect=effect, value=value)
 
     def kept(self, candidate: Candidate) -> dict[str, float]:
         """Return the numbers that make the effect again, beside its keys."""

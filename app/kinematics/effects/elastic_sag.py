@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Conditions, Effect, Parameter, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -24,7 +24,7 @@ from app.kinematics.effects.catalogue import (
     Signature,
 )
 from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import DIRECTION, LINEAR
+from app.kinematics.symbols import LINEAR
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,7 @@ class ElasticSag(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the direction times the product."""
         u, v = (_share(axis, at) for axis in (self.axis, self.by))
-        product = -4.0 * u * (1.0 - u) * v
-        unit = np.eye(3)[DIRECTION[self.direction]]
-        return product[:, None, None] * unit[None, :, None]
+        return along(self.direction, (-4.0 * u * (1.0 - u) * v)[:, None])
 
 
 def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
@@ -102,5 +100,4 @@ class ElasticSagFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return the amplitude."""
-        sigma = float(np.sqrt(covariance[0, 0]))
-        return {"amplitude_um": Measured(float(theta[0]) * 1e3, sigma * 1e3)}
+        return {"amplitude_um": Measured.only(theta, covariance, 1e3)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -63,8 +63,7 @@ class BacklashFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return the width: coming from below, the axis stops short by half of it."""
-        sigma = float(np.sqrt(covariance[0, 0]))
-        return {"width_um": Measured(-2e3 * float(theta[0]), 2e3 * sigma)}
+        return {"width_um": Measured.only(theta, covariance, -2e3)}
 
 
 @dataclass(frozen=True)
@@ -150,12 +149,6 @@ class LateralBacklashFamily(Family):
         """Return turnovers, where it is known how far each axis has gone."""
         return None if at.around is None else Scan(self.scanned, _TURNOVERS_MM)
 
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
-        """Return the candidate of another turnover."""
-        axis = at.machine.linear(candidate.keys["axis"])
-        effect = _turning_over(candidate.keys["motion"], axis, value)
-        return replace(candidate, effect=effect, value=value)
-
     def parameters(
         self,
         candidate: Candidate,
@@ -167,12 +160,10 @@ class LateralBacklashFamily(Family):
 
         And the travel that it takes to turn over.
         """
-        turn = is_turn(candidate.keys["motion"])
-        scale = 1e6 if turn else 1e3
-        sigma = float(np.sqrt(covariance[0, 0]))
+        scale = 1e6 if is_turn(candidate.keys["motion"]) else 1e3
         return {
-            "half_width": Measured(scale * float(theta[0]), scale * sigma),
-            "turnover_mm": Measured(candidate.value or 0.0, value_sigma),
+            "half_width": Measured.only(theta, covariance, scale),
+            self.scanned: Measured(candidate.value or 0.0, value_sigma),
         }
 
 

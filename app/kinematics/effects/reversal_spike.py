@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -96,13 +96,7 @@ class ReversalSpikeFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return decays."""
-        return Scan("decay_mm", _DECAYS_MM)
-
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
-        """Return the candidate of another decay."""
-        axis = at.machine.linear(candidate.keys["axis"])
-        effect = ReversalSpike(axis, candidate.keys["direction"], value)
-        return replace(candidate, effect=effect, value=value)
+        return Scan(self.scanned, _DECAYS_MM)
 
     def restored(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
@@ -119,8 +113,7 @@ class ReversalSpikeFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return amplitude and decay."""
-        sigma = float(np.sqrt(covariance[0, 0]))
         return {
-            "amplitude_um": Measured(float(theta[0]) * 1e3, sigma * 1e3),
-            "decay_mm": Measured(candidate.value or 0.0, value_sigma),
+            "amplitude_um": Measured.only(theta, covariance, 1e3),
+            self.scanned: Measured(candidate.value or 0.0, value_sigma),
         }

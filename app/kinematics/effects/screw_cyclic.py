@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,11 +17,15 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Signature,
     Wave,
-    averaged,
     rate_of,
 )
 from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.effects.sinusoid import is_resolved, measured_wave, wave_numbers
+from app.kinematics.effects.sinusoid import (
+    is_resolved,
+    measured_wave,
+    wave_numbers,
+    waves_of_cells,
+)
 from app.kinematics.machine import LinearAxis, Machine
 
 _SHORTEST_MM, _LONGEST_MM = 2.5, 45.0
@@ -52,17 +56,11 @@ class ScrewCyclic(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 4"]:
         """Return the axis' direction times the waves, averaged over each cell."""
-        column = at.machine.axis_names.index(self.axis.name)
-        waves: list[Float64[np.ndarray, " n"]] = []
-        for harmonic in (1, 2):
-            turn = 2.0 * np.pi * harmonic / self.lead_mm
-            angle, kept = turn * at.position_mm[:, column], np.ones(len(at))
-            if at.around is not None:
-                rate = turn * at.around.rate[:, column]
-                kept = averaged(rate, at.around.span_s)
-            waves += [kept * np.sin(angle), kept * np.cos(angle)]
-        arm = arm_of(f"E{self.axis.name}{self.axis.name}", at)
-        return arm[:, :, None] * np.stack(waves, axis=1)[:, None, :]
+        name, turn = self.axis.name, 2.0 * np.pi / self.lead_mm
+        angle, rate = turn * at.axis_mm(name), turn * rate_of(at, name)
+        waves = [waves_of_cells(k * angle, k * rate, at) for k in (1, 2)]
+        arm = arm_of(f"E{name}{name}", at)
+        return arm[:, :, None] * np.concatenate(waves, axis=1)[:, None, :]
 
 
 class ScrewCyclicFamily(Family):
@@ -96,7 +94,7 @@ class ScrewCyclicFamily(Family):
         """Return leads at equal steps of turns, four to a period over the travel."""
         axis = candidate.keys["axis"]
         turns = wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)
-        return Scan("lead_mm", 1.0 / turns[::-1])
+        return Scan(self.scanned, 1.0 / turns[::-1])
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave:
         """Return the scan as a wave of the position."""
@@ -107,11 +105,6 @@ class ScrewCyclicFamily(Family):
             rate_of(at, axis),
             1.0 / self.scan(candidate, at).values,
         )
-
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
-        """Return the candidate of another lead."""
-        axis = at.machine.linear(candidate.keys["axis"])
-        return replace(candidate, effect=ScrewCyclic(axis, value), value=value)
 
     def restored(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]

@@ -82,5 +82,4 @@ class ServoMismatchFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return the lag."""
-        sigma = float(np.sqrt(covariance[0, 0]))
-        return {"lag_ms": Measured(float(theta[0]) * 1e3, sigma * 1e3)}
+        return {"lag_ms": Measured.only(theta, covariance, 1e3)}

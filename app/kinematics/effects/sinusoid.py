@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Parameter
-from app.kinematics.effects.catalogue import Candidate, Measured
+from app.kinematics.effects.base import Conditions, Parameter, along
+from app.kinematics.effects.catalogue import Candidate, Measured, Wave, averaged
 
 _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
 
@@ -16,6 +16,31 @@ def sine_and_cosine(effect: str, unit: str) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(f"{effect}-{p}", unit, nuisance=True) for p in ("sin", "cos")
     )
+
+
+def waves(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
+    """Return sine and cosine."""
+    return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+def waves_of_cells(
+    angle: Float64[np.ndarray, " n"], rate: Float64[np.ndarray, " n"], at: Conditions
+) -> Float64[np.ndarray, "n 2"]:
+    """Return sine and cosine, averaged over each cell.
+
+    angle : rad, in the middle of the cell; rate : its change, rad/s
+    """
+    if at.around is None:
+        return waves(angle)
+    return waves(angle) * averaged(rate, at.around.span_s)[:, None]
+
+
+def wave_of_time(
+    direction: str, at: Conditions, frequency_hz: Float64[np.ndarray, " v"]
+) -> Wave:
+    """Return waves in time of several frequencies, along X, Y or Z."""
+    one = np.ones(len(at))
+    return Wave(along(direction, one[:, None])[:, :, 0], at.time_s, one, frequency_hz)
 
 
 def is_resolved(at: Conditions, axis: str, longest_mm: float) -> bool:

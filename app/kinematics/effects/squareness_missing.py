@@ -8,12 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.base import Conditions, Effect
-from app.kinematics.effects.catalogue import (
-    Candidate,
-    Family,
-    Measured,
-    Signature,
-)
+from app.kinematics.effects.catalogue import Candidate, Family, Measured, Signature
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.machine import Machine
 
@@ -60,5 +55,4 @@ class SquarenessFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return the angle."""
-        sigma = float(np.sqrt(covariance[0, 0]))
-        return {"value_urad": Measured(1e6 * float(theta[0]), 1e6 * sigma)}
+        return {"value_urad": Measured.only(theta, covariance, 1e6)}

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter
-from app.kinematics.symbols import DIRECTION
+from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter, along
 from app.numerics.splines import CubicSpline, natural_spline
 
 _USUAL_MM = 0.005
@@ -38,9 +37,7 @@ class TimeSpline(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the direction times the spline's rows."""
-        rows = self.spline.basis(at.time_s) @ self.gauge
-        unit = np.eye(3)[DIRECTION[self.direction]]
-        return unit[None, :, None] * rows[:, None, :]
+        return along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def charge(self) -> Charge:
         """Return the mean square over the run."""

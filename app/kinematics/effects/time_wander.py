@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Conditions, Effect, Parameter, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -16,7 +16,7 @@ from app.kinematics.effects.catalogue import (
     Measured,
     Signature,
 )
-from app.kinematics.symbols import DIRECTION, LINEAR
+from app.kinematics.symbols import LINEAR
 
 _HALF_WAVES = 12
 
@@ -46,8 +46,7 @@ class TimeWander(Effect):
         """Return the direction times the cosines."""
         angle = np.pi * (at.time_s - self.first_s) / self.span_s
         series = np.cos(angle[:, None] * np.arange(1, _HALF_WAVES + 1))
-        unit = np.eye(3)[DIRECTION[self.direction]]
-        return unit[None, :, None] * series[:, None, :]
+        return along(self.direction, series)
 
 
 class TimeWanderFamily(Described):

@@ -70,5 +70,4 @@ class TrackerRangeOffsetFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return the offset."""
-        sigma = float(np.sqrt(covariance[0, 0]))
-        return {"offset_um": Measured(float(theta[0]) * 1e3, sigma * 1e3)}
+        return {"offset_um": Measured.only(theta, covariance, 1e3)}

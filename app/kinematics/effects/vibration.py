@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Conditions, Effect, Parameter, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -17,10 +17,15 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Signature,
     Wave,
-    averaged,
 )
-from app.kinematics.effects.sinusoid import measured_wave, sine_and_cosine
-from app.kinematics.symbols import DIRECTION, LINEAR
+from app.kinematics.effects.sinusoid import (
+    measured_wave,
+    sine_and_cosine,
+    wave_of_time,
+    waves,
+    waves_of_cells,
+)
+from app.kinematics.symbols import LINEAR
 
 _SLOWEST_HZ = 1.0
 _FASTEST = 0.45  # of the tracker's rate
@@ -49,27 +54,24 @@ class Vibration(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves, averaged over each cell."""
-        columns = self.in_time(at.time_s)
-        if at.around is not None:
-            turn = 2.0 * np.pi * self.frequency_hz
-            span = at.around.span_s
-            columns *= averaged(np.full(len(span), turn), span)[:, None, None]
-        return columns
+        rate = np.full(len(at), 2.0 * np.pi * self.frequency_hz)
+        return along(self.direction, waves_of_cells(self._angle(at.time_s), rate, at))
 
     def in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
-        angle = 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        unit = np.eye(3)[DIRECTION[self.direction]]
-        return unit[None, :, None] * wave[:, None, :]
+        return along(self.direction, waves(self._angle(time_s)))
+
+    def _angle(self, time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        return 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
 
 
 class VibrationFamily(Family):
     """Every direction, the frequency scanned as far as the samples can follow."""
 
     name = "vibration"
+    scanned = "frequency_hz"
     in_machine = False
     signature = Signature(
         cause="A pump, a fan, a drive or the floor shakes table, spindle or tracker.",
@@ -100,23 +102,14 @@ class VibrationFamily(Family):
             return None
         fastest = _FASTEST * at.machine.tracker.rate_hz
         step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
-        return Scan("frequency_hz", np.arange(_SLOWEST_HZ, fastest, step))
+        return Scan(self.scanned, np.arange(_SLOWEST_HZ, fastest, step))
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
         """Return the scan as a wave of time."""
         scan = self.scan(candidate, at)
         if scan is None or at.around is None:
             return None
-        unit = np.eye(3)[DIRECTION[candidate.keys["direction"]]]
-        arm = np.tile(unit, (len(at), 1))
-        return Wave(arm, at.time_s, np.ones(len(at)), scan.values)
-
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
-        """Return the candidate of another frequency."""
-        effect = candidate.effect
-        if isinstance(effect, Vibration):
-            effect = replace(effect, frequency_hz=value)
-        return replace(candidate, effect=effect, value=value)
+        return wave_of_time(candidate.keys["direction"], at, scan.values)
 
     def parameters(
         self,
@@ -126,4 +119,4 @@ class VibrationFamily(Family):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return frequency and amplitude."""
-        return measured_wave("frequency_hz", candidate, theta, covariance, value_sigma)
+        return measured_wave(self.scanned, candidate, theta, covariance, value_sigma)

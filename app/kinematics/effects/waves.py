@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.effects.base import Conditions, Effect, Parameter, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -17,7 +17,6 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Signature,
     Wave,
-    averaged,
     rate_of,
 )
 from app.kinematics.effects.sinusoid import (
@@ -25,6 +24,8 @@ from app.kinematics.effects.sinusoid import (
     measured_wave,
     sine_and_cosine,
     wave_numbers,
+    wave_of_time,
+    waves_of_cells,
 )
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR
@@ -57,12 +58,9 @@ class TimeWave(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
-        angle = 2.0 * np.pi / self.period_s * (at.time_s - self.middle_s)
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        if at.around is not None:
-            rate = np.full(len(at), 2.0 * np.pi / self.period_s)
-            wave *= averaged(rate, at.around.span_s)[:, None]
-        return np.eye(3)[DIRECTION[self.direction]][None, :, None] * wave[:, None, :]
+        rate = np.full(len(at), 2.0 * np.pi / self.period_s)
+        angle = rate * (at.time_s - self.middle_s)
+        return along(self.direction, waves_of_cells(angle, rate, at))
 
 
 @dataclass(frozen=True)
@@ -87,17 +85,15 @@ class PositionWave(Effect):
         """Return the direction times the waves."""
         turn = 2.0 * np.pi / self.period_mm
         angle = turn * at.axis_mm(self.axis.name)
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        if at.around is not None:
-            rate = at.around.rate[:, at.machine.axis_names.index(self.axis.name)]
-            wave *= averaged(turn * rate, at.around.span_s)[:, None]
-        return np.eye(3)[DIRECTION[self.direction]][None, :, None] * wave[:, None, :]
+        rate = turn * rate_of(at, self.axis.name)
+        return along(self.direction, waves_of_cells(angle, rate, at))
 
 
 class TimeWaveFamily(Described):
     """Every direction, the period scanned down to a second."""
 
     name = "time-wave"
+    scanned = "period_s"
     in_machine = False
     signature = Signature(
         cause="Something switches or breathes with a steady period: coolant, air "
@@ -121,23 +117,14 @@ class TimeWaveFamily(Described):
         """Return periods from a second to a third of the run."""
         span = float(np.ptp(at.time_s))
         frequency = np.arange(_FEWEST / span, _FASTEST_HZ, 0.25 / span)
-        return Scan("period_s", 1.0 / frequency[::-1]) if len(frequency) else None
+        return Scan(self.scanned, 1.0 / frequency[::-1]) if len(frequency) else None
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
         """Return the scan as a wave of time."""
         scan = self.scan(candidate, at)
         if scan is None or at.around is None:
             return None
-        unit = np.eye(3)[DIRECTION[candidate.keys["direction"]]]
-        arm = np.tile(unit, (len(at), 1))
-        return Wave(arm, at.time_s, np.ones(len(at)), 1.0 / scan.values)
-
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
-        """Return the candidate of another period."""
-        effect = candidate.effect
-        if isinstance(effect, TimeWave):
-            effect = replace(effect, period_s=value)
-        return replace(candidate, effect=effect, value=value)
+        return wave_of_time(candidate.keys["direction"], at, 1.0 / scan.values)
 
     def parameters(
         self,
@@ -147,7 +134,7 @@ class TimeWaveFamily(Described):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return period and amplitude."""
-        return measured_wave("period_s", candidate, theta, covariance, value_sigma)
+        return measured_wave(self.scanned, candidate, theta, covariance, value_sigma)
 
     def depends_on(self, candidate: Candidate) -> list[str]:
         """Return the time."""
@@ -193,7 +180,7 @@ class PositionWaveFamily(Described):
         """Return periods at equal steps of waves, four to one over the travel."""
         axis = candidate.keys["axis"]
         waves = wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)
-        return Scan("period_mm", 1.0 / waves[::-1])
+        return Scan(self.scanned, 1.0 / waves[::-1])
 
     def wave(self, candidate: Candidate, at: Conditions) -> Wave:
         """Return the scan as a wave of the position."""
@@ -205,12 +192,6 @@ class PositionWaveFamily(Described):
             rate_of(at, axis),
             1.0 / self.scan(candidate, at).values,
         )
-
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
-        """Return the candidate of another period."""
-        axis = at.machine.linear(candidate.keys["axis"])
-        effect = PositionWave(axis, candidate.keys["direction"], value)
-        return replace(candidate, effect=effect, value=value)
 
     def restored(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
@@ -227,7 +208,7 @@ class PositionWaveFamily(Described):
         value_sigma: float,
     ) -> dict[str, Measured]:
         """Return period and amplitude."""
-        return measured_wave("period_mm", candidate, theta, covariance, value_sigma)
+        return measured_wave(self.scanned, candidate, theta, covariance, value_sigma)
 
     def depends_on(self, candidate: Candidate) -> list[str]:
         """Return the axis."""
