@@ -78,6 +78,7 @@ def _unnamed_json(family: Described, finding: Finding) -> dict[str, Any]:
     rms = finding.parameters.get("rms_um")
     size = rms.value if rms else (amplitude.value / 2**0.5 if amplitude else 0.0)
     return {
+        "structure": family.name,
         "depends_on": family.depends_on(finding.candidate),
         "description": family.told(finding.candidate, finding.parameters),
         "rms_um": size,

@@ -1,5 +1,6 @@
 """docs/discovery.md lists what the code looks for, in its own words."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,9 @@ from app.discovery.scene import scene_of
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp
+from app.web.catalogues import LANGUAGES, catalogue
 
+UNIT = re.compile(r"_(um_per_m_K|um_per_m|um_per_s|urad|rad|um|mm|ms|hz|s)$")
 ROOT = Path(__file__).parents[2]
 CONTRACT = (
     "backlash",
@@ -63,3 +66,14 @@ def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at
         np.testing.assert_array_equal(again.jacobian(at), made)
         is_square = isinstance(candidate.effect, Squareness)
         assert (again.name == candidate.label) or is_square or numbers
+
+
+@pytest.mark.parametrize("family", families(), ids=lambda f: f.name)
+def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
+    for candidate in family.candidates(at):
+        size = len(candidate.usual)
+        numbers = family.parameters(candidate, np.ones(size), np.eye(size), 1.0)
+        for name in numbers:
+            whole = UNIT.sub("", name.partition("[")[0])
+            for language in LANGUAGES:
+                assert f"parameter.{whole}" in catalogue(language), name

@@ -85,12 +85,41 @@ DISCOVERY = {
     ],
     "unnamed": [
         {
+            "structure": "time-wave",
             "depends_on": ["t"],
             "description": "a wave in time along Z with a period of 31 s",
             "rms_um": 0.8,
+            "direction": "Z",
+            "parameters": {
+                "period_s": {"value": 31.04, "uncertainty": 0.06},
+                "amplitude_um": {"value": 1.13, "uncertainty": 0.05},
+            },
+            "evidence": {"log_bayes_factor": 31.4, "share_of_gap": 0.02},
+            "indistinguishable_from": [],
+            "cause": "Something switches with a steady period.",
+            "looks_like": "All points move to and fro.",
+            "remedy": "Find what runs with this period.",
         }
     ],
-    "gap": {"unit": "um", "before": 2.41, "after": 1.21, "noise_floor": 1.17},
+    "gap": {
+        "unit": "um",
+        "before": 2.41,
+        "after": 1.21,
+        "noise_floor": 1.17,
+        "expected": 1.19,
+    },
+    "explained_by": {
+        "before": {
+            "line": 0.45,
+            "direction of Y": 0.36,
+            "region of X and Y": 0.12,
+            "temperature of X": 0.05,
+            "moving axis": 0.04,
+            "time": 0.03,
+            "beam": 0.001,
+        },
+        "after": {"line": 0.14, "direction of Y": 0.01, "time": 0.02},
+    },
 }
 
 

@@ -8,6 +8,11 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
+from app.discovery.catalogue import families
+from app.kinematics.effects.catalogue import Described
+from app.web.catalogues import catalogue
+
+WORDS = ("cause", "looks_like", "remedy")
 NEXT = "#next button"
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
@@ -17,7 +22,8 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
 ):
     page = panel.open(f"#/result/{measured(service)}")
     page.get_by_role("link", name="Discover").click()
-    page.get_by_role("button", name="Look for missing effects").click()
+    expect(page.locator("main")).to_contain_text("Nothing moves")
+    page.locator(NEXT, has_text="Look for missing effects").click()
     page.wait_for_url("**/#/run/*")
     (order,) = [body for _, path, body in service.requests if path == "/jobs"]
     assert order["kind"] == "discover"
@@ -31,12 +37,12 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
     expect(finding).to_contain_text("width 6.39 ± 0.15 µm")
     expect(finding).to_contain_text("Play or wind-up in screw")
     expect(finding).to_contain_text("Enter the width as backlash compensation.")
-    expect(finding).to_contain_text("closes 93 % of the gap")
+    expect(finding).to_contain_text("closes 93 % of the gap; log Bayes factor 512")
     expect(finding).to_contain_text("Servo mismatch Y")
     step = page.locator("[data-effect=setup-step]")
-    expect(step).to_contain_text("step 4.00 ± 0.20, −3.00 ± 0.20, 0.10 ± 0.20 µm")
+    expect(step).to_contain_text("moment 40.020 ± 0.060 s")
+    expect(step).to_contain_text("step X 4.00 ± 0.20, Y −3.00 ± 0.20, Z 0.10 ± 0.20 µm")
     expect(step).to_contain_text("nothing else explains it as well")
-    expect(page.locator("main")).to_contain_text("A wave in time along Z")
 
 
 def test_the_gap_is_drawn_against_the_noise_floor(panel, service):
@@ -61,6 +67,59 @@ def test_report_and_model_can_be_taken_away(panel, service):
     )
     model = page.get_by_role("link", name="Model")
     expect(model).to_have_attribute("href", f"/api/v1/models/{job}")
+
+
+def test_what_a_complete_model_would_leave_stands_beside_the_gap(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}")
+    gap = page.locator(".card", has=page.locator(".gap"))
+    expect(gap).to_contain_text("A complete model would leave 1.19 µm")
+
+
+def test_where_it_disagrees_is_drawn_for_what_explains_most(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}", language="de")
+    names = ["Gerade", "Richtung von Y", "Bereich von X und Y", "Temperatur von X"]
+    names += ["Bewegte Achse", "Zeit"]
+    expect(page.locator(".shares dt")).to_have_text(names)
+    expect(page.locator(".shares dd").nth(1)).to_have_text("36 %, nachher 1 %")
+    bars = page.locator(".shares .is-before")
+    first, second = (bars.nth(row).bounding_box()["width"] for row in (0, 1))
+    assert second / first == pytest.approx(0.36 / 0.45, abs=0.01)
+
+
+def test_structure_without_a_name_is_told_by_what_it_depends_on(panel, service):
+    page = panel.open(f"#/discover/{discovered(service)}")
+    card = page.locator("[data-structure]")
+    expect(card.locator("h2")).to_have_text("Wave in time, along Z")
+    expect(card).to_contain_text("period 31.04 ± 0.12 s; amplitude 1.13 ± 0.10 µm")
+    expect(card).to_contain_text("none is forced on it")
+    expect(card.locator("dd").first).to_have_text("Time")
+    expect(card).to_contain_text("Something switches with a steady period.")
+
+
+def test_structure_of_which_only_a_sentence_is_known_is_told_by_it(panel, service):
+    (wave,) = DISCOVERY["unnamed"]
+    known = {name: wave[name] for name in ("depends_on", "description", "rms_um")}
+    service.discovery = copy.deepcopy(DISCOVERY) | {"unnamed": [known]}
+    page = panel.open(f"#/discover/{discovered(service)}")
+    card = page.locator("[data-structure]")
+    expect(card).to_contain_text("A wave in time along Z with a period of 31 s")
+
+
+def test_numbers_have_the_unit_of_their_error_motion_and_of_the_panel(panel, service):
+    tilt = copy.deepcopy(DISCOVERY["effects"][0])
+    tilt |= {"name": "lateral-backlash", "motion": "ECY", "unit": "urad"}
+    tilt["parameters"] = {"half_width": {"value": 5.0, "uncertainty": 0.2}}
+    effects = [tilt, DISCOVERY["effects"][0]]
+    service.discovery = copy.deepcopy(DISCOVERY) | {"effects": effects}
+    page = panel.open(f"#/discover/{discovered(service)}")
+    card = page.locator("[data-effect=lateral-backlash]")
+    expect(card.locator("h2")).to_have_text("Lateral backlash ECY")
+    expect(card).to_contain_text("half width 5.00 ± 0.40 µrad")
+    page.evaluate("localStorage.setItem('truepath.units', 'inch')")
+    page.reload()
+    inches = page.locator("[data-effect=backlash] .finding-numbers")
+    expect(inches).to_contain_text("width 251.4 ± 6.0 µin")
+    expect(card).to_contain_text("half width 5.00 ± 0.40 µrad")
 
 
 def test_nothing_missing_is_said_in_so_many_words(panel, service):
@@ -149,6 +208,40 @@ def test_it_speaks_german_and_fits_a_dark_telephone(panel, service):
     expect(page.locator("[data-effect=backlash] h2")).to_have_text("Umkehrspiel Y")
     wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
     assert page.evaluate(wide) <= 0
+
+
+def test_every_effect_of_the_catalogue_is_told_in_german(panel, service):
+    german, kinds = catalogue("de"), families()
+    service.discovery = copy.deepcopy(DISCOVERY) | {
+        "effects": [told(k) for k in kinds if not isinstance(k, Described)],
+        "unnamed": [told(k) for k in kinds if isinstance(k, Described)],
+    }
+    page = panel.open(f"#/discover/{discovered(service)}", language="de")
+    expect(page.locator("[data-effect], [data-structure]")).to_have_count(len(kinds))
+    shown = page.locator("main").inner_text()
+    for kind in kinds:
+        for word in WORDS:
+            assert german[f"effect.{kind.name}.{word}"] in shown
+            assert getattr(kind.signature, word) not in shown
+        assert german[f"effect.{kind.name}"] in shown
+        assert kind.name not in shown
+
+
+def test_an_effect_of_others_keeps_the_words_it_came_with(panel, service):
+    own = DISCOVERY["effects"][1] | {"name": "loose-belt", "cause": "The belt is old."}
+    service.discovery = copy.deepcopy(DISCOVERY) | {"effects": [own]}
+    page = panel.open(f"#/discover/{discovered(service)}", language="de")
+    card = page.locator("[data-effect=loose-belt]")
+    expect(card.locator("h2")).to_have_text("loose-belt")
+    expect(card).to_contain_text("The belt is old.")
+
+
+def told(kind) -> dict:
+    """Return an effect as a discovery states it, in the words of the code."""
+    words = {word: getattr(kind.signature, word) for word in WORDS}
+    names = {"structure": kind.name, "depends_on": ["t"], "description": "a thing"}
+    names = names if isinstance(kind, Described) else {"name": kind.name}
+    return copy.deepcopy(DISCOVERY["effects"][1]) | names | words
 
 
 def measured(service) -> str:

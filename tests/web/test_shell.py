@@ -12,6 +12,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
+from app.discovery.catalogue import families
 from app.web.catalogues import LANGUAGES, catalogue, choose_language
 from app.web.pages import LANGUAGE_COOKIE, STATIC_PATH, router, static_files
 
@@ -25,7 +26,9 @@ OURS = [
 ]
 # Families of keys that scripts put together from a word of the service.
 BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
-BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.")
+BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.", "parameter.", "where.")
+# Told by the service in English, and so translated into the other languages only.
+TOLD = re.compile(r"effect\.[\w-]+\.(cause|looks_like|remedy)")
 
 
 @pytest.fixture
@@ -99,9 +102,19 @@ def test_a_browser_asks_before_it_reuses_a_file(client):
 def test_catalogues_have_the_same_keys_and_the_same_blanks():
     first, *others = (catalogue(language) for language in LANGUAGES)
     for other in others:
-        assert other.keys() == first.keys()
+        assert {key for key in other if not TOLD.fullmatch(key)} == first.keys()
         for key, text in first.items():
             assert blanks(other[key]) == blanks(text), key
+
+
+def test_every_effect_has_a_name_in_each_language_and_words_in_the_others():
+    names = {f"effect.{family.name}" for family in families()}
+    words = {f"{n}.{w}" for n in names for w in ("cause", "looks_like", "remedy")}
+    for language in LANGUAGES:
+        known = catalogue(language)
+        assert names <= known.keys(), language
+        told = {key for key in known if TOLD.fullmatch(key)}
+        assert told == (set() if language == "en" else words), language
 
 
 def blanks(text: str) -> set[str]:

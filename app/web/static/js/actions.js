@@ -1,6 +1,6 @@
 /* What the operator can ask for; the answers go to the store. */
 import * as api from "./api.js";
-import { addressOf, hasEnded, isActive, isDiscovery, isMeasuring } from "./flow.js";
+import { addressOf, hasEnded, isActive, isDiscovery, isExtra, isMeasuring } from "./flow.js";
 import { t } from "./texts.js";
 
 const KEPT_JOBS = 50;
@@ -63,10 +63,10 @@ export function createActions(store, go) {
     if (other) fetchEstimate();
   }
 
-  /** What has been estimated before this page came. */
+  /** What has been estimated before this page came; a few extra lines have no tables. */
   async function fetchEstimate() {
     const { job } = store.get();
-    if (!isMeasuring(job) || !job.started) return;
+    if (!isMeasuring(job) || isExtra(job) || !job.started) return;
     await keep("estimate", job, api.estimate);
     const { estimate } = store.get();
     if (estimate?.course) store.set({ course: estimate.course });

@@ -2,29 +2,31 @@
 import { links } from "../api.js";
 import { h, icon } from "../dom.js";
 import { isDiscovery } from "../flow.js";
-import { card, head, linkButton, notice, pairs } from "../parts.js";
-import { COVERAGE } from "../plots/error-chart.js";
-import { known, number, t } from "../texts.js";
+import { card, head, linkButton, notice } from "../parts.js";
+import { t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCard, extraLead } from "./extra-card.js";
-
-const UNITS = {
-  um_per_m_K: "µm/m/K", um_per_m: "µm/m", um_per_s: "µm/s",
-  urad: "µrad", rad: "rad", um: "µm", mm: "mm", ms: "ms", hz: "Hz", s: "s",
-};
+import { effectCard, structureCard } from "./finding-card.js";
+import { whereCard } from "./where-card.js";
 
 /** Button that leads on. */
 export function lead(state, { actions, go }) {
   const { job } = state;
   if (!job) return { next: null };
-  const back = isDiscovery(job) ? { label: t("discover.to_run"), run: () => go(`#/run/${job.id}`) }
-    : { label: t("discover.to_result"), run: () => go(`#/result/${job.id}`) };
   const next = { key: "measure", label: t("discover.next"), run: () => go("#/connect") };
-  return { next, back, ...extraLead(state, actions) };
+  if (isDiscovery(job)) {
+    const back = { label: t("discover.to_run"), run: () => go(`#/run/${job.id}`) };
+    return { next, back, ...extraLead(state, actions) };
+  }
+  const back = { label: t("discover.to_result"), run: () => go(`#/result/${job.id}`) };
+  if (!job.run_id) return { next, back };
+  const ask = { key: "discover", label: t("discover.ask"), disabled: Boolean(state.busy),
+    run: () => actions.discover(job.run_id) };
+  return { next: ask, back };
 }
 
-/** Show what was found; before that, the button that asks for it. */
-export function mount(root, { actions }) {
+/** Show what was found; before that, what is going to be done. */
+export function mount(root) {
   let drawn = null;
   root.append(head(t("discover.title"), t("discover.text")));
   const body = h("div", { class: "stack" });
@@ -34,7 +36,7 @@ export function mount(root, { actions }) {
       const shown = job && isDiscovery(job) ? discovery ?? "loading" : job?.id;
       if (!job || shown === drawn) return;
       drawn = shown;
-      if (!isDiscovery(job)) body.replaceChildren(...[askCard(job, actions)].filter(Boolean));
+      if (!isDiscovery(job)) body.replaceChildren(prospect(job));
       else if (discovery) body.replaceChildren(...found(job, discovery));
       else body.replaceChildren(h("p", { class: "empty" }, t("discover.loading")));
     },
@@ -50,14 +52,19 @@ export function askCard(job, actions) {
       icon("check"), h("span", {}, t("discover.ask")))));
 }
 
-function found(job, { effects, unnamed, gap, ask }) {
-  const cards = effects.length || unnamed.length ? effects.map(effectCard)
-    : [notice(null, t("discover.none"), t("discover.none_text"))];
-  return [downloads(job), gapCard(gap), extraCard(ask), ...cards, unnamedCard(unnamed)].filter(Boolean);
+/** What is going to happen, before it is asked for. */
+function prospect(job) {
+  return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
+}
+
+function found(job, { effects, unnamed, gap, ask, explained_by: explained }) {
+  const cards = [...effects.map(effectCard), ...unnamed.map(structureCard)];
+  const findings = cards.length ? cards : [notice(null, t("discover.none"), t("discover.none_text"))];
+  return [downloads(job), ...findings, extraCard(ask), gapCard(gap), whereCard(explained)].filter(Boolean);
 }
 
 function downloads({ id }) {
-  return h("div", { class: "downloads", role: "group" },
+  return h("div", { class: "downloads", role: "group", "aria-label": t("result.downloads") },
     linkButton(links.discoveryReport(id), "report", t("discover.report"), { target: "_blank", rel: "noopener" }),
     linkButton(links.model(id), "download", t("discover.model"), { download: "model.json" }));
 }
@@ -76,50 +83,11 @@ function gapCard(gap) {
     h("div", { class: "gap" }, h("dl", {}, bar(t("discover.before"), gap.before, before, "is-before"),
       bar(t("discover.after"), gap.after, after, "is-after")), mark),
     h("p", { class: "gap-key" }, t("discover.floor", { value: floor })),
-    h("p", { class: "quiet" }, t("discover.gap_text", { before, after, floor })));
+    h("p", { class: "quiet" }, [t("discover.gap_text", { before, after, floor }), complete(gap)].join(" ")));
 }
 
-function effectCard(effect) {
-  const others = effect.indistinguishable_from.map(nameOf).join("; ") || t("discover.alone");
-  const share = number(100 * effect.evidence.share_of_gap, 0);
-  const content = card(nameOf(effect),
-    h("p", { class: "finding-numbers" }, numbersOf(effect.parameters).join("; "), " ",
-      h("small", {}, t("discover.k", { k: COVERAGE }))),
-    pairs([[t("discover.cause"), effect.cause], [t("discover.looks_like"), effect.looks_like],
-      [t("discover.remedy"), effect.remedy], [t("discover.evidence"), t("discover.share", { share })],
-      [t("discover.others"), others]]));
-  content.dataset.effect = effect.name;
-  return content;
-}
-
-function unnamedCard(unnamed) {
-  if (!unnamed.length) return null;
-  const text = ({ description }) => description[0].toUpperCase() + description.slice(1);
-  return card(t("discover.unnamed"),
-    h("ul", { class: "lines" }, unnamed.map((one) => h("li", {}, text(one)))));
-}
-
-/** Name and keys of an effect: "Backlash Y". */
-function nameOf({ name, axis, motion, by, direction, circle, symbol }) {
-  const where = motion ?? symbol ?? [axis, by, direction, circle].filter(Boolean).join(" / ");
-  return `${known(`effect.${name}`, name)} ${where}`.trim();
-}
-
-/** Parameters with expanded uncertainties: ["width 6.39 ± 0.15 µm"]. */
-function numbersOf(parameters) {
-  return Object.entries(parameters).map(([key, { value, uncertainty }]) => {
-    const unit = Object.keys(UNITS).find((suffix) => key.endsWith(`_${suffix}`)) ?? "";
-    const name = key.slice(0, key.length - (unit ? unit.length + 1 : 0)).replaceAll("_", " ");
-    const all = [value].flat().map((v, i) => withU(v, [uncertainty].flat()[i]));
-    return `${name} ${all.join(", ")} ${UNITS[unit] ?? ""}`.trim();
-  });
-}
-
-/** Two digits of the expanded uncertainty. */
-function withU(value, standard) {
-  const half = COVERAGE * standard;
-  const digits = half > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(half)), 0), 4) : 1;
-  return `${number(value, digits)} ± ${number(half, digits)}`;
-}
+/** What the other lines tell too little to foretell these ones better. */
+const complete = ({ expected }) =>
+  (expected === undefined ? "" : t("discover.complete", { value: micrometres(expected) }));
 
 const micrometres = (value) => quantity(value, "gap");

@@ -12,16 +12,15 @@ export function progressCard(stages) {
   const entries = new Map(stages.map((stage) => [stage, h("li", {}, t(`stage.${stage}`))]));
   list.append(...entries.values());
   const percent = h("strong", {}, "–");
-  const remaining = h("b", {}, "–");
+  const remaining = h("b");
+  const left = h("span", {}, h("span", { class: "quiet" }, t("run.remaining")), h("br"), remaining);
   const bar = h("i");
   const meter = h("div", { class: "meter", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100,
     "aria-label": t("run.progress") }, bar);
   const count = h("span", { class: "quiet number" });
   const uncertainty = h("span", { class: "number", id: "uncertainty" });
   const element = card(null, list,
-    h("div", { class: "big-progress" }, percent,
-      h("span", {}, h("span", { class: "quiet" }, t("run.remaining")), h("br"), remaining)),
-    meter, h("p", { class: "beside" }, count, uncertainty));
+    h("div", { class: "big-progress" }, percent, left), meter, h("p", { class: "beside" }, count, uncertainty));
   element.style.display = "grid";
   return { element, update };
 
@@ -36,7 +35,8 @@ export function progressCard(stages) {
     meter.classList.toggle("is-waiting", share === null && isActive(job));
     meter.classList.toggle("is-held", ["pausing", "paused", "aborting"].includes(job.state));
     mark(meter, "aria-valuenow", share === null ? null : Math.floor(100 * share));
-    write(remaining, isActive(job) ? duration(now.eta_s) : "–");
+    left.hidden = !isActive(job) || !Number.isFinite(now.eta_s);
+    write(remaining, duration(now.eta_s));
     write(count, now.unit && now.total && isActive(job)
       ? t("run.count", { done: number(now.done), total: number(now.total),
         unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");

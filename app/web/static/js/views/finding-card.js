@@ -1,0 +1,96 @@
+/* One finding of a discovery: an effect with a name, or structure that is only described. */
+import { h } from "../dom.js";
+import { card, pairs } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { known, number, t } from "../texts.js";
+import { shown, unitOf } from "../units.js";
+
+const ENOUGH = 5; // log Bayes factor from which an effect counts as found
+
+/** Unit by the ending of a parameter's name; longer endings first. */
+const UNITS = Object.entries({
+  um_per_m_K: () => [1, "µm/m/K"],
+  um_per_m: () => [1, "µm/m"],
+  um_per_s: () => [shown(1, "error"), `${unitOf("error")}/s`],
+  urad: () => [1, "µrad"],
+  rad: () => [1, "rad"],
+  um: () => [shown(1, "error"), unitOf("error")],
+  mm: () => [shown(1, "length"), unitOf("length")],
+  ms: () => [1, "ms"],
+  hz: () => [1, "Hz"],
+  s: () => [1, "s"],
+});
+
+/** An effect: numbers, cause, what to do, evidence. */
+export function effectCard(effect) {
+  const content = card(nameOf(effect), numbers(effect), facts(effect, effect.name));
+  content.dataset.effect = effect.name;
+  return content;
+}
+
+/** Structure without a name: what it depends on instead of a cause that is sure. */
+export function structureCard(found) {
+  const { structure, depends_on: on, description } = found;
+  const title = description[0].toUpperCase() + description.slice(1);
+  const quiet = h("p", { class: "quiet" }, t("discover.no_name"));
+  const content = structure
+    ? card(nameOf({ ...found, name: structure }), quiet, numbers(found), facts(found, structure, on))
+    : card(t("discover.unnamed"), h("p", {}, title), quiet);
+  content.dataset.structure = on.join(" ");
+  return content;
+}
+
+/** Name and keys of an effect: "Backlash Y". */
+export function nameOf({ name, axis, motion, by, plane, direction, circle, symbol, depends_on: on }) {
+  const word = known(`effect.${name}`, name);
+  if (on && direction) return t("effect.along", { name: word, direction });
+  const where = motion ?? symbol ?? [axis, by, plane, direction, circle].filter(Boolean).join(" / ");
+  return `${word} ${where}`.trim();
+}
+
+function numbers({ parameters, unit }) {
+  return h("p", { class: "finding-numbers" }, numbersOf(parameters, unit).join("; "), " ",
+    h("small", {}, t("discover.k", { k: COVERAGE })));
+}
+
+function facts({ evidence, indistinguishable_from: alike, ...effect }, name, on = null) {
+  const word = (what) => known(`effect.${name}.${what}`, effect[what]);
+  const share = number(100 * evidence.share_of_gap, 0);
+  const factor = number(evidence.log_bayes_factor, 0);
+  const rows = [
+    [t("discover.depends_on"), on?.map(dependence).join(", ")],
+    [t("discover.cause"), word("cause")],
+    [t("discover.looks_like"), word("looks_like")],
+    [t("discover.remedy"), word("remedy")],
+    [t("discover.evidence"), t("discover.share", { share, factor, least: ENOUGH })],
+    [t("discover.others"), alike.map(nameOf).join("; ") || t("discover.alone")],
+  ];
+  return pairs(rows.filter(([, value]) => value));
+}
+
+/** What structure depends on: an axis, `t` the time, `v(X)` the speed of X. */
+function dependence(on) {
+  if (on === "t") return t("where.time");
+  const speed = on.match(/^v\((\w+)\)$/);
+  return speed ? t("where.speed", { of: speed[1] }) : t("where.position", { of: on });
+}
+
+/** Parameters with expanded uncertainties: ["width 6.39 ± 0.15 µm"]. */
+function numbersOf(parameters, unit) {
+  return Object.entries(parameters).map(([key, { value, uncertainty }]) => {
+    const [ending, of] = UNITS.find(([suffix]) => key.endsWith(`_${suffix}`)) ?? [];
+    const stem = ending ? key.slice(0, -ending.length - 1) : key;
+    const [scale, sign] = (of ?? Object.fromEntries(UNITS)[unit])?.() ?? [1, ""];
+    const all = Array.isArray(value)
+      ? value.map((v, i) => `${"XYZ"[i]} ${withU(scale * v, scale * uncertainty[i])}`)
+      : [withU(scale * value, scale * uncertainty)];
+    return `${known(`parameter.${stem}`, stem.replaceAll("_", " "))} ${all.join(", ")} ${sign}`.trim();
+  });
+}
+
+/** Two digits of the expanded uncertainty. */
+function withU(value, standard) {
+  const half = COVERAGE * standard;
+  const digits = half > 0 ? Math.min(Math.max(1 - Math.floor(Math.log10(half)), 0), 4) : 1;
+  return `${number(value, digits)} ± ${number(half, digits)}`;
+}
