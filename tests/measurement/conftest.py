@@ -14,7 +14,9 @@ import pytest
 
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.measurement.bundle import write_bundle
+from app.measurement.limits import Limits
 from app.measurement.run import DirectMeasurement, Run
+from app.measurement.stream_watch import Patience
 from drivers.interfaces.errors import DeviceTimeout
 from drivers.interfaces.link import ByteLink
 from drivers.interfaces.motion import MotionController
@@ -41,6 +43,20 @@ def no_thread_is_left_over() -> Iterator[None]:
     yield
     left = [t.name for t in threading.enumerate() if t not in before and not t.daemon]
     assert not left
+
+
+@pytest.fixture
+def calm() -> Limits:
+    """Patience that no loaded machine wears out."""
+    return Limits(
+        poll_s=0.02,
+        confirm_s=30.0,
+        link_s=30.0,
+        first_sample_s=30.0,
+        progress_s=0.0,
+        axes_rows=5,
+        patience=Patience(silent_s=30.0, dead_s=60.0, beam_s=30.0),
+    )
 
 
 @pytest.fixture

@@ -9,24 +9,13 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement
 from app.measurement.orders import Order
 from app.measurement.parts import extended
 from app.measurement.recording import open_run
-from app.measurement.stream_watch import Patience
 from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path
 
-CALM = Limits(
-    poll_s=0.02,
-    confirm_s=30.0,
-    link_s=30.0,
-    first_sample_s=30.0,
-    progress_s=0.0,
-    axes_rows=5,
-    patience=Patience(silent_s=30.0, dead_s=60.0, beam_s=30.0),
-)
 ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]
 
 
@@ -38,11 +27,11 @@ def path_through(rows, like):
 class Growing:
     """A measurement on fake devices, in a thread; it asks for parts."""
 
-    def __init__(self, order, tracker, motion, journal):
+    def __init__(self, order, tracker, motion, journal, limits):
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
         self.measurement = Measurement(
-            order, tracker, motion, devices, journal.report, limits=CALM
+            order, tracker, motion, devices, journal.report, limits=limits
         )
         self.thread = threading.Thread(target=self.measurement.run)
         self.thread.start()
@@ -61,13 +50,13 @@ class Growing:
 
 
 @pytest.fixture
-def grown(mill, square, tracker, motion, journal, tmp_path):
+def grown(mill, square, tracker, motion, journal, calm, tmp_path):
     begun = []
 
     def begin(commanded=square):
         file = str(tmp_path / "grown.sqlite")
         order = Order("grown", file, mill, commanded, reserve_bytes=0, grows=True)
-        begun.append(Growing(order, tracker, motion, journal))
+        begun.append(Growing(order, tracker, motion, journal, calm))
         return begun[-1]
 
     yield begin

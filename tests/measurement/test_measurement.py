@@ -15,7 +15,6 @@ from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement, arranged
 from app.measurement.orders import Order
 from app.measurement.recording import link_bytes, open_run
-from app.measurement.stream_watch import Patience
 from app.planning.configurations import Configurations
 from drivers.interfaces.errors import (
     ConnectionLost,
@@ -27,15 +26,6 @@ from drivers.interfaces.errors import (
 
 # Nothing is judged by the clock of a busy computer: where a test is not about patience,
 # there is plenty of it; where it is, the test passes the time by hand.
-CALM = Limits(
-    poll_s=0.02,
-    confirm_s=30.0,
-    link_s=30.0,
-    first_sample_s=30.0,
-    progress_s=0.05,
-    axes_rows=5,
-    patience=Patience(silent_s=30.0, dead_s=60.0, beam_s=30.0),
-)
 JUDGED = Limits(poll_s=0.02, progress_s=0.0, axes_rows=5)
 """The patience of the service, on a clock that the test passes."""
 
@@ -140,13 +130,13 @@ def long_order(order) -> Order:
 
 
 @pytest.fixture
-def begin(tracker, motion, journal) -> Iterator[Callable[..., Running]]:
+def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Running]]:
     begun: list[Running] = []
 
     def start(
         order: Order,
         *,
-        limits: Limits = CALM,
+        limits: Limits = calm,
         clock: Callable[[], float] = time.monotonic,
     ) -> Running:
         begun.append(Running(order, tracker, motion, journal, limits, clock).start())
@@ -326,9 +316,9 @@ def test_abort_while_paused_is_an_abort(begin, long_order, journal):
 
 
 def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
-    order, tracker, motion, journal
+    order, tracker, motion, journal, calm
 ):
-    running = Running(order, tracker, motion, journal, CALM, time.monotonic)
+    running = Running(order, tracker, motion, journal, calm, time.monotonic)
     running.measurement.pause()
     running.measurement.resume()
     running.measurement.abort()
@@ -427,6 +417,98 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
     assert (np.diff(run.tracker.sequence) > 1).sum() == 1
     assert any(e.kind == "gap" for e in run.events)
     assert journal.of("closed")[0]["lost_samples"] > 100
+
+
+def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
+    begin, long_order, tracker, motion, journal
+):
+    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running.until_moving()
+    motion.ignores_hold = True  # as one that still brakes
+    tracker.silent = True
+    running.pass_until(lambda: journal.states[-1] == "pausing")
+    tracker.silent = False
+    live = len(journal.of("live"))
+    running.until(lambda: len(journal.of("live")) > live + 3)
+    assert "resume" not in motion.calls
+    motion.ignores_hold = False
+    running.until(lambda: journal.states[-1] == "running")
+    running.finished()
+    assert journal.states[:-1] == [
+        "running",
+        "pausing",
+        "paused",
+        "resuming",
+        "running",
+    ]
+    assert journal.faults == ["tracker-silent"]
+
+
+@pytest.mark.parametrize("who", ["operator", "watchdog"])
+@pytest.mark.parametrize("first", ["machine", "tracker"])
+def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
+    begin, long_order, tracker, motion, journal, who, first
+):
+    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running.until_moving()
+    if first == "machine":
+        motion.stand(who)
+        running.until_state("paused")
+        tracker.silent = True
+        running.pass_until(lambda: "tracker-silent" in journal.faults)
+    else:
+        motion.ignores_hold = True  # the machine's own hold comes before ours
+        tracker.silent = True
+        running.pass_until(lambda: "tracker-silent" in journal.faults)
+        motion.stand(who)
+        running.until(lambda: journal.states[-1] == "paused")
+        motion.ignores_hold = False
+    tracker.silent = False
+    # What it waits for now is said last, for whoever has to do it.
+    running.until(lambda: journal.faults[-1] == "held-at-machine")
+    live = len(journal.of("live"))
+    running.until(lambda: len(journal.of("live")) > live + 3)
+    assert journal.states[-1] == "paused"
+    assert who in journal.of("fault")[-1]["text"]
+    assert "resume" not in motion.calls
+    running.measurement.resume()
+    running.finished()
+
+
+def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
+    begin, long_order, tracker, motion, journal
+):
+    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running.until_moving()
+    tracker.silent = True
+    running.pass_until(lambda: journal.states[-1] == "paused")
+    motion.ignores_resume = True
+    tracker.silent = False
+    running.until(lambda: journal.states[-1] == "resuming")
+    motion.go_on()
+    motion.stand("operator")
+    running.until(lambda: journal.states[-1] == "paused")
+    motion.ignores_resume = False
+    resumes = motion.calls.count("resume")
+    live = len(journal.of("live"))
+    running.until(lambda: len(journal.of("live")) > live + 3)
+    assert motion.status().state == "held"
+    assert motion.calls.count("resume") == resumes
+    running.measurement.resume()
+    running.finished()
+
+
+def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, journal):
+    clock = HandClock()
+    running = begin(long_order, limits=JUDGED, clock=clock)
+    running.until_moving()
+    for _ in range(3):
+        clock.now_s += 10.0  # as after a suspension of the process
+        told = len(journal.of("progress"))
+        running.until(lambda told=told: len(journal.of("progress")) > told + 3)
+    running.finished()
+    assert journal.faults == []
+    assert journal.states == ["running", "finished"]
 
 
 def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
@@ -558,6 +640,8 @@ def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
     motion.stand("operator")
     running.until_state("paused")
     assert "held at the machine: operator" in journal.of("state")[-1]["text"]
+    running.until(lambda: journal.faults == ["held-at-machine"])
+    assert "operator" in journal.of("fault")[0]["text"]
     motion.go_on()
     running.finished()
     assert journal.states == ["running", "paused", "running", "finished"]
