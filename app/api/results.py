@@ -12,7 +12,6 @@ from fastapi.responses import FileResponse
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
-from app.jobs.job import Job
 
 router = APIRouter(prefix="/jobs", tags=["results"])
 
@@ -53,9 +52,7 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
 )
 def get_result(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `result.json`: error tables, squareness, uncertainty, observability."""
-    return FileResponse(
-        _result_file(service, job_id, "result.json"), media_type="application/json"
-    )
+    return FileResponse(_file_of(service, job_id, "result.json"))
 
 
 @router.get(
@@ -65,7 +62,7 @@ def get_result(job_id: str, service: ServiceDep) -> FileResponse:
 )
 def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
     """Return the error tables and squarenesses alone."""
-    file = _result_file(service, job_id, "result.json")
+    file = _file_of(service, job_id, "result.json")
     result = json.loads(file.read_text(encoding="utf-8"))
     return {
         "schema": "error-tables/1",
@@ -83,11 +80,8 @@ def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
 )
 def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the error tables as `error_tables.csv`."""
-    return FileResponse(
-        _result_file(service, job_id, "error_tables.csv"),
-        media_type="text/csv; charset=utf-8",
-        filename="error_tables.csv",
-    )
+    file = _file_of(service, job_id, "error_tables.csv")
+    return FileResponse(file, filename=file.name)
 
 
 @router.get(
@@ -98,7 +92,7 @@ def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
 )
 def get_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
-    return _page(_result_file(service, job_id, "report.html"))
+    return _page(_file_of(service, job_id, "report.html"))
 
 
 @router.get(
@@ -109,10 +103,7 @@ def get_report(job_id: str, service: ServiceDep) -> FileResponse:
 )
 def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `discovery.json`: the missing effects, the gap, where they disagree."""
-    return FileResponse(
-        _discovery_file(service, job_id, "discovery.json"),
-        media_type="application/json",
-    )
+    return FileResponse(_file_of(service, job_id, "discovery.json", discovers=True))
 
 
 @router.get(
@@ -123,29 +114,19 @@ def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
 )
 def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
-    return _page(_discovery_file(service, job_id, "report.html"))
+    return _page(_file_of(service, job_id, "report.html", discovers=True))
 
 
 def _page(report: Path) -> FileResponse:
-    return FileResponse(
-        report,
-        media_type="text/html; charset=utf-8",
-        headers={"Content-Security-Policy": _REPORT_POLICY},
-    )
+    return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
 
 
-def _result_file(service: Service, job_id: str, name: str) -> Path:
+def _file_of(
+    service: Service, job_id: str, name: str, *, discovers: bool = False
+) -> Path:
     job = service.store.get(job_id)
-    return _existing(service, job, name, made=job.has_result)
-
-
-def _discovery_file(service: Service, job_id: str, name: str) -> Path:
-    job = service.store.get(job_id)
-    return _existing(service, job, name, made=job.has_discovery)
-
-
-def _existing(service: Service, job: Job, name: str, *, made: bool) -> Path:
     file = service.results / job.id / name
+    made = job.has_discovery if discovers else job.has_result
     if not made or not file.is_file():
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no {name}")
     return file

@@ -191,35 +191,31 @@ def _growth(
 
 def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) -> None:
     """Turn Runs into error tables."""
-    files = [str(shop.runs.file(run_id)) for run_id in run_ids]
-    _computed(
-        control,
-        shop,
-        (State.RUNNING, Stage.ALIGNING),
-        shop.science,
-        files,
-        str(shop.results / job.id),
-        job.perpendicular_only,
-        job.monte_carlo,
-        shop.workers,
-        *_model(job, shop),
-    )
+    how = job.perpendicular_only, job.monte_carlo, shop.workers
+    _conclude(job, run_ids, control, shop, Stage.ALIGNING, shop.science, *how)
 
 
 def discover(
     job: Job, run_ids: Sequence[str], control: Control, shop: Workshop
 ) -> None:
     """Find what a model of Runs lacks: one of ours, or the one fitted to them."""
+    _conclude(job, run_ids, control, shop, Stage.DISCOVERING, shop.discoverer)
+
+
+def _conclude(
+    job: Job,
+    run_ids: Sequence[str],
+    control: Control,
+    shop: Workshop,
+    stage: Stage,
+    task: Task,
+    *how: object,
+) -> None:
+    """Let a task make its files of Runs and, where the job names one, of a model."""
     files = [str(shop.runs.file(run_id)) for run_id in run_ids]
-    _computed(
-        control,
-        shop,
-        (State.RUNNING, Stage.DISCOVERING),
-        shop.discoverer,
-        files,
-        str(shop.results / job.id),
-        *_model(job, shop),
-    )
+    folder, begins = str(shop.results / job.id), (State.RUNNING, stage)
+    model = _model(job, shop)
+    _computed(control, shop, begins, task, files, folder, *how, *model)
 
 
 def _model(job: Job, shop: Workshop) -> tuple[str | None, str | None]:
