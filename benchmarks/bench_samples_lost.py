@@ -42,7 +42,6 @@ def service(data_dir: Path) -> Iterator[tuple[Client, int]]:
             if (found := re.search(r"page +(http://\S+)/", line))
         )
         client = Client(address)
-        client.wait_until_ready(30.0)
         try:
             yield client, process.pid
         finally:

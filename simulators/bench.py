@@ -22,7 +22,6 @@ from simulators.errors import SimulatorError
 from simulators.faults import parse_fault
 from simulators.hidden.drawing import as_json, parse_hidden
 from simulators.hidden.effect import HiddenEffect
-from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
 from simulators.profile import Limits
 from simulators.scenario import load_machine
@@ -97,10 +96,7 @@ class Bench:
         """
         folder = self._folder()
         board = new_board()
-        self._common |= {
-            "epoch_ns": MachineClock.starting_now().epoch_ns,
-            "board": board,
-        }
+        self._common |= {"epoch_ns": time.monotonic_ns(), "board": board}
         tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
         cnc_link = self._cnc_link | {
             "rtu_symlink": str(folder / "modbus-rtu"),

@@ -15,6 +15,7 @@ from simulators.recording import Recording, Temperatures
 from simulators.truth_machine import TruthMachine
 
 _GRID_MARGIN_MM = 15.0
+_POINTS = 8  # of the grid, along each axis
 
 
 def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) -> None:
@@ -30,13 +31,13 @@ def write_bundle_files(folder: Path, recording: Recording, csv: bool = False) ->
 
 
 def truth_of(
-    truth: TruthMachine, hidden: Sequence[dict[str, Any]] = (), points: int = 8
+    truth: TruthMachine, hidden: Sequence[dict[str, Any]] = ()
 ) -> dict[str, Any]:
     """Return the volumetric error on a grid of the travel, as a case states it.
 
     hidden : effects beside the error motions, which the grid is without
     """
-    grid = _grid(truth.machine, points).round(4)
+    grid = _grid(truth.machine).round(4)
     return {
         "note": "synthetic recording",
         "effects": list(hidden),
@@ -45,13 +46,13 @@ def truth_of(
     }
 
 
-def _grid(machine: MachineFile, points: int) -> np.ndarray:
+def _grid(machine: MachineFile) -> np.ndarray:
     """Return a grid of the travel; random points where there are rotary axes too."""
     low, high = machine.low_mm + _GRID_MARGIN_MM, machine.high_mm - _GRID_MARGIN_MM
     if machine.rotary_axes:
         rng = generator(0, "grid of the truth")
-        return rng.uniform(machine.low, machine.high, (points**3, len(machine.axes)))
-    axes = [np.linspace(a, b, points) for a, b in zip(low, high, strict=True)]
+        return rng.uniform(machine.low, machine.high, (_POINTS**3, len(machine.axes)))
+    axes = [np.linspace(a, b, _POINTS) for a, b in zip(low, high, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

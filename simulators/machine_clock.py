@@ -11,12 +11,7 @@ class MachineClock:
     """Machine seconds since an epoch; the same in every process of the host."""
 
     epoch_ns: int
-    speed: float = 1.0
-
-    @classmethod
-    def starting_now(cls, speed: float = 1.0) -> MachineClock:
-        """Return a clock that reads zero now."""
-        return cls(time.monotonic_ns(), speed)
+    speed: float
 
     def now_s(self) -> float:
         """Return machine seconds."""

@@ -37,15 +37,12 @@ Carried = Mapping[str, np.ndarray]
 _TURN_ABOUT = {"X": "A", "Y": "B", "Z": "C"}
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorMagnitudes:
-    """Smallest and largest peak of the random errors, in µm and µrad."""
-
-    positioning_um: tuple[float, float] = (5.0, 40.0)
-    straightness_um: tuple[float, float] = (2.0, 15.0)
-    angular_urad: tuple[float, float] = (5.0, 40.0)
-    squareness_urad: tuple[float, float] = (5.0, 60.0)
-    location_um: tuple[float, float] = (5.0, 60.0)
+# Smallest and largest peak of the random errors, as machine tools have them.
+_POSITIONING_UM = (5.0, 40.0)
+_STRAIGHTNESS_UM = (2.0, 15.0)
+_ANGULAR_URAD = (5.0, 40.0)
+_SQUARENESS_URAD = (5.0, 60.0)
+_LOCATION_UM = (5.0, 60.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,26 +229,21 @@ def perfect(machine: MachineFile) -> TruthMachine:
 def random_machine(
     machine: MachineFile,
     seed: int,
-    magnitudes: ErrorMagnitudes | None = None,
     scale: float = 1.0,
 ) -> TruthMachine:
     """Draw error motions and squareness; `scale` multiplies every one of them."""
-    magnitudes = magnitudes or ErrorMagnitudes()
     rng = generator(seed, "errors of the machine")
     squareness = {
-        name: scale
-        * 1e-6
-        * _peak(rng, magnitudes.squareness_urad)
-        * rng.choice([-1, 1])
+        name: scale * 1e-6 * _peak(rng, _SQUARENESS_URAD) * rng.choice([-1, 1])
         for name in SQUARENESS
     }
     joints: dict[str, Joint] = {
-        axis.name: _random_joint(rng, axis, squareness, magnitudes, scale)
+        axis.name: _random_joint(rng, axis, squareness, scale)
         for axis in machine.linear_axes
     }
     for turning in machine.rotary_axes:
         joints[turning.name] = _random_rotary_joint(
-            rng, turning, turning.name in machine.workpiece_side, magnitudes, scale
+            rng, turning, turning.name in machine.workpiece_side, scale
         )
     return TruthMachine(machine, joints, squareness)
 
@@ -260,22 +252,17 @@ def _random_joint(
     rng: np.random.Generator,
     axis: LinearAxis,
     squareness: Mapping[str, float],
-    magnitudes: ErrorMagnitudes,
     scale: float,
 ) -> LinearJoint:
-    along, across, about = (
-        magnitudes.positioning_um,
-        magnitudes.straightness_um,
-        magnitudes.angular_urad,
-    )
     translation = [
-        error_motions.positioning(rng, axis, 1e-3 * _peak(rng, along))
+        error_motions.positioning(rng, axis, 1e-3 * _peak(rng, _POSITIONING_UM))
         if name == axis.name
-        else error_motions.straightness(rng, axis, 1e-3 * _peak(rng, across))
+        else error_motions.straightness(rng, axis, 1e-3 * _peak(rng, _STRAIGHTNESS_UM))
         for name in DIRECTIONS
     ]
     rotation = [
-        error_motions.angular(rng, axis, 1e-6 * _peak(rng, about)) for _ in DIRECTIONS
+        error_motions.angular(rng, axis, 1e-6 * _peak(rng, _ANGULAR_URAD))
+        for _ in DIRECTIONS
     ]
     return LinearJoint(
         axis.name,
@@ -290,7 +277,6 @@ def _random_rotary_joint(
     rng: np.random.Generator,
     axis: RotaryAxis,
     on_workpiece: bool,
-    magnitudes: ErrorMagnitudes,
     scale: float,
 ) -> RotaryJoint:
     own = [value != 0.0 for value in ROTARY_DIRECTIONS[axis.name]]
@@ -314,10 +300,10 @@ def _random_rotary_joint(
     return RotaryJoint(
         axis,
         on_workpiece,
-        motions(1e-3, magnitudes.straightness_um),
-        motions(1e-6, magnitudes.angular_urad),
-        location(1e-3, magnitudes.location_um),
-        location(1e-6, magnitudes.squareness_urad),
+        motions(1e-3, _STRAIGHTNESS_UM),
+        motions(1e-6, _ANGULAR_URAD),
+        location(1e-3, _LOCATION_UM),
+        location(1e-6, _SQUARENESS_URAD),
     )
 
 

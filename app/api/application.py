@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Collection
 from importlib.metadata import version
 from typing import Any
 
@@ -30,7 +29,6 @@ from app.api.service import Service
 MAX_BODY_BYTES = 1 << 20
 _FORM_BYTES = 1 << 20
 
-Lifespan = Callable[[FastAPI], AbstractAsyncContextManager[None]]
 
 _DESCRIPTION = """
 Calibrates machine tools with a laser tracker. Lengths are in mm, angles in degrees,
@@ -66,7 +64,6 @@ def create_application(
     service: Service | None = None,
     *,
     trusted_hosts: Collection[str] = (),
-    lifespan: Lifespan | None = None,
     pages: APIRouter | None = None,
 ) -> FastAPI:
     """Return the application.
@@ -84,7 +81,6 @@ def create_application(
         openapi_tags=_TAGS,
         docs_url=None,
         redoc_url=None,
-        lifespan=lifespan,
     )
     app.state.service = service
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)

@@ -12,6 +12,8 @@ from urllib.parse import urlsplit
 from app.errors import JobError
 
 FINAL_STATES = frozenset({"aborted", "succeeded", "failed", "faulted", "interrupted"})
+_TIMEOUT_S = 30.0
+
 Json = dict[str, Any]
 
 
@@ -22,22 +24,9 @@ class Client:
     address where nobody answers.
     """
 
-    def __init__(self, address: str, *, timeout_s: float = 30.0) -> None:
+    def __init__(self, address: str) -> None:
         self.address = address.rstrip("/")
         self._host = urlsplit(self.address).netloc
-        self._timeout_s = timeout_s
-
-    def wait_until_ready(self, timeout_s: float) -> None:
-        """Return when the service answers; JobError if it has not by then."""
-        end = time.monotonic() + timeout_s
-        while True:
-            try:
-                self._ask("GET", "/readyz")
-                return
-            except JobError:
-                if time.monotonic() > end:
-                    raise
-                time.sleep(0.1)
 
     def get(self, path: str) -> Json:
         """Return what is at a path below `/api/v1`."""
@@ -84,7 +73,7 @@ class Client:
         headers = {"Content-Type": "application/json"}
         if version is not None:
             headers["If-Match"] = f'"{version}"'
-        connection = HTTPConnection(self._host, timeout=self._timeout_s)
+        connection = HTTPConnection(self._host, timeout=_TIMEOUT_S)
         try:
             connection.request(method, path, json.dumps(body or {}), headers)
             response = connection.getresponse()

@@ -51,18 +51,15 @@ class Growth:
         extend: Callable[[Commanded], object],
         conclude: Callable[[], object],
         told: Told,
-        *,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._source, self._commanded = source, commanded
         self._extend, self._conclude, self._told = extend, conclude, told
-        self._clock = clock
         self._answer_by: float | None = None
         self._parts = 1
 
     def ask(self) -> None:
         """The machine stands: let the next part be chosen."""
-        self._answer_by = self._clock() + ANSWER_S
+        self._answer_by = time.monotonic() + ANSWER_S
         self._source.ask()
 
     def look(self) -> None:
@@ -73,7 +70,7 @@ class Growth:
         if part is not None:
             self._answer_by = None
             self._go_on(part)
-        elif self._source.is_over or self._clock() > self._answer_by:
+        elif self._source.is_over or time.monotonic() > self._answer_by:
             self._answer_by = None
             log.warning("nobody says what to measure next; the measurement ends")
             self._conclude()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import structlog
@@ -56,7 +56,6 @@ class Measuring:
         cell: CellSupervisor,
         *,
         confirm_s: Mapping[State, float] = CONFIRM_S,
-        clock: Callable[[], float] = time.monotonic,
         live: LiveEstimation | None = None,
         target_um: float | None = None,
         growth: Growth | None = None,
@@ -64,12 +63,12 @@ class Measuring:
         self._growth = growth
         self._target_um, self._is_concluded = target_um, False
         self._control, self._cell, self._live = control, cell, live
-        self._confirm_s, self._clock = confirm_s, clock
+        self._confirm_s = confirm_s
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
         self._fault: Mapping[str, Any] = {}
         self._outcome = ""
         self._close_by = float("inf")
-        self._insist_at = clock() + INSIST_S
+        self._insist_at = time.monotonic() + INSIST_S
         self._given_up = False
 
     def run(self, order: Order) -> None:
@@ -115,8 +114,8 @@ class Measuring:
 
     def _wait_for_the_end(self) -> None:
         """Let the cell close its Run when nothing can be written down any more."""
-        deadline = self._clock() + CLOSE_RUN_S
-        while (left_s := deadline - self._clock()) > 0:
+        deadline = time.monotonic() + CLOSE_RUN_S
+        while (left_s := deadline - time.monotonic()) > 0:
             try:
                 event = self._events.get(timeout=left_s)
             except queue.Empty:
@@ -152,7 +151,7 @@ class Measuring:
     def _follow_state(self, name: str) -> None:
         if name in _ENDS:
             self._outcome = name
-            self._close_by = self._clock() + CLOSE_RUN_S
+            self._close_by = time.monotonic() + CLOSE_RUN_S
             return
         state = _STATES.get(name)
         if state is None:
@@ -166,7 +165,7 @@ class Measuring:
 
     def _insist(self) -> None:
         """Repeat what has not been confirmed: it may have come before it could act."""
-        now = self._clock()
+        now = time.monotonic()
         if self._outcome or now < self._insist_at:
             return
         self._insist_at = now + INSIST_S
@@ -196,7 +195,7 @@ class Measuring:
         overdue = limit_s is not None and self._control.state_lasts_s > limit_s
         if overdue and not self._given_up:
             self._give_up(f"not-{state}", f"the cell has not confirmed {state} in time")
-        if self._clock() > self._close_by:
+        if time.monotonic() > self._close_by:
             self._close_by = float("inf")
             self._give_up("run-not-closed", "the cell has not closed its Run in time")
 

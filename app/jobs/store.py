@@ -46,6 +46,7 @@ from app.jobs.transitions import State, check_follows
 
 KEEP_KEYS_S = 24 * 3600
 KEEP_EVENTS = 20_000
+_MOST_EVENTS = 500
 
 
 Listener = Callable[[StoredEvent], None]
@@ -171,14 +172,14 @@ class Store:
         self._database.write(lambda connection: connection.execute(query).rowcount)
 
     def events_after(
-        self, event_id: int, *, job_id: str | None = None, limit: int = 500
+        self, event_id: int, *, job_id: str | None = None
     ) -> list[StoredEvent]:
-        """Return kept events in order, those after `event_id`."""
+        """Return kept events in order, at most 500 after `event_id`."""
         query = select(events).where(events.c.id > event_id).order_by(events.c.id)
         if job_id is not None:
             query = query.where(events.c.job_id == job_id)
         with self._database.read() as connection:
-            rows = connection.execute(query.limit(limit)).mappings()
+            rows = connection.execute(query.limit(_MOST_EVENTS)).mappings()
             return [event_from(row) for row in rows]
 
     def last_event_id(self) -> int:

@@ -29,25 +29,21 @@ def record_stream(
     rate_hz: float,
     is_over: Callable[[float], bool],
     told: Told,
-    *,
-    patience: Patience | None = None,
-    clock: Callable[[], float] = time.monotonic,
 ) -> None:
     """Record a connected tracker until it is over; the caller closes the recorder.
 
     is_over : waits at most so many seconds and tells whether the recording is to end
-    patience : for how long nothing may come
 
     Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
     DeviceError of the driver; what has been recorded by then is kept.
     """
-    watch = StreamWatch(patience or Patience(), clock())
-    pump = Pump(tracker, recorder, watch, clock)
+    watch = StreamWatch(Patience(), time.monotonic())
+    pump = Pump(tracker, recorder, watch)
     pump.start(rate_hz)
     try:
         while not is_over(TICK_S):
             _refuse_failures(pump, recorder)
-            verdict = watch.verdict(clock())
+            verdict = watch.verdict(time.monotonic())
             told(recorder.samples, recorder.lost_samples, verdict)
             if verdict is Verdict.DEAD:
                 raise DeviceTimeout(

@@ -11,22 +11,21 @@ from app.measurement.stream_file import clock
 from app.measurement.tables import read_csv
 from drivers.interfaces.records import TemperatureSamples
 
+FILE = "environment.csv"
 _DEGC = "_degC"
 
 
-def decode_environment(
-    data: bytes, *, file: str = "environment.csv"
-) -> TemperatureSamples:
+def decode_environment(data: bytes) -> TemperatureSamples:
     """Return the temperatures; columns that are none are left out."""
-    table = read_csv(data, file)
+    table = read_csv(data, FILE)
     table.require("t_s")
     sensors = [key for key in table.names if key.endswith(_DEGC) and key != _DEGC]
     if not sensors:
         raise BundleError(
-            "has no temperatures", file=file, remedy="columns are called <NAME>_degC"
+            "has no temperatures", file=FILE, remedy="columns are called <NAME>_degC"
         )
     if len(table) == 0:
-        raise BundleError("has no rows", file=file, remedy="leave out the file")
+        raise BundleError("has no rows", file=FILE, remedy="leave out the file")
     celsius = np.stack([table.numbers(key) for key in sensors], axis=1)
     names = tuple(key.removesuffix(_DEGC) for key in sensors)
     return TemperatureSamples(names, clock(table), celsius)

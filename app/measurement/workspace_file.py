@@ -28,14 +28,9 @@ def read_workspace(path: str | Path) -> Workspace:
     return workspace_from_json(parse_json(read_whole(path), name), file=name)
 
 
-def workspace_from_json(
-    content: object, *, file: str = "workspace.json", key: str = ""
-) -> Workspace:
-    """Return the workspace that parsed JSON states.
-
-    key : where in the file it stands, empty for a file of its own
-    """
-    top = Field(file, key, content).mapping()
+def workspace_from_json(content: object, *, file: str = "workspace.json") -> Workspace:
+    """Return the workspace that parsed JSON states."""
+    top = Field(file, "", content).mapping()
     schema = top.child("schema", default=SCHEMA)
     if schema.value != SCHEMA:
         raise schema.error(f"is {shown(schema.value)}", f'write "schema": "{SCHEMA}"')

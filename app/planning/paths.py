@@ -108,9 +108,7 @@ def default_points(
     return Configurations(machine.axis_names, position, np.full(count, dwell_s))
 
 
-def line_times_s(
-    path: Path, *, acceleration_mm_s2: float = ACCELERATION_MM_S2
-) -> Float64[np.ndarray, " n"]:
+def line_times_s(path: Path) -> Float64[np.ndarray, " n"]:
     """Return the time of each row: the line towards it, exact stops, and its dwell.
 
     The first row counts its dwell alone. The feed is that of the linear axes; where
@@ -122,15 +120,13 @@ def line_times_s(
     straight = np.asarray(np.linalg.norm(step[:, linear], axis=1), np.float64)
     turn = np.asarray(np.linalg.norm(step[:, ~linear], axis=1), np.float64)
     length = np.where(straight > 0, straight, turn)
-    moving = moving_s(length, path.feed_mm_min[1:], acceleration_mm_s2)
+    moving = moving_s(length, path.feed_mm_min[1:], ACCELERATION_MM_S2)
     return np.concatenate([[0.0], moving]) + path.dwell_s
 
 
-def travel_time_s(
-    path: Path, *, acceleration_mm_s2: float = ACCELERATION_MM_S2
-) -> float:
+def travel_time_s(path: Path) -> float:
     """Return how long the path takes from its first row, dwells included."""
-    return float(line_times_s(path, acceleration_mm_s2=acceleration_mm_s2).sum())
+    return float(line_times_s(path).sum())
 
 
 def check_travel(machine: Machine, commanded: Path | Configurations) -> None:

@@ -14,9 +14,9 @@ def escape(text: object) -> str:
     return html.escape(str(text), quote=True)
 
 
-def expanded(value: float, standard: float, k: float = 2.0) -> str:
-    """Return `value ± U` with U at two significant digits; k is stated beside it."""
-    half = k * standard
+def expanded(value: float, standard: float) -> str:
+    """Return `value ± U`, k = 2, with U at two significant digits."""
+    half = 2.0 * standard
     decimals = 1
     if half > 0.0:
         decimals = min(max(1 - math.floor(math.log10(half)), 0), 3)

@@ -255,7 +255,7 @@ def test_a_refusal_without_words_names_status_and_path():
 def test_nobody_at_the_address_is_a_job_error(free_port):
     client = Client(f"http://127.0.0.1:{free_port}")
     with pytest.raises(JobError, match="does not answer"):
-        client.wait_until_ready(0.2)
+        client.job("7")
 
 
 def test_a_job_that_never_gets_ready_is_given_up():

@@ -9,7 +9,8 @@ import pytest
 from pyLSV2 import NCTable
 
 from app.errors import BadInput
-from app.reporting.compensation.export import export_result, format_names
+from app.plugins import installed
+from app.reporting.compensation.export import GROUP, export_result
 from app.reporting.compensation.fanuc import Fanuc
 from app.reporting.compensation.heidenhain import Heidenhain
 from app.reporting.compensation.isg_csv import IsgCsv
@@ -47,7 +48,7 @@ def flat(values):
 
 
 def test_our_formats_are_installed():
-    assert set(OURS) <= set(format_names())
+    assert set(OURS) <= set(installed(GROUP))
 
 
 @every_format

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.errors import BadInput
-from app.plugins import installed, load
+from app.plugins import load
 from app.reporting.compensation.carried import carried_effects
 from app.reporting.compensation.format import CompensationFormat, Correction
 from app.reporting.compensation.order import (
@@ -51,11 +51,6 @@ class Left:
     largest_um: float
 
 
-def format_names() -> tuple[str, ...]:
-    """Return the formats that can be written."""
-    return tuple(sorted(installed(GROUP)))
-
-
 def suffix_of(name: str) -> str:
     """Return the suffix of a format's files. Raises BadInput for an unknown one."""
     return _format(name).suffix
@@ -66,7 +61,7 @@ def export_result(
 ) -> Export:
     """Return the files of a format and their account.
 
-    name : one of `format_names`; stem : of the file names
+    name : of an installed format; stem : of the file names
     spacing_mm : of the rows, or the smallest that the controller's number of rows gives
 
     Raises BadInput for an unknown format, or if the files, read back by the rule of the

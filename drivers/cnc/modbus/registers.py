@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,14 +232,6 @@ CONTROL = Block(180, 2)
 COMMAND = Block(200, 6 + ROWS_A_BLOCK * ROW_WORDS)
 
 
-class Row(NamedTuple):
-    """One waypoint as the rows of the map hold it."""
-
-    position: tuple[float, ...]
-    feed_mm_min: float
-    dwell_s: float
-
-
 def encode(name: str, value: int | str | Sequence[int]) -> list[int]:
     """Return the words of a register's value: a number, one a count, or a text."""
     register = BY_NAME[name]
@@ -292,17 +283,6 @@ def path_words(path: Path) -> NDArray[np.uint16]:
     rows[:, MAX_AXES] = np.rint(path.feed_mm_min * FEED_COUNTS)
     rows[:, MAX_AXES + 1] = np.rint(path.dwell_s * DWELL_COUNTS)
     return rows.view(">u2").astype(np.uint16)
-
-
-def parse_row(words: Sequence[int]) -> Row:
-    """Return the waypoint of 16 words, with a position for each of the 6 axes."""
-    data = b"".join(word.to_bytes(2, "big") for word in words)
-    values = np.frombuffer(data, ">i4")
-    return Row(
-        tuple(float(v) / POSITION_COUNTS for v in values[:MAX_AXES]),
-        float(values[MAX_AXES]) / FEED_COUNTS,
-        float(values[MAX_AXES + 1]) / DWELL_COUNTS,
-    )
 
 
 def path_crc(words: NDArray[np.uint16]) -> int:

@@ -159,12 +159,3 @@ def spherical_to_cartesian_mm(
         ],
         axis=-1,
     )
-
-
-def cartesian_to_spherical(
-    position_mm: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return range in m, azimuth and elevation in rad of (n, 3) positions."""
-    x, y, z = np.moveaxis(np.asarray(position_mm, np.float64), -1, 0)
-    level = np.hypot(x, y)
-    return np.hypot(level, z) * 1e-3, np.arctan2(y, x), np.arctan2(z, level)

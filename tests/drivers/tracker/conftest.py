@@ -16,7 +16,6 @@ import pytest
 
 from drivers.tracker.streaming.measurements import (
     RawSamples,
-    cartesian_to_spherical,
     encode_measurements,
 )
 from drivers.tracker.streaming.messages import (
@@ -36,6 +35,9 @@ from drivers.tracker.streaming.messages import (
     Type,
     encode_message,
 )
+from simulators.tracker_head import to_spherical
+
+METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 
 
 class PtyWire:
@@ -257,7 +259,7 @@ class LoopbackTracker(Peer):
             measured,
             number,
             self._clock_us(number).astype(np.uint64),
-            *cartesian_to_spherical(self.position_mm(number)),
+            *(METRES * to_spherical(self.position_mm(number))).T,
             np.zeros(len(number), np.int64),
             np.full(len(number), 180),
         )

@@ -14,7 +14,6 @@ from drivers.tracker.streaming.codec import StreamDecoder
 from drivers.tracker.streaming.framing import encode_frame
 from drivers.tracker.streaming.measurements import (
     RawSamples,
-    cartesian_to_spherical,
     encode_measurements,
     spherical_to_cartesian_mm,
 )
@@ -37,7 +36,9 @@ from drivers.tracker.streaming.messages import (
     encode_message,
     parse_message,
 )
+from simulators.tracker_head import to_spherical
 
+METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 PAGE = Path(__file__).parents[3] / "docs" / "tracker-protocol.md"
 
 u8 = st.integers(0, 255)
@@ -210,9 +211,9 @@ def test_angles_point_where_the_page_says(azimuth_rad, elevation_rad, direction)
     np.testing.assert_allclose(position, [np.multiply(direction, 2000.0)], atol=1e-9)
 
 
-def test_cartesian_and_spherical_undo_each_other():
+def test_positions_are_those_whose_range_and_angles_were_sent():
     position_mm = np.random.default_rng(5).normal(0, 3000, (500, 3))
-    back = spherical_to_cartesian_mm(*cartesian_to_spherical(position_mm))
+    back = spherical_to_cartesian_mm(*(METRES * to_spherical(position_mm)).T)
     np.testing.assert_allclose(back, position_mm, atol=1e-8)
 
 
@@ -229,7 +230,7 @@ def raw_samples(measured: Format, position_mm: np.ndarray) -> RawSamples:
         measured,
         np.arange(n),
         (np.arange(n) * 2000).astype(np.uint64),
-        *cartesian_to_spherical(position_mm),
+        *(METRES * to_spherical(position_mm)).T,
         np.zeros(n, np.int64),
         np.full(n, 200),
     )

@@ -10,7 +10,6 @@ from drivers.tracker.streaming.codec import StreamDecoder
 from drivers.tracker.streaming.measurements import (
     RawSamples,
     StatusBit,
-    cartesian_to_spherical,
     encode_measurements,
 )
 from drivers.tracker.streaming.messages import (
@@ -20,7 +19,9 @@ from drivers.tracker.streaming.messages import (
     Type,
     encode_message,
 )
+from simulators.tracker_head import to_spherical
 
+METRES = np.array([1e-3, 1.0, 1.0])  # ranges are sent in m
 PERIOD_US = 2000
 FORMATS = [Format.MEAS64, Format.MEAS]
 
@@ -35,7 +36,7 @@ def stream(
     """Return one frame for each whole sample number; its position tells the number."""
     number = np.asarray(number, np.int64)
     clock = (first_clock_us + number * PERIOD_US).astype(np.uint64)
-    polar = cartesian_to_spherical(positions(number))
+    polar = (METRES * to_spherical(positions(number))).T
     columns = (number, clock, *polar, np.full(len(number), status), number % 251)
     return [
         encode_measurements(RawSamples(measured, *(c[i : i + 1] for c in columns)))
