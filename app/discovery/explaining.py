@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from app.discovery.base import BasePrior
 from app.discovery.evidence import HeldOut, held_out, prior_precision, rest
+from app.discovery.moments import at_its_moment
 from app.discovery.refining import refined
 from app.discovery.scan import Offer, Residual, scanned, weighted_residual
 from app.discovery.sums import Lines
@@ -153,7 +154,11 @@ class Explainer:
             return offer
         values = [offer.at_value(at, float(value)) for value in scan.values]
         tries = [replace(offer, candidate=candidate) for candidate in values]
-        return self.ranked(explanation, [offer, *tries])[0].offer
+        best = self.ranked(explanation, [offer, *tries])[0].offer
+        if not offer.family.happens_once:
+            return best
+        known = explanation.prior.precision(self._size) + self._poses
+        return at_its_moment(self._lines, at, known, explanation.chosen, best)
 
     def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:
         """Return offers, but the chosen ones, at their best values."""

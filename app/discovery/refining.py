@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.discovery.evidence import prior_precision, rest
+from app.discovery.moments import at_its_moment
 from app.discovery.scan import Offer
 from app.discovery.sums import Lines
 from app.estimation.information import Posterior, posterior
@@ -114,8 +115,11 @@ def _tried(
         if not _is_scanned(offer) or offer.family.is_smooth:
             continue
         here = _its(at, offer)
-        reach = 2.0 * max(_spacing(offer, here), _mean_spacing(offer, here))
         others = tuple(o for j, o in enumerate(found) if j != k)
+        if offer.family.happens_once:
+            found[k] = at_its_moment(lines, here, precision, others, offer)
+            continue
+        reach = 2.0 * max(_spacing(offer, here), _mean_spacing(offer, here))
         for _ in range(_GRIDS):
             offer = _best_of_grid(lines, here, precision, others, offer, reach)
             # As far as values are as good: a step may lie anywhere between two cells.

@@ -151,6 +151,48 @@ class Lines:
         pairs = [self._beside(beside, term) for term in self._terms_of(offers)]
         return Offered(total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs))
 
+    def offered_along(
+        self, known: Sequence[Effect], offers: Sequence[Effect], number: int
+    ) -> Offered:
+        """Return the sums of effects on offer that differ on one line alone."""
+        line, beside = self._lines[number], self._terms_of(known)
+        first = self._terms_of(offers[:1])[0]
+        here = (number, number + 1)
+        fixed = [self._base.between(*here), *(t.halves.between(*here) for t in beside)]
+        cross, own = self._beside(beside, first)
+        old = first.halves.between(*here)
+        cross, own = cross - _crossed(fixed, old), own - old.times(old)
+        seen = self._views[line.run].seen
+        at = seen.at.taken(np.arange(line.cells.start, line.cells.stop))
+        rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
+        new, width = line.whitened(rows), first.halves.width
+        crossed = _crossed(fixed, new)
+        parts = [slice(k, k + width) for k in range(0, new.width, width)]
+        each = [new.columns(part) for part in parts]
+        return Offered(
+            self.sums(known).total(),
+            tuple(cross + crossed[:, part] for part in parts),
+            tuple(own + one.times(one) for one in each),
+        )
+
+    def about(self, run: int, time_s: float) -> list[int]:
+        """Return the line of a Run at a moment, and its neighbours in time."""
+        mine = [n for n, line in enumerate(self._lines) if line.run == run]
+        mine.sort(key=lambda n: self._times(n)[0])
+        begins = [self._times(n)[0] for n in mine]
+        here = max(int(np.searchsorted(begins, time_s)) - 1, 0)
+        return mine[max(here - 1, 0) : here + 2]
+
+    def edges_s(self, number: int) -> Float64[np.ndarray, " e"]:
+        """Return the moments of a line's cells, and of the last one before it."""
+        line = self._lines[number]
+        time_s = self._views[line.run].seen.at.time_s
+        return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
+
+    def _times(self, number: int) -> Float64[np.ndarray, " n"]:
+        line = self._lines[number]
+        return self._views[line.run].seen.at.time_s[line.cells]
+
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         """Return the first column of each effect, and one past the last."""
         return self._size + np.cumsum([0, *(one.halves.width for one in terms)])
@@ -217,7 +259,9 @@ class Lines:
             np.concatenate([e.jacobian(view.seen.at) for e in effects], axis=2)
             for view in self._views
         ]
-        halves = Halves.joined([line.whitened(rows) for line in self._lines])
+        halves = Halves.joined(
+            [line.whitened(rows[line.run][line.cells]) for line in self._lines]
+        )
         cross = self._products(self._base, halves)
         ends = np.cumsum([0, *(len(e.parameters) for e in effects)])
         for effect, first, last in zip(effects, ends, ends[1:], strict=False):
@@ -232,6 +276,12 @@ class Lines:
                 for first, last in zip(self._bounds, self._bounds[1:], strict=False)
             ]
         )
+
+
+def _crossed(fixed: Sequence[Halves], offers: Halves) -> Float64[np.ndarray, "q p"]:
+    """Return sums of base and known effects with offers; data are the last row."""
+    base, *known = (one.times(offers) for one in fixed)
+    return np.concatenate([base[:-1], *known, base[-1:]])
 
 
 def _put(

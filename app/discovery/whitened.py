@@ -96,9 +96,9 @@ class Line:
     freedom: float
     log_determinant: float
 
-    def whitened(self, rows: Sequence[Float64[np.ndarray, "n 3 p"]]) -> Halves:
-        """Return columns on this line, given those of each Run."""
-        own = np.matmul(self.frame, rows[self.run][self.cells])
+    def whitened(self, columns: Float64[np.ndarray, "n 3 p"]) -> Halves:
+        """Return columns of this line's cells as they count."""
+        own = np.matmul(self.frame, columns)
         return _without(self.whitener.halves(own), self.timing)
 
 

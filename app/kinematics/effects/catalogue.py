@@ -100,6 +100,7 @@ class Family(ABC):
     in_machine : part of the machine, and so of its volumetric error; else of the
         measurement
     is_smooth : in what is scanned; else every value is tried, for want of a slope
+    happens_once : what is scanned is the moment; all shifts by it, then and for good
     scanned : name of what is scanned, as files state it and the effect has it
     """
 
@@ -107,6 +108,7 @@ class Family(ABC):
     signature: Signature
     in_machine: bool = True
     is_smooth: bool = True
+    happens_once: bool = False
     scanned: str = ""
 
     @abstractmethod

@@ -51,6 +51,7 @@ class SetupStepFamily(Family):
     name = "setup-step"
     in_machine = False
     is_smooth = False
+    happens_once = True
     signature = Signature(
         cause="Tracker, its stand, the target's nest or the workpiece was knocked or "
         "slipped.",
