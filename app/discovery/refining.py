@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int64
 from app.discovery.evidence import prior_precision, rest
 from app.discovery.moments import at_its_moment
 from app.discovery.scan import Offer
+from app.discovery.spread import spread
 from app.discovery.sums import Lines
 from app.estimation.information import Posterior, posterior
 from app.kinematics.effects.base import Conditions, Effect, Parameter
@@ -91,6 +92,11 @@ def refined(
         found = tuple(changed)
         if float(np.max(np.abs(step) / sigma)) < _SETTLED:
             break
+    for k in values:
+        if found[k].family.wave(found[k].candidate, _its(at, found[k])) is None:
+            others = [o for o in found if o is not found[k]]
+            offer = spread(lines, _its(at, found[k]), precision, others, found[k])
+            found = (*found[:k], offer, *found[k + 1 :])
     return found
 
 

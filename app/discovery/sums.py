@@ -163,7 +163,7 @@ class Lines:
         old = first.halves.between(*here)
         cross, own = cross - _crossed(fixed, old), own - old.times(old)
         seen = self._views[line.run].seen
-        at = seen.at.taken(np.arange(line.cells.start, line.cells.stop))
+        at = seen.at.taken(np.arange(int(line.cells.start), int(line.cells.stop)))
         rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
         new, width = line.whitened(rows), first.halves.width
         crossed = _crossed(fixed, new)

@@ -62,17 +62,20 @@ def wave_numbers(
 def amplitude_and_phase(
     theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
 ) -> tuple[Measured, Measured]:
-    """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase)."""
-    amplitude = float(np.hypot(theta[0], theta[1]))
-    along = theta / max(amplitude, 1e-300)
+    """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase).
+
+    To second order (GUM 5.1.2, note): where the phase is known badly, so is the size.
+    """
+    amplitude = max(float(np.hypot(theta[0], theta[1])), 1e-300)
+    along = theta / amplitude
     across = np.array([-along[1], along[0]])
     phase = float(np.mod(np.arctan2(theta[1], theta[0]), 2.0 * np.pi))
-    return (
-        Measured(amplitude, float(np.sqrt(along @ covariance @ along))),
-        Measured(
-            phase, float(np.sqrt(across @ covariance @ across)) / max(amplitude, 1e-300)
-        ),
-    )
+    radial, turned = along @ covariance @ along, across @ covariance @ across
+    both = along @ covariance @ across
+    bent = turned / amplitude
+    size = np.sqrt(radial + 0.5 * bent**2)
+    turn = np.sqrt(turned + (radial * turned + both**2) / amplitude**2) / amplitude
+    return Measured(amplitude, float(size)), Measured(phase, float(turn))
 
 
 def measured_wave(
