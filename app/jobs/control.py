@@ -55,6 +55,7 @@ class Control:
         self._store, self._feed, self._clock = store, feed, clock
         self._changed = threading.Condition()
         self._state, self._since = job.state, clock()
+        self._wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
         self._computation: Computation | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
@@ -71,18 +72,26 @@ class Control:
         return self._state
 
     @property
+    def wants_pause(self) -> bool:
+        """Whether a user wants the machine to stand."""
+        return self._wants_pause
+
+    @property
     def state_lasts_s(self) -> float:
         """How long the job has been in that state."""
         return self._clock() - self._since
 
     def obey(self, verb: Verb, version: int | None = None) -> Job:
-        """Put down what a user asks for. Raises IllegalTransition, StaleVersion."""
+        """Put down what a user asks for. Raises IllegalTransition, StaleVersion.
+
+        A job that stands by itself may still be told to: it then stays so.
+        """
 
         def change(job: Job) -> Job:
-            state = after_verb(verb, job.state)
-            if state is job.state:
+            state, wish = after_verb(verb, job.state), _WISHES[verb]
+            if state is job.state and (job.is_final or job.desired_state == wish):
                 return job
-            return replace(job, state=state, desired_state=_WISHES[verb])
+            return replace(job, state=state, desired_state=wish)
 
         return self._noted(self._store.change(self.job_id, change, version=version))
 
@@ -128,20 +137,25 @@ class Control:
             with self._changed:
                 self._computation = None
 
-    def enter(self, state: State, stage: Stage, *, unless: State | None = None) -> Job:
+    def enter(self, state: State, stage: Stage, *, unless_pausing: bool = False) -> Job:
         """Go on to a state or a stage; what the table does not allow changes nothing.
 
-        An abort under way is never left like this, nor the state `unless`.
+        An abort under way is never left like this, nor with `unless_pausing` a pause
+        that a user has asked for and nobody has confirmed.
         """
 
         def change(job: Job) -> Job:
             allowed = job.state is state or may_follow(job.state, state)
             unchanged = (job.state, job.stage) == (state, stage)
-            if not allowed or unchanged or job.state is unless:
+            pausing = job.state is State.PAUSING and job.wants_pause
+            if not allowed or unchanged or (unless_pausing and pausing):
                 return job
+            # However it came about: what moves is not wanted to stand any more.
+            moves = state is State.RUNNING and job.wants_pause
             return replace(
                 job,
                 state=state,
+                desired_state=str(state) if moves else job.desired_state,
                 stage=stage,
                 progress=self._progress,
                 health=self._health,
@@ -249,6 +263,7 @@ class Control:
         with self._changed:
             if job.state is not self._state:
                 self._state, self._since = job.state, self._clock()
+            self._wants_pause = job.wants_pause
         return job
 
     def _tell(self) -> None:

@@ -22,7 +22,7 @@ from app.jobs.models import model_file
 from app.jobs.plan_orders import driven_plan, refuse_several_targets
 from app.jobs.plans import Row, plan_json, plan_motion
 from app.jobs.rows import Key
-from app.jobs.transitions import State, Verb, after_verb
+from app.jobs.transitions import HELD, State, Verb, after_verb
 from app.jobs.workflow import Workshop, carry_out
 from app.kinematics.machine import Machine
 from app.numerics.adaptive_trials import TrialPlan
@@ -108,11 +108,14 @@ class Dispatcher:
         return job
 
     def pause(self, job_id: str) -> Job:
-        """Hold the feed. Raises IllegalTransition where nothing moves."""
+        """Hold the feed. Raises IllegalTransition where nothing can move.
+
+        The cell is told even if it stands: it might go on by itself.
+        """
         control = self._control(job_id, Verb.PAUSE)
         self._refuse_computing(self._shop.store.get(job_id))
         job = control.obey(Verb.PAUSE)
-        if job.state is State.PAUSING:
+        if job.state in HELD:
             self._cell_verb(Verb.PAUSE)
         return job
 

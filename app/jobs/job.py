@@ -145,6 +145,11 @@ class Job:
         return (*own, *self.further_run_ids)
 
     @property
+    def wants_pause(self) -> bool:
+        """Whether a user has asked for a pause and for nothing since."""
+        return self.desired_state == State.PAUSED
+
+    @property
     def is_final(self) -> bool:
         """Whether the job has ended."""
         return self.state in FINAL

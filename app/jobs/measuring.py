@@ -157,21 +157,25 @@ class Measuring:
         if state is None:
             return
         # What the cell said before a pause reached it must not undo the pause.
-        late = State.PAUSING if state is State.RUNNING else None
-        job = self._control.enter(state, Stage.MEASURING, unless=late)
+        late = state is State.RUNNING
+        job = self._control.enter(state, Stage.MEASURING, unless_pausing=late)
         if job.state is State.RUNNING:
             self._fault = {}
             self._control.complain(None)
 
     def _insist(self) -> None:
-        """Repeat what has not been confirmed: it may have come before it could act."""
+        """Repeat what has not been confirmed: it may have come before it could act.
+
+        A pause is repeated only where a user wants it: from a stop of its own the cell
+        goes on by itself, from one that it is told it does not.
+        """
         now = time.monotonic()
         if self._outcome or now < self._insist_at:
             return
         self._insist_at = now + INSIST_S
         if self._control.called_off:
             self._cell.abort()
-        elif self._control.state is State.PAUSING:
+        elif self._control.state is State.PAUSING and self._control.wants_pause:
             self._cell.pause()
 
     def _conclude_at_target(self) -> None:

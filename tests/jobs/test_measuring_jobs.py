@@ -165,7 +165,7 @@ def test_a_pause_holds_and_a_resume_goes_on(dispatcher, running, make_cell, unti
     assert dispatcher.pause(running.id).version == paused.version
     assert dispatcher.resume(running.id, paused.version).state == "resuming"
     until(running, "running")
-    assert make_cell.cell.heard == ["connect", "begin", "pause", "resume"]
+    assert make_cell.cell.heard == ["connect", "begin", "pause", "pause", "resume"]
     make_cell.cell.end()
     until(running, "succeeded")
 
@@ -185,6 +185,55 @@ def test_a_hold_at_the_machines_panel_is_a_pause(running, make_cell, until):
     until(running, "paused")
     make_cell.cell.say_state("running")
     until(running, "running")
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_a_stop_of_the_cells_own_never_becomes_a_users_pause(
+    running, make_cell, until, monkeypatch, confirmed
+):
+    monkeypatch.setattr(measuring, "INSIST_S", 0.0)
+    cell = make_cell.cell
+    cell.fault("tracker-silent", "no sample", "nothing")
+    cell.say_state("pausing")
+    for _ in range(5):  # the job looks at its state before each of them
+        cell.record(10)
+    assert until(running, "pausing").desired_state == "running"
+    if confirmed:
+        cell.say_state("paused")
+        cell.say_state("resuming")
+    cell.say_state("running")
+    wait_until(lambda: until(running, "running").failure is None, "all well again")
+    assert "pause" not in cell.heard
+    cell.end()
+    until(running, "succeeded")
+
+
+def test_a_users_pause_outlasts_a_stop_of_the_cells_own(
+    dispatcher, running, make_cell, until
+):
+    make_cell.cell.say_state("pausing")
+    make_cell.cell.say_state("paused")
+    stands = until(running, "paused")
+    assert stands.desired_state == "running"
+    assert dispatcher.pause(running.id).desired_state == "paused"
+    wait_until(lambda: "pause" in make_cell.cell.heard, "the pause")
+
+
+def test_what_moves_again_is_not_wanted_to_stand(
+    dispatcher, running, make_cell, until, monkeypatch
+):
+    monkeypatch.setattr(measuring, "INSIST_S", 0.0)
+    dispatcher.pause(running.id)
+    until(running, "paused")
+    cell = make_cell.cell
+    heard = cell.heard.count("pause")
+    cell.say_state("running")  # somebody has released the machine at its panel
+    assert until(running, "running").desired_state == "running"
+    cell.say_state("pausing")
+    cell.record(10)
+    cell.say_state("running")
+    until(running, "running")
+    assert cell.heard.count("pause") == heard
 
 
 def test_what_the_cell_said_before_a_pause_does_not_undo_it(
