@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import select
-import time
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from simulators.child import LifeLine
 from simulators.cnc_controller import Controller
 from simulators.cnc_registers import Clocks, CncRegisters
 from simulators.faults import Fault, Schedule, parse_fault
-from simulators.machine_clock import MachineClock
+from simulators.machine_clock import AwakeClock, MachineClock
 from simulators.machine_file import parse_machine
 from simulators.modbus_ports import ModbusPort, ModbusRtuPort, ModbusTcpPort
 from simulators.modbus_wire import READ_HOLDING, answer, exception
@@ -21,6 +20,7 @@ from simulators.profile import Limits
 
 PERIOD_S = 0.01
 _LEAD_S = 0.02
+_LATE_S = 0.1  # ten periods: a busy computer, not yet one that stands
 _ALARM_TEXT = "Servo alarm: following error of an axis"
 
 
@@ -149,7 +149,7 @@ def _panel(orders: dict[str, Any], board: BoardWriter) -> Panel:
         board.publish,
         _LEAD_S * orders["speed"],
     )
-    clocks = Clocks(clock.now_s, time.monotonic)
+    clocks = Clocks(clock.now_s, AwakeClock(_LATE_S))
     registers = CncRegisters(controller, clocks, f"SIM-C{orders['seed']:06d}")
     faults = Schedule(map(parse_fault, orders["faults"]))
     return Panel(controller, registers, faults, clock)

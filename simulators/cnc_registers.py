@@ -46,7 +46,7 @@ _BEATING = frozenset({Command.MOVE_TO, Command.START, Command.RESUME})
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Machine seconds and wall seconds, both read when a request is served."""
+    """Machine seconds, and wall seconds in which the device ran; read at a request."""
 
     machine_s: Callable[[], float]
     wall_s: Callable[[], float]
