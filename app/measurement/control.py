@@ -1,7 +1,8 @@
 """What is wished of a measurement, and its one state. Every method: any thread.
 
 Verbs are absolute and idempotent. A wish to stand is a set of reasons; the machine may
-move only while the set is empty.
+move only while the set is empty. A hold that has begun is seen through: the machine
+stands before it goes on, so that a late hold never overtakes the resume after it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _S = CellState
 ENDS = frozenset({_S.FINISHED, _S.ABORTED, _S.FAILED, _S.FAULTED})
 TRANSITIONS: dict[CellState, frozenset[CellState]] = {
     _S.RUNNING: frozenset({_S.PAUSING, _S.PAUSED}) | ENDS,
-    _S.PAUSING: frozenset({_S.PAUSED, _S.RESUMING}) | ENDS,
+    _S.PAUSING: frozenset({_S.PAUSED}) | ENDS,
     _S.PAUSED: frozenset({_S.RESUMING, _S.RUNNING}) | ENDS,
     _S.RESUMING: frozenset({_S.RUNNING, _S.PAUSING, _S.PAUSED}) | ENDS,
 }
@@ -30,6 +31,11 @@ class HoldReason(StrEnum):
     SILENCE = "silence"
     BEAM = "beam"
     DISK = "disk"
+    MACHINE = "machine"  # held by panel, door or watchdog: for a person to release
+
+
+# What a controller says of a hold that we have asked for.
+_OURS = frozenset({"", "command"})
 
 
 class Control:
@@ -43,6 +49,7 @@ class Control:
         self._lock = threading.RLock()
         self._state = CellState.RUNNING
         self._holds: set[HoldReason] = set()
+        self._may_release_machine = False
         self.aborted = threading.Event()
 
     @property
@@ -57,8 +64,8 @@ class Control:
 
     @property
     def wants_hold(self) -> bool:
-        """Whether there is a reason to stand."""
-        return bool(self._holds)
+        """Whether the machine has to be held where it moves."""
+        return self._state in (CellState.PAUSING, CellState.PAUSED)
 
     def holds(self, reason: HoldReason) -> bool:
         """Tell whether this is a reason to stand."""
@@ -74,39 +81,59 @@ class Control:
                 self._enter(CellState.PAUSING, text)
             return True
 
-    def release(self, *reasons: HoldReason, text: str) -> bool:
-        """Wish to go on as far as these reasons go; tell whether the machine may."""
+    def release(self, *reasons: HoldReason, text: str) -> None:
+        """Wish to go on as far as these reasons go.
+
+        Only who names the machine as well may undo a hold of its own.
+        """
         with self._lock:
             self._holds -= set(reasons)
-            if self._holds or self._state not in (CellState.PAUSED, CellState.PAUSING):
-                return False
-            self._enter(CellState.RESUMING, text)
-            return True
+            self._may_release_machine = HoldReason.MACHINE in reasons
+            if not self._holds and self._state is CellState.PAUSED:
+                self._enter(CellState.RESUMING, text)
 
     def observe(self, motion: MotionState, hold_reason: str) -> None:
         """Compare the wishes with what the controller does, and move on."""
         with self._lock:
             held = motion is MotionState.HELD
             running = motion is MotionState.RUNNING
+            if running:
+                self._holds.discard(HoldReason.MACHINE)
+            elif held and self._is_foreign(hold_reason):
+                self._stand_by_machine(f"held at the machine: {hold_reason}")
             if self._state is CellState.PAUSING and not running:
                 self._enter(CellState.PAUSED, "")
-            elif self._state is CellState.RESUMING and not held:
+            if self._state is CellState.PAUSED and not self._holds:
+                if running:
+                    self._enter(CellState.RUNNING, "released at the machine")
+                else:
+                    self._enter(CellState.RESUMING, "no reason to stand any more")
+            if self._state is CellState.RESUMING and not held:
                 self._enter(CellState.RUNNING, "")
-            elif self._state is CellState.RUNNING and held:
-                self._enter(CellState.PAUSED, f"held at the machine: {hold_reason}")
-            elif self._state is CellState.PAUSED and running and not self._holds:
-                self._enter(CellState.RUNNING, "released at the machine")
 
     def fall_back(self, text: str) -> None:
         """Give up resuming: the controller keeps holding."""
         with self._lock:
             if self._state is CellState.RESUMING:
-                self._enter(CellState.PAUSED, text)
+                self._stand_by_machine(text)
 
     def end(self, state: CellState, text: str) -> None:
         """Enter a final state."""
         with self._lock:
             self._enter(state, text)
+
+    def _is_foreign(self, hold_reason: str) -> bool:
+        """Tell whether a hold is none that we have asked for."""
+        if self._state is CellState.RUNNING:
+            return True
+        # A person who resumes takes back what the machine still says for a moment.
+        asked = self._state is CellState.RESUMING and self._may_release_machine
+        return hold_reason not in _OURS and not asked
+
+    def _stand_by_machine(self, text: str) -> None:
+        self._holds.add(HoldReason.MACHINE)
+        if self._state in (CellState.RUNNING, CellState.RESUMING):
+            self._enter(CellState.PAUSED, text)
 
     def _enter(self, state: CellState, text: str) -> None:
         if state not in TRANSITIONS.get(self._state, frozenset()):

@@ -100,6 +100,16 @@ STILL_HELD = Fault(
 )
 
 
+def held_at_machine(reason: str) -> Fault:
+    """Return why a machine stands that nobody has told to stand."""
+    return Fault(
+        "held-at-machine",
+        f"the feed is held at the machine: {reason}",
+        "look why, then release it there or press Resume",
+        latched=False,
+    )
+
+
 def tracker_dead(after_s: float) -> Fault:
     """Return the fault of a stream that has been silent for too long."""
     return Fault(

@@ -169,8 +169,7 @@ class Session:
         if not self._watch.is_beam_good:
             self._watch.tell(NO_BEAM)
             return
-        if self._control.release(*HoldReason, text="resume"):
-            self.motion.resume()
+        self._control.release(*HoldReason, text="resume")
 
     def extend(self, part: Commanded) -> None:
         """Go on with a further part, as soon as the machine stands and asks."""

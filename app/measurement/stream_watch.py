@@ -22,17 +22,22 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """For how long, in seconds of the host, a stream may be less than good."""
+    """For how long, in seconds that the host has run, a stream may be less than good.
+
+    late_s : what counts at most of a time in which the host did not run: a suspended or
+        starved process hears nothing, and finds it all waiting when it wakes up
+    """
 
     silent_s: float = 0.5
     dead_s: float = 5.0
     beam_s: float = 0.25
+    late_s: float = 0.25
 
 
 class StreamWatch:
     """Latest of the stream and a verdict on it. Any thread may call any method.
 
-    now_s : monotonic time of the host, given with each call
+    now_s : time that the host has run, given with each call
     """
 
     def __init__(self, patience: Patience, now_s: float) -> None:

@@ -21,6 +21,7 @@ from app.measurement.faults import (
     Aborted,
     Fault,
     fault_of,
+    held_at_machine,
     tracker_dead,
 )
 from app.measurement.limits import Limits
@@ -30,6 +31,7 @@ from app.measurement.orders import CellState, Report
 from app.measurement.progress import Course, Schedule
 from app.measurement.pump import Pump
 from app.measurement.recorder import Recorder
+from app.measurement.running_clock import RunningClock
 from app.measurement.stream_watch import StreamWatch, Verdict
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
@@ -64,15 +66,18 @@ class Watch:
         self._tracker, self._motion, self._recorder = tracker, motion, recorder
         self._control, self._view, self._report = control, view, report
         self._machine = MotionWatch(motion, recorder, self.limits, clock)
-        self._stream = StreamWatch(self.limits.patience, clock())
+        # A host that did not run has not listened either: that is no silence.
+        self._ear = RunningClock(self.limits.patience.late_s, clock)
+        self._stream = StreamWatch(self.limits.patience, self._ear())
         self._pump: Pump | None = None
+        self._is_machine_told = False
         self._resume_by_s: float | None = None
         self._hold_by_s: float | None = None
 
     def begin_stream(self, rate_hz: float) -> None:
         """Start the stream; return at its first valid sample, or raise Fault."""
-        self._stream = StreamWatch(self.limits.patience, self.clock())
-        self._pump = Pump(self._tracker, self._recorder, self._stream, self.clock)
+        self._stream = StreamWatch(self.limits.patience, self._ear())
+        self._pump = Pump(self._tracker, self._recorder, self._stream, self._ear)
         self._pump.start(rate_hz)
         deadline_s = self.clock() + self.limits.first_sample_s
         while not self._stream.has_valid:
@@ -99,7 +104,7 @@ class Watch:
         """Whether a stream under way brings valid samples; true where there is none."""
         if self._pump is None:
             return True
-        return self._stream.verdict(self.clock()) is Verdict.GOOD
+        return self._stream.verdict(self._ear()) is Verdict.GOOD
 
     def tick(self) -> MotionStatus | None:
         """Wait a tenth of a second and look at everything.
@@ -139,7 +144,7 @@ class Watch:
             return
         if self._pump.failure is not None:
             raise fault_of(self._pump.failure)
-        verdict = self._stream.verdict(self.clock())
+        verdict = self._stream.verdict(self._ear())
         if verdict is Verdict.DEAD:
             raise tracker_dead(self.limits.patience.dead_s)
         if verdict is Verdict.SILENT:
@@ -157,8 +162,8 @@ class Watch:
 
     def _go_on_after(self, reason: HoldReason, text: str) -> None:
         self._note("stream" if reason is HoldReason.SILENCE else "storage", text)
-        if self._control.release(reason, text=text):
-            self._machine.command(self._motion.resume)
+        self._is_machine_told = False  # what still holds is what to tell of now
+        self._control.release(reason, text=text)
 
     def _follow(self, status: MotionStatus) -> None:
         if status.state is MotionState.ALARM:
@@ -169,11 +174,19 @@ class Watch:
         self.course.follow(status.line)
         self.course.pass_time(active=self._control.state is CellState.RUNNING)
         self._control.observe(status.state, status.hold_reason)
+        self._tell_of_machine(status.hold_reason)
         if self._control.wants_hold and status.state is MotionState.RUNNING:
             self._insist_on_hold()
         else:
             self._hold_by_s = None
         self._insist_on_resume(status)
+
+    def _tell_of_machine(self, hold_reason: str) -> None:
+        """Say once that somebody has to release the machine itself."""
+        waits = self._control.holds(HoldReason.MACHINE)
+        if waits and not self._is_machine_told:
+            self.tell(held_at_machine(hold_reason))
+        self._is_machine_told = waits
 
     def _insist_on_hold(self) -> None:
         self._machine.command(self._motion.hold)
@@ -195,6 +208,7 @@ class Watch:
         if self.clock() > self._resume_by_s:
             self.tell(STILL_HELD)
             self._control.fall_back(f"still held: {status.hold_reason}")
+            self._is_machine_told = True
 
     def _tell_progress(self) -> None:
         news = self.course.news()

@@ -171,6 +171,23 @@ def test_the_main_job_from_the_wire_to_the_error_tables(settings):
         assert same["error_tables"]["EXX"] == result["error_tables"]["EXX"]
 
 
+def test_a_short_silence_of_the_tracker_costs_its_samples_and_asks_for_nobody(
+    settings,
+):
+    # Back a tenth of a second after the hold: the machine may brake still.
+    fault = f"tracker:silence@12s+{0.6 * SPEED}s"
+    silent = settings.model_copy(update={"simulated_faults": (fault,)})
+    with (
+        open_service(silent) as service,
+        TestClient(create_application(service), base_url="http://localhost") as client,
+    ):
+        job = create(client, path=ROWS)
+        arm(client, job)
+        job = follow(client, job["id"], "succeeded")
+        assert job["health"]["lost_samples"] == pytest.approx(0.6 * SPEED * 500, 0.1)
+        assert job["desired_state"] == "running"
+
+
 def test_pause_resume_and_abort_reach_the_machine(settings):
     with (
         open_service(settings) as service,

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path as FilePath
@@ -410,6 +411,68 @@ def test_a_short_silence_is_lived_through(bench, watchful, long_order):
     assert closed["outcome"] == "finished"
     assert set(watchful.faults) == {"tracker-silent"}
     assert closed["lost_samples"] > 0.5 * SPEED * 500
+
+
+@contextmanager
+def suspended(*process_ids: int) -> Iterator[None]:
+    """Let processes not run meanwhile."""
+    for process_id in process_ids:
+        os.kill(process_id, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for process_id in process_ids:
+            os.kill(process_id, signal.SIGCONT)
+
+
+@pytest.mark.parametrize(
+    ("who", "for_s"),
+    [
+        ("tracker", 0.6),
+        ("tracker", 2.0),
+        ("cnc", 0.6),
+        ("cnc", 1.4),
+        ("tracker cnc", 0.6),
+        ("tracker cnc", 1.4),
+        ("cell", 0.7),
+        ("tracker cnc cell", 1.4),
+    ],
+)
+def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
+    bench, watchful, long_order, who, for_s
+):
+    ids = bench.process_ids | {"cell": watchful.cell.process_id}
+    watchful.cell.begin(long_order)
+    watchful.until_line(1)
+    with suspended(*(ids[name] for name in who.split())):
+        time.sleep(for_s)  # what is tested is that time passes
+    closed = watchful.until_closed()
+    assert closed["outcome"] == "finished"
+    assert closed["lost_samples"] == 0
+    assert set(watchful.faults) <= {"tracker-silent"}
+    run = open_run(long_order.run_file)
+    assert (np.diff(run.tracker.sequence) == 1).all()
+    assert moves(run) >= len(long_order.commanded) - 1
+
+
+def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
+    bench, watchful, long_order, machine_state
+):
+    watchful.cell.begin(long_order)
+    watchful.until_line(1)
+    with suspended(watchful.cell.process_id):
+        held_by_s = time.monotonic() + 10.0
+        while (status := machine_state()).state != "held":
+            assert time.monotonic() < held_by_s
+            time.sleep(0.01)
+        assert status.hold_reason == "watchdog"
+    watchful.until_state("paused")
+    watchful.until(lambda: watchful.faults[-1:] == ["held-at-machine"])
+    assert "watchdog" in watchful.of("fault")[-1]["text"]
+    assert machine_state().state == "held"
+    watchful.cell.resume()
+    closed = watchful.until_closed()
+    assert (closed["outcome"], closed["lost_samples"]) == ("finished", 0)
 
 
 def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
