@@ -139,7 +139,7 @@ def by_line_figure(before: Sequence[Segment], after: Sequence[Segment]) -> str:
 
 def shares_figure(before: dict[str, float], after: dict[str, float]) -> str:
     """Draw the share of the disagreement that each grouping explains."""
-    frame = Frame(_NAMES, 8.0, WIDTH - 60.0, 8.0 + _BARS * len(before))
+    frame = Frame(_NAMES, 8.0, WIDTH - 110.0, 8.0 + _BARS * len(before))
     x = Scale(0.0, max(max(before.values()), 0.05), frame.left, frame.right)
     parts: list[str] = []
     for row, (name, share) in enumerate(before.items()):

@@ -12,7 +12,7 @@ from datetime import datetime
 from typing import Any
 
 from app.discovery.asking import Ask
-from app.discovery.discover import Discovery, Finding
+from app.discovery.discover import Discovery
 from app.discovery.figures import (
     along_run_figure,
     by_line_figure,
@@ -22,9 +22,9 @@ from app.discovery.figures import (
 )
 from app.discovery.model_file import NextModel
 from app.discovery.report_ask import asked_section
+from app.discovery.report_findings import findings_section, split, unnamed_section
 from app.discovery.where import Segment, Shown
-from app.discovery.wording import others, title
-from app.kinematics.effects.catalogue import Described
+from app.discovery.wording import title
 from app.reporting.html_parts import (
     callout,
     drawing,
@@ -35,7 +35,6 @@ from app.reporting.html_parts import (
     table,
     tile,
 )
-from app.reporting.model_difference import in_words
 from app.reporting.report_style import STYLE
 
 CLOSED = 1.05  # gap over noise up to which nothing is left to explain
@@ -57,11 +56,11 @@ def report_html(
     """
     name = escape(found.at.machine.name)
     parts = (
-        _findings(found, model),
+        findings_section(found, model),
         asked_section(asked, ask_file),
         _gap(found),
         _where(found),
-        _unnamed(found),
+        unnamed_section(found),
         _model(model),
         _documentation(found, model),
     )
@@ -94,13 +93,14 @@ def _names(found: Discovery) -> str:
 
 def _tiles(found: Discovery) -> str:
     gap = found.gap
-    named, described_ = _split(found)
+    named, unnamed = split(found)
+    beside = f", {len(unnamed)} described" if unnamed else ""
     closed = gap.after_um <= CLOSED * gap.expected_um
     texts = [title(f.candidate) for f in named]
     tiles = (
         tile(
             str(len(named)),
-            "named" if named or not described_ else "named, 1 described",
+            f"named{beside}",
             "Missing effects",
             escape("; ".join(texts) or "nothing that has a name is missing"),
         ),
@@ -122,62 +122,17 @@ def _tiles(found: Discovery) -> str:
     return f'<div class="tiles">{"".join(tiles)}</div>\n'
 
 
-def _split(found: Discovery) -> tuple[list[Finding], list[Finding]]:
-    named = [f for f in found.findings if f.structure is None]
-    return named, [f for f in found.findings if f.structure is not None]
-
-
-def _findings(found: Discovery, model: NextModel) -> tuple[str, ...]:
-    named, _ = _split(found)
-    if not named:
-        text = (
-            f"None of the {found.compared} effects that were looked for explains this "
-            "measurement better than noise does."
-        )
-        return ("Which effects are missing", callout(text))
-    return (
-        "Which effects are missing",
-        *(_finding(f, found, model) for f in named),
-    )
-
-
-def _finding(finding: Finding, found: Discovery, model: NextModel) -> str:
-    words, evidence = finding.family.signature, finding.evidence
-    numbers = [
-        in_words(name, m.value, m.uncertainty) for name, m in finding.parameters.items()
-    ]
-    part = (
-        "becomes part of the machine's model"
-        if model.extended.holds(finding)
-        else "belongs to this measurement: taken out of the machine's numbers"
-    )
-    pairs = [
-        ("Cause", escape(words.cause)),
-        ("Looks like", escape(words.looks_like)),
-        ("What to do", escape(words.remedy)),
-        (
-            "Evidence",
-            f"closes {100 * evidence.share:.0f} % of the gap; log Bayes factor "
-            f"{plain(evidence.log_bayes)} after the price of looking at "
-            f"{found.compared} effects; lines not seen are foretold better by "
-            f"{plain(evidence.held_out)} (log score)",
-        ),
-        ("May also be", escape(others(finding))),
-        ("In the model", part),
-    ]
-    return (
-        f'<div class="finding"><h3>{escape(title(finding.candidate))}</h3>'
-        f'<p class="numbers">{escape("; ".join(numbers))} (k = 2)</p>'
-        f"{facts(pairs)}</div>"
-    )
-
-
 def _gap(found: Discovery) -> tuple[str, ...]:
     gap = found.gap
     left = max(gap.after_um / max(gap.expected_um, 1e-12) - 1.0, 0.0)
+    way = (
+        f"falls from {gap.before_um:.2f} µm to {gap.after_um:.2f} µm"
+        if found.findings
+        else f"is {gap.after_um:.2f} µm"
+    )
     text = (
-        f"Measured minus simulated on lines that the fit did not see falls from "
-        f"{gap.before_um:.2f} µm to {gap.after_um:.2f} µm; noise alone would leave "
+        f"Measured minus simulated on lines that the fit did not see {way}; noise "
+        f"alone would leave "
         f"{gap.noise_floor_um:.2f} µm, a complete model {gap.expected_um:.2f} µm, as "
         "well as the other lines tell it."
     )
@@ -255,33 +210,6 @@ def _segment(segment: Segment) -> tuple[str, ...]:
         plain(segment.time_s),
         plain(segment.feed_mm_min, 0),
         plain(segment.rms_um, 2),
-    )
-
-
-def _unnamed(found: Discovery) -> tuple[str, ...]:
-    _, unnamed = _split(found)
-    if not unnamed:
-        return (
-            "Structure without a name",
-            "<p>None: what is left does not depend on time, on an axis or on two axes "
-            "together more than noise would.</p>",
-        )
-    items = "".join(
-        f"<li>{_described(f.structure, f)}</li>" for f in unnamed if f.structure
-    )
-    return (
-        "Structure without a name",
-        "<p>No effect of the catalogue explains it, and none is forced on it.</p>"
-        f"<ul>{items}</ul>",
-    )
-
-
-def _described(family: Described, finding: Finding) -> str:
-    text = family.told(finding.candidate, finding.parameters)
-    words = family.signature
-    return escape(
-        f"{text[0].upper()}{text[1:]}; it closes {100 * finding.evidence.share:.0f} % "
-        f"of the gap. {words.cause} {words.remedy}"
     )
 
 
