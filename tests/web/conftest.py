@@ -122,7 +122,9 @@ class Panel:
         language: str = "en",
         dark: bool = False,
         touch: bool = False,
+        before: str = "",
     ) -> Page:
+        """Open the page; `before` is a script that runs before those of the page."""
         context = self.browser.new_context(
             viewport={"width": size[0], "height": size[1]},
             locale=language,
@@ -131,6 +133,7 @@ class Panel:
         )
         context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
+        page.add_init_script(before)
         self.witness.watch(page)
         page.goto(f"{self.address}/{where}", wait_until="domcontentloaded")
         return page

@@ -9,6 +9,8 @@ import asyncio
 import itertools
 import json
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -53,6 +55,9 @@ class ScriptedService:
         self._numbers = itertools.count(1)
         self._streams: set[tuple[asyncio.AbstractEventLoop, asyncio.Queue[str]]] = set()
         self._lock = threading.Lock()
+        self._kept_back: list[str] | None = None
+        self._answering = threading.Event()
+        self._answering.set()
         self.closing = threading.Event()
 
     # What the test says.
@@ -157,6 +162,30 @@ class ScriptedService:
         if self.silent:
             return
         text = event_text(kind, body)
+        if self._kept_back is not None:
+            self._kept_back.append(text)
+        else:
+            self._send(text)
+
+    @contextmanager
+    def telling_late(self) -> Iterator[None]:
+        """Tell no event before the end; what is asked is answered meanwhile."""
+        self._kept_back = []
+        yield
+        late, self._kept_back = self._kept_back, None
+        for text in late:
+            self._send(text)
+
+    @contextmanager
+    def answering_late(self) -> Iterator[None]:
+        """Answer no verb before the end; its events are told meanwhile."""
+        self._answering.clear()
+        try:
+            yield
+        finally:
+            self._answering.set()
+
+    def _send(self, text: str) -> None:
         with self._lock:
             for loop, queue in self._streams:
                 loop.call_soon_threadsafe(queue.put_nowait, text)
@@ -168,11 +197,15 @@ class ScriptedService:
             "arm": "running",
             "pause": "paused",
             "resume": "running",
-            "abort": "aborted",
+            "abort": "aborting",
         }[verb]
         more = {"stage": "measuring"} if verb == "arm" else {}
         self.change(job_id, state=state, **more)
-        return self.jobs[job_id]
+        answer = dict(self.jobs[job_id])
+        if verb == "abort":  # answered when it is asked, confirmed by the next event
+            self.change(job_id, state="aborted")
+        self._answering.wait()
+        return answer
 
     def stop(self) -> list[dict[str, Any]]:
         self.stops += 1

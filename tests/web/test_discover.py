@@ -201,6 +201,24 @@ def test_extra_lines_that_are_discarded_lead_back_to_their_discovery(panel, serv
     page.wait_for_url(f"**/#/discover/{job}")
 
 
+def test_late_events_of_discarded_extra_lines_do_not_hide_the_discovery(panel, service):
+    service.discovery = copy.deepcopy(DISCOVERY) | {"ask": ASK}
+    job = discovered(service)
+    service.plan["discovery_id"] = job
+    extra = service.new_job("measure-extra", state="ready")["id"]
+    page = panel.open(f"#/check/{extra}")
+    expect(page.locator(".path-view[data-drawn]")).to_be_visible()
+    drive = page.locator(NEXT, has_text="Drive the extra lines")
+    with service.telling_late():
+        page.get_by_role("button", name="Discard").click()
+        page.wait_for_url(f"**/#/discover/{job}")
+        expect(page.locator("[data-ask]")).to_be_visible()
+        expect(drive).to_be_disabled()
+    expect(drive).to_be_enabled()
+    expect(page.locator("[data-ask]")).to_be_visible()
+    assert page.url.endswith(f"#/discover/{job}")
+
+
 def test_it_speaks_german_and_fits_a_dark_telephone(panel, service):
     job = discovered(service)
     page = panel.open(f"#/discover/{job}", size=(390, 800), language="de", dark=True)

@@ -17,6 +17,16 @@ pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 NEXT = "#next button"
 HOLD_S = 1.4
 REFUSED = ("the server responded with a status of",)
+# As in a busy browser: states are drawn between a new address and its view.
+TURNS_SLOWLY = """
+window.visited = [];
+addEventListener("hashchange", (event) => {
+  if (!event.isTrusted) return;
+  event.stopImmediatePropagation();
+  window.visited.push(location.hash);
+  setTimeout(() => dispatchEvent(new HashChangeEvent("hashchange")), 400);
+});
+"""
 
 
 def test_the_task_runs_from_connect_to_result(panel, service):
@@ -264,8 +274,39 @@ def test_a_discarded_check_leads_back_to_the_plan(panel, service):
     page = panel.open()
     page.locator("#back button", has_text="Discard").click()
     page.wait_for_url("**/#/plan")
-    assert service.jobs[job]["state"] == "aborted"
     expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
+    assert service.jobs[job]["state"] == "aborted"
+
+
+def test_events_after_the_answer_do_not_lead_a_discarded_check_elsewhere(
+    panel, service
+):
+    service.connected = True
+    job = ready(service)
+    page = panel.open(before=TURNS_SLOWLY)
+    discard = page.locator("#back button", has_text="Discard")
+    with service.telling_late():
+        discard.click()
+        expect(page.locator("#state")).to_have_text("Aborting")
+        expect(page.locator("h1")).to_have_text("Plan")
+    expect(page.locator("#state")).to_have_text("Aborted")
+    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
+    assert service.jobs[job]["state"] == "aborted"
+    assert visited(page) == [f"#/check/{job}", "#/plan"]
+
+
+def test_events_before_the_answer_do_not_lead_a_discarded_check_elsewhere(
+    panel, service
+):
+    service.connected = True
+    job = ready(service)
+    page = panel.open(before=TURNS_SLOWLY)
+    discard = page.locator("#back button", has_text="Discard")
+    with service.answering_late():
+        discard.click()
+        expect(page.locator("#state")).to_have_text("Aborted")
+    expect(page.locator(NEXT, has_text="Prepare the run")).to_be_enabled()
+    assert visited(page) == [f"#/check/{job}", "#/plan"]
 
 
 def test_the_set_up_is_graded_before_anything_moves(panel, service):
@@ -374,6 +415,10 @@ def measuring(service) -> str:
     service.connected = True
     job = service.new_job("measure-otf", state="running", stage="measuring")
     return job["id"]
+
+
+def visited(page: Page) -> list[str]:
+    return page.evaluate("window.visited")
 
 
 def follow(page: Page, label: str) -> None:

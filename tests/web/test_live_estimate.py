@@ -145,7 +145,9 @@ def test_a_target_is_asked_as_u_and_sent_as_a_standard_uncertainty(panel, servic
     assert order["target_um"] == 1.5
     (job,) = service.jobs
     service.change(job, state="ready")
-    expect(page.locator(".pairs")).to_contain_text("at U = 3.0 µm (k = 2)")
+    # Not any list: the grade of the set-up comes as one beside it.
+    this_run = page.locator(".card", has=page.get_by_role("heading", name="This run"))
+    expect(this_run.locator(".pairs")).to_contain_text("at U = 3.0 µm (k = 2)")
 
 
 def test_a_target_goes_finer_and_coarser_up_to_none(panel, service):

@@ -42,14 +42,19 @@ export function createActions(store, go) {
     store.set({ jobs: jobs.filter((job) => job.kind !== "plan"), runs });
   }
 
-  /** Take over what the service says of a job: the followed one, or one that now moves. */
-  function hear(job) {
-    if (job.kind === "plan") return; // it belongs to the request that asked for it
+  /** Take over what the service says of a job: the followed one, or one that now moves.
+   *
+   * Answers and events come by two ways, in any order: what is older says nothing.
+   */
+  function hear(told) {
+    if (told.kind === "plan") return; // it belongs to the request that asked for it
     const { job: followed, jobs } = store.get();
-    const others = jobs.filter((other) => other.id !== job.id);
+    const others = jobs.filter((other) => other.id !== told.id);
+    const job = newer(jobs.find((other) => other.id === told.id) ?? told, told);
+    const begins = isMeasuring(job) && isActive(job) && job.state !== "aborting";
     store.set({ jobs: [job, ...others].sort(byCreation).slice(0, KEPT_JOBS) });
     if (followed?.id === job.id) store.set({ job: newer(followed, job) });
-    else if (isMeasuring(job) && isActive(job) && (!followed || hasEnded(followed))) follow(job);
+    else if (begins && (!followed || hasEnded(followed))) follow(job);
   }
 
   /** Follow a job and fetch what belongs to it: its plan, its result. */

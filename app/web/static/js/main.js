@@ -69,16 +69,21 @@ function render(state) {
 
 let seen = {};
 
-/** Go with the job from step to step: armed → Run, done → Result. */
-function follow({ job }) {
+/** Go with the job from step to step: armed → Run, done → Result.
+ *
+ * From where the operator is bound for, which is not yet what is shown; and not while he
+ * calls the job off: that has a place of its own to lead to.
+ */
+function follow({ job, asked }) {
   const before = seen;
   seen = job ? { id: job.id, state: job.state, step: stepOf(job) } : {};
   if (!job || before.state === job.state) return;
   actions.fetchPlan();
   actions.fetchResult();
   const known = before.id === job.id;
-  const moved = known && before.step !== seen.step && current === before.step;
-  const begun = !known && current === "connect" && isMeasuring(job) && isActive(job);
+  const { step } = place(location.hash);
+  const moved = known && before.step !== seen.step && step === before.step && asked !== "abort";
+  const begun = !known && step === "connect" && isMeasuring(job) && isActive(job);
   if (moved || begun) go(addressOf(job));
 }
 
