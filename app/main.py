@@ -26,6 +26,7 @@ from app.api.application import create_application
 from app.api.server import Server, address_of, bound_socket, signals_end_quietly
 from app.api.service import Service
 from app.errors import BadInput
+from app.files.machine_file import machine_from_json, read_machine
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
@@ -40,7 +41,6 @@ from app.jobs.workers import workers_of
 from app.jobs.workflow import Workshop
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell, CellConfig
-from app.measurement.machine_file import machine_from_json, read_machine
 from app.plugins import load
 from app.settings import Settings
 from app.web import pages

@@ -16,10 +16,10 @@ from measure import measure, ratio
 
 from app.alignment.align import align
 from app.estimation.volumetric_map import volumetric_map
-from app.jobs.analysis import analyse
+from app.files.bundle import read_bundle
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine
-from app.measurement.bundle import read_bundle
+from app.reporting.analysis_files import analyse
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine

@@ -24,28 +24,28 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
-from app.estimation.identifiable import identifiable_model
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision
-from app.jobs.outlooks import point_outlook, stand_of
-from app.jobs.planning import PlanRequest, make_plan
+from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS
-from app.measurement.machine_file import machine_from_json
+from app.motion.corner_path import corner_path
+from app.motion.motion_times import Drive, drive_of
+from app.motion.paths import line_times_s
+from app.motion.workspace import Workspace
 from app.numerics.design_criteria import Belief, best_place
 from app.numerics.splines import natural_spline
-from app.planning.corner_path import corner_path
 from app.planning.leg_choice import LegChoice, Region
-from app.planning.motion_times import Drive, drive_of
 from app.planning.next_configuration import (
     next_configuration,
     point_rows,
     search_space,
 )
 from app.planning.outlook import Outlook, inverse
-from app.planning.paths import line_times_s
-from app.planning.workspace import Workspace
+from app.planning.outlooks import point_outlook, stand_of
+from app.planning.plan import PlanRequest, make_plan
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic
 from simulators.scenario import load_machine

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import structlog
 
+from app.files.bundle import zip_bundle
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine
-from app.measurement.bundle import zip_bundle
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine

@@ -12,8 +12,8 @@ from hidden_worlds import World
 from recordings import run_of
 
 from app.discovery.discover import discover
-from app.discovery.discovery_json import discovery_json
 from app.errors import EstimationError
+from app.results.discovery_json import discovery_json
 
 NOTHING, UNNAMED = "nothing", "unnamed"
 _REFUSED = {

@@ -19,11 +19,11 @@ from recordings import run_of
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information
 from app.estimation.problem import pose_problem
 from app.kinematics.effects.base import Conditions, Effect, Parameter
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.model import MachineModel
 from simulators.recording import Recording
 from simulators.tracker_head import Air

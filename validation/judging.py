@@ -16,7 +16,7 @@ from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.reporting.error_tables import table_positions_mm
+from app.results.error_tables import table_positions_mm
 from simulators.truth_machine import TruthMachine
 
 _NODES = 12

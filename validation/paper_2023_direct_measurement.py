@@ -18,8 +18,8 @@ from matplotlib.axes import Axes
 from recordings import machine_content, papers_program
 from study import Study, study
 
-from app.estimation.identifiable import identifiable_model
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, error_motions, is_straightness, is_turn
 from simulators import synthetic

@@ -24,8 +24,8 @@ from study import Study, study
 
 from app.alignment.align import align
 from app.estimation.volumetric_map import volumetric_map
+from app.files.machine_file import machine_from_json
 from app.kinematics.effects.base import standstill
-from app.measurement.machine_file import machine_from_json
 from app.numerics.rigid import fit_rigid
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine

@@ -17,7 +17,7 @@ from judging import Volume, map_mm, volume
 from recordings import machine_content, papers_program
 from study import Study, study
 
-from app.measurement.machine_file import machine_from_json
+from app.files.machine_file import machine_from_json
 from simulators import synthetic
 from simulators.machine_file import parse_machine
 from simulators.truth_machine import random_machine

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
 from app.kinematics.machine import Machine
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
-from app.planning.paths import default_path
+from app.motion.configurations import Configurations
+from app.planning.default_path import default_path
 from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 from simulators import paths
 from simulators.machine_file import parse_machine

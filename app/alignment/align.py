@@ -22,7 +22,7 @@ from app.alignment.stretches import (
     standing_stretches,
 )
 from app.errors import AlignmentError
-from app.measurement.run import Run
+from app.files.run import Run
 
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 

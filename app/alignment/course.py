@@ -17,7 +17,7 @@ from jaxtyping import Float64, Int64
 from app.alignment.bend import NODES, Bend
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import Machine, RotaryAxis
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
 
 HARDLY_MM = 1.0  # a target that moves less far is not looked at on the way

@@ -26,10 +26,10 @@ from app.alignment.stretches import (
     standing_stretches,
 )
 from app.errors import AlignmentError
+from app.files.run import Run
 from app.kinematics.machine import Machine
-from app.measurement.run import Run
+from app.motion.configurations import Configurations
 from app.numerics.rigid import RigidTransform, fit_rigid
-from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see

@@ -14,9 +14,9 @@ from app.alignment.reduction import CELL_MM, Cells, cell_count, reduce_to_cells
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops
+from app.files.run import Run
 from app.kinematics.effects.base import Conditions
 from app.kinematics.machine import Machine
-from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform
 
 _SETTLE_S = 0.05  # left out at both ends of a standstill

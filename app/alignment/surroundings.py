@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
 from app.kinematics.effects.base import Surroundings
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TemperatureSamples
 
 

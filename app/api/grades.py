@@ -10,8 +10,8 @@ from pydantic import BaseModel, Field
 from app.api.problems import answers
 from app.api.service import ServiceDep
 from app.errors import NotFound
-from app.jobs.grading import graded
 from app.jobs.plans import commanded_from_plan
+from app.results.grading import graded
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 

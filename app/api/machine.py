@@ -15,9 +15,9 @@ from app.api.models.system import Alive, CellOut, Ready, SystemOut
 from app.api.problems import answers
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from app.errors import NotFound
+from app.files.machine_file import machine_to_json
 from app.jobs.errors import NoMachine
 from app.jobs.job import now_utc
-from app.measurement.machine_file import machine_to_json
 
 machines = APIRouter(prefix="/machines", tags=["machines"])
 system = APIRouter(prefix="/system", tags=["system"])

@@ -11,9 +11,10 @@ from pydantic import BaseModel, Field
 from app.api.problems import answers
 from app.api.service import ServiceDep
 from app.errors import NotFound
-from app.jobs.plans import Commanded, commanded_from_plan
+from app.jobs.plans import commanded_from_plan
 from app.kinematics.machine import Machine
-from app.planning.nc_programs.programs import (
+from app.motion.configurations import Commanded
+from app.motion.nc_programs.programs import (
     control_of,
     dialect_names,
     nc_program,

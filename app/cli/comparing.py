@@ -8,8 +8,8 @@ from typing import Any
 
 from app.cli.terminal import print_json, print_table
 from app.errors import BadInput
-from app.jobs.comparison import compare_files
-from app.reporting.comparison import ReferenceUncertainty
+from app.reporting.comparison_output import compare_files
+from app.results.comparison import ReferenceUncertainty
 
 _UNITS = (("um", "µm"), ("urad", "µrad"))
 

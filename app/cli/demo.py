@@ -17,21 +17,19 @@ from app.cli.summary import print_result, summarised
 from app.cli.terminal import print_json, progress, say
 from app.cli.truth import Proof, proof
 from app.errors import BadInput, PlanningError
-from app.jobs.analysis import Analysis, analyse, write_analysis
+from app.files.bundle import write_bundle
+from app.files.machine_file import decode_machine
+from app.files.run import Run
 from app.jobs.plan_orders import first_part, plan_measurement
-from app.jobs.plans import Commanded, commanded_from_plan
+from app.jobs.plans import commanded_from_plan
 from app.kinematics.machine import Machine
-from app.measurement.bundle import write_bundle
 from app.measurement.cell import Cell, CellConfig, Order
-from app.measurement.machine_file import decode_machine
 from app.measurement.recording import open_run
-from app.measurement.run import Run
-from app.planning.paths import (
-    check_travel,
-    default_path,
-    travel_time_s,
-)
+from app.motion.configurations import Commanded
+from app.motion.paths import check_travel, travel_time_s
+from app.planning.default_path import default_path
 from app.plugins import load
+from app.reporting.analysis_files import Analysis, analyse, write_analysis
 from drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8

@@ -9,10 +9,10 @@ from typing import Any
 from app.cli.effects import effect_line
 from app.cli.terminal import print_json, progress
 from app.errors import BadInput
-from app.jobs.analysis import read_all
-from app.jobs.discovery import discover_runs, write_discovery
-from app.jobs.result_files import read_model
-from app.measurement.bundle import read_bundle
+from app.files.bundle import read_bundle
+from app.reporting.analysis_files import read_all
+from app.reporting.discovery_files import discover_runs, write_discovery
+from app.results.result_files import read_model
 
 
 def discover_bundles(

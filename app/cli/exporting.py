@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from app.cli.terminal import print_json, say
-from app.jobs.compensation import export_files
+from app.compensation.export_files import export_files
 
 
 def export_compensation(

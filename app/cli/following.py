@@ -14,7 +14,7 @@ from app.jobs.growth import Growth
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.live_process import LiveOrder
 from app.measurement.cell import Cell, CellEvent, Order
-from app.measurement.parts import Commanded
+from app.motion.configurations import Commanded
 
 SILENCE_S = 30.0  # without a word from the cell process: something is broken
 _ENDED_BADLY = frozenset({"aborted", "failed", "faulted"})

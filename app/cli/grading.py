@@ -10,7 +10,7 @@ import numpy as np
 
 from app.cli.terminal import print_json
 from app.errors import BadInput
-from app.jobs.grading import graded, read_set_up
+from app.results.grading import graded, read_set_up
 
 _PLACE = 3  # coordinates
 

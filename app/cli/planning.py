@@ -9,9 +9,9 @@ from typing import Any
 from app.cli.effects import effect_line
 from app.cli.terminal import print_json, print_table, progress
 from app.errors import BadInput
-from app.jobs.plan_files import write_plan
-from app.jobs.planning import PlanRequest, make_plan
-from app.measurement.machine_file import read_machine
+from app.files.machine_file import read_machine
+from app.planning.plan import PlanRequest, make_plan
+from app.reporting.plan_files import write_plan
 
 
 def plan_files(

@@ -13,14 +13,14 @@ from typing import Any
 
 from app.cli.terminal import print_json, progress, say
 from app.errors import BadInput
-from app.jobs.grading import read_set_up
-from app.measurement.bundle import write_bundle
+from app.files.bundle import write_bundle
 from app.measurement.detached import record_stream
 from app.measurement.recorder import ClosedRun, Recorder
 from app.measurement.recording import open_run
 from app.measurement.run_file import RunHeader
 from app.measurement.stream_watch import Verdict
 from app.plugins import load
+from app.results.grading import read_set_up
 from app.settings import load_settings
 from drivers.interfaces.tracker import Tracker
 

@@ -11,11 +11,16 @@ import numpy as np
 from app.cli.summary import print_result, summarised
 from app.cli.terminal import print_json, progress, say
 from app.errors import BadInput
-from app.jobs.analysis import analyse, predict_points, read_all, write_analysis
-from app.jobs.result_files import read_model
-from app.measurement.bundle import read_bundle
+from app.files.bundle import read_bundle
 from app.numerics.adaptive_trials import Mapper, TrialPlan
-from app.reporting.prediction import Prediction
+from app.reporting.analysis_files import (
+    analyse,
+    predict_points,
+    read_all,
+    write_analysis,
+)
+from app.results.prediction import Prediction
+from app.results.result_files import read_model
 
 
 def analyse_bundles(

@@ -152,7 +152,7 @@ def compare(
     """A result against a direct measurement of single error motions."""
     compute_on_one_thread()
     from app.cli.comparing import compare_result
-    from app.reporting.comparison import ReferenceUncertainty
+    from app.results.comparison import ReferenceUncertainty
 
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
     compare_result(result, reference, output, uncertainty, as_json=json)
@@ -230,11 +230,11 @@ def plan(
     """The measurement that tells most in its time, and what it will leave unknown."""
     compute_on_one_thread()
     from app.cli.planning import plan_files
-    from app.jobs.planning import PlanRequest
-    from app.jobs.result_files import read_model
-    from app.measurement.workspace_file import read_workspace
-    from app.planning.paths import DEFAULT_FEED_MM_MIN
-    from app.planning.workspace import Workspace
+    from app.files.workspace_file import read_workspace
+    from app.motion.paths import DEFAULT_FEED_MM_MIN
+    from app.motion.workspace import Workspace
+    from app.planning.plan import PlanRequest
+    from app.results.result_files import read_model
 
     request = PlanRequest(
         mode,

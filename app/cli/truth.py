@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.numerics.rigid import cross_matrix
-from app.reporting.prediction import predict
-from app.reporting.result_json import read_result
+from app.results.prediction import predict
+from app.results.result_json import read_result
 
 _POINTS = 500  # places in the volume at which errors are compared
 _SEED = 7  # of the points, which the measurement has not been told

@@ -22,7 +22,7 @@ from app.discovery.scan import Offer
 from app.discovery.search import LEAST_EVIDENCE
 from app.discovery.telling_apart import Question, belief_of
 from app.estimation.volumetric_map import volumetric_gram
-from app.planning.paths import travel_time_s
+from app.motion.paths import travel_time_s
 from drivers.interfaces.records import Path
 
 _THIN = LEAST_EVIDENCE + 3.0

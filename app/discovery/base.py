@@ -14,18 +14,18 @@ from app.alignment.observations import Observations
 from app.discovery.scene import at_pose, in_surroundings
 from app.discovery.view import Base
 from app.errors import Unidentifiable
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, Posterior, posterior
 from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.prior import BendingPrior, first_guess, fitted
 from app.estimation.runs import Measured
+from app.files.one_machine import one_machine
+from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.of_run import OfRun
 from app.kinematics.effects.time_spline import time_splines
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.model import MachineModel
-from app.measurement.one_machine import one_machine
-from app.measurement.run import Run
 
 _POINTS = 6  # to a knot, where the machine stands
 _SPLINE_S = 6.0  # what is slower is structure to be explained, not noise

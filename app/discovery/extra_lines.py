@@ -14,12 +14,12 @@ from app.alignment.surroundings import with_surroundings
 from app.discovery.scene import Scene
 from app.discovery.telling_apart import Question
 from app.discovery.view import Base, View
-from app.estimation.rehearsal import rehearsed
-from app.measurement.run import Run
-from app.planning.motion_times import Drive, drive_of
-from app.planning.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN, check_travel
+from app.files.run import Run
+from app.motion.motion_times import Drive, drive_of
+from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN, check_travel
+from app.motion.travel import DECIMALS, inner_travel
 from app.planning.planner import with_resting_axes
-from app.planning.travel import DECIMALS, inner_travel
+from app.planning.rehearsal import rehearsed
 from drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: few fall short of 5

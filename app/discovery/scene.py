@@ -9,8 +9,8 @@ import numpy as np
 from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.alignment.surroundings import with_surroundings
+from app.files.run import Run
 from app.kinematics.effects.base import Conditions
-from app.measurement.run import Run
 from app.numerics.rigid import RigidTransform
 
 CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height

@@ -20,10 +20,10 @@ from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
 from app.discovery.spectrum import transform
 from app.discovery.view import Base, stretches
+from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
 from app.kinematics.effects.of_run import OfRun, identity
-from app.measurement.run import Run
 
 _OUTLIER = 5.0
 _KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial

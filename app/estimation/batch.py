@@ -12,7 +12,6 @@ from app.alignment.observations import Observations
 from app.estimation.direction import best_fit
 from app.estimation.estimate import Estimate, Residuals, RunEstimate
 from app.estimation.extrapolation import measured_ranges, with_ends_free
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel, floor_mm, whiten
@@ -21,7 +20,8 @@ from app.estimation.observability import observability
 from app.estimation.prior import with_unknown_strengths
 from app.estimation.problem import Part, Problem, refined_pose
 from app.estimation.runs import Measured, Share
-from app.measurement.one_machine import one_machine
+from app.files.one_machine import one_machine
+from app.kinematics.identifiable import identifiable_model
 
 
 def estimate(

@@ -23,7 +23,6 @@ from app.alignment.stretches import Stretch, offsets_mm
 from app.alignment.surroundings import with_surroundings
 from app.errors import Unidentifiable
 from app.estimation.direction import with_half_widths
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, information, posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
@@ -40,10 +39,11 @@ from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
 from app.kinematics.effects.base import Parameter
 from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.motion.configurations import Configurations
 from app.numerics.rigid import RigidTransform
-from app.planning.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 
 _FIRST_LOOK = 4  # stretches after which pose and noise are looked at first

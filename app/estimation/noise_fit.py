@@ -16,7 +16,6 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.direction import with_half_widths
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, added
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
@@ -25,6 +24,7 @@ from app.estimation.prior import BendingPrior, first_guess, fitted
 from app.estimation.problem import Part, Problem, refined_pose
 from app.estimation.runs import Measured, Share, shares_of, together, with_noise
 from app.kinematics.effects.base import Effect
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 
 _MERGED_S = 0.25  # longer than this the slow part changes within a merged cell

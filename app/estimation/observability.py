@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.estimate import Observability
-from app.estimation.identifiable import identifiable_model
 from app.estimation.runs import Measured, shares_of, together
 from app.estimation.separation import statements
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.identifiable import Merged, identifiable_model
 from app.kinematics.effects.error_motion import ErrorMotion, usual_size
+from app.kinematics.identifiable import Merged, identifiable_model
 from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import DIRECTION, is_turn, meaning

@@ -23,7 +23,7 @@ import structlog
 from app.errors import MeasurementFailed, TruepathError
 from app.jobs.errors import CellDown, DeviceSettings
 from app.measurement.cell import CellEvent, Order
-from app.measurement.parts import Commanded
+from app.motion.configurations import Commanded
 from drivers.interfaces.records import Identity
 
 log = structlog.get_logger(__name__)

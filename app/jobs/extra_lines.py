@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import BundleError, PlanningError
+from app.files.machine_file import machine_from_json
+from app.files.one_machine import one_machine
 from app.jobs.job import Kind
 from app.jobs.models import DISCOVERY, model_file
 from app.jobs.plans import plan_json, plan_motion
 from app.kinematics.machine import Machine
-from app.measurement.machine_file import machine_from_json
-from app.measurement.one_machine import one_machine
 
 
 def extra_lines(machine: Machine, folder: Path, job_id: str) -> dict[str, Any]:

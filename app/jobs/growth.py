@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
-from app.measurement.parts import Commanded, extended
+from app.measurement.parts import extended
+from app.motion.configurations import Commanded
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.jobs.part_choice import Part
+    from app.planning.part_choice import Part
 
 log = structlog.get_logger(__name__)
 

@@ -29,7 +29,7 @@ from app.jobs.live_process import Ask, LiveOrder, main
 from drivers.interfaces.records import TrackerSamples
 
 if TYPE_CHECKING:
-    from app.jobs.part_choice import Part
+    from app.planning.part_choice import Part
 
 log = structlog.get_logger(__name__)
 

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 from app.jobs.executor import BELOW_THE_CELL
 from app.kinematics.machine import Machine
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
     from app.estimation.live import LiveEstimator
-    from app.jobs.part_choice import Part, PartChoice
-    from app.jobs.planning import PlanRequest
+    from app.planning.part_choice import Part, PartChoice
+    from app.planning.plan import PlanRequest
 
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""
@@ -111,7 +111,7 @@ class _Supply:
         self.total = len(order.commanded) - isinstance(order.commanded, Path)
 
     def next(self) -> Part:
-        from app.jobs.part_choice import Part, PartChoice
+        from app.planning.part_choice import Part, PartChoice
 
         if self._choice is None:
             order = self._order
@@ -165,7 +165,7 @@ class _Stream:
 
 def estimate_json(now: Any) -> dict[str, Any]:
     """Return a LiveEstimate in the words of `result.json`."""
-    from app.reporting.error_tables import error_tables
+    from app.results.error_tables import error_tables
 
     tables = error_tables(now.model, now.theta, now.covariance)
     places = {

@@ -52,8 +52,8 @@ def versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
 def difference_between(before: Path, after: Path) -> list[dict[str, str]]:
     """Return what differs between two model or result files. Raises BundleError."""
     # Imported where it computes: the service itself carries no science.
-    from app.jobs.result_files import load_result
-    from app.reporting.model_difference import ModelState, difference
+    from app.results.model_difference import ModelState, difference
+    from app.results.result_files import load_result
 
     old, new = (load_result(file) for file in (before, after))
     states = (ModelState(m.model, m.theta, m.covariance) for m in (old, new))

@@ -17,6 +17,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.errors import PlanningError
+from app.files.machine_file import machine_to_json
+from app.files.workspace_file import workspace_from_json
 from app.jobs.job import Json, Kind
 from app.jobs.plans import (
     MAX_ROWS,
@@ -26,15 +28,13 @@ from app.jobs.plans import (
     plan_motion,
 )
 from app.kinematics.machine import Machine
-from app.measurement.machine_file import machine_to_json
 from app.measurement.progress import schedule_of
-from app.measurement.workspace_file import workspace_from_json
-from app.planning.paths import DEFAULT_FEED_MM_MIN, check_travel
-from app.planning.turning_points import moves_where_seen
+from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
+from app.motion.turning_points import moves_where_seen
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.jobs.planning import PlanRequest
+    from app.planning.plan import PlanRequest
 
 _PLAIN = ("mode", "minutes", "target_um", "dwell_s")
 _PLAIN += ("perpendicular_only", "corner_path", "seed")
@@ -53,9 +53,9 @@ def plan_measurement(
     Raises PlanningError if nothing can be planned; it names the reason.
     """
     # Imported where it computes: the service itself carries no science.
-    from app.jobs.grading import graded
-    from app.jobs.plan_files import plan_document
-    from app.jobs.planning import make_plan
+    from app.planning.plan import make_plan
+    from app.reporting.plan_files import plan_document
+    from app.results.grading import graded
 
     planned = make_plan(machine, plan_request(order), progress=progress)
     if len(planned.commanded) > MAX_ROWS:
@@ -78,8 +78,8 @@ def plan_measurement(
 
 def plan_request(order: Json) -> PlanRequest:
     """Return the request that an order states."""
-    from app.jobs.planning import PlanRequest
-    from app.jobs.result_files import read_model
+    from app.planning.plan import PlanRequest
+    from app.results.result_files import read_model
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):

@@ -15,13 +15,9 @@ from numpy.typing import NDArray
 from app.errors import PlanningError
 from app.jobs.job import Kind
 from app.kinematics.machine import LinearAxis, Machine
-from app.planning.configurations import Configurations
-from app.planning.paths import (
-    DEFAULT_FEED_MM_MIN,
-    check_travel,
-    default_path,
-    default_points,
-)
+from app.motion.configurations import Commanded, Configurations
+from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel, default_points
+from app.planning.default_path import default_path
 from drivers.interfaces.records import Path
 
 MAX_ROWS = 4096
@@ -29,7 +25,6 @@ DEFAULT_DWELL_S = 1.0
 
 Row = Mapping[str, Any]
 """One row with the column names of `path.csv` or `points.csv`."""
-Commanded = Path | Configurations
 
 
 def plan_motion(

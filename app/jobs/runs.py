@@ -22,14 +22,14 @@ import numpy as np
 from sqlalchemy import RowMapping, insert, select
 
 from app.errors import BundleError, NotFound
+from app.files.bundle import read_bundle, zip_bundle
+from app.files.run import Run
+from app.files.whole_files import replace_file, sync_folder
 from app.jobs.database import Database
 from app.jobs.job import new_id, now_utc
 from app.jobs.plans import plan_json
 from app.jobs.schema import runs
-from app.measurement.bundle import read_bundle, zip_bundle
 from app.measurement.recording import open_run, settle
-from app.measurement.run import Run
-from app.measurement.whole_files import replace_file, sync_folder
 
 _NAME_LENGTH = 200
 

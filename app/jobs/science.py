@@ -30,8 +30,8 @@ def analyse_recorded(
     model_file, model_id : the model whose effects are estimated beside, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.jobs.analysis import analyse, read_all, write_analysis
-    from app.jobs.result_files import read_model
+    from app.reporting.analysis_files import analyse, read_all, write_analysis
+    from app.results.result_files import read_model
 
     model = None if model_file is None else read_model(model_file, model_id or "")
     runs = read_all(run_files, open_recorded)
@@ -61,9 +61,9 @@ def discover_recorded(
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.jobs.analysis import read_all
-    from app.jobs.discovery import discover_runs, write_discovery
-    from app.jobs.result_files import read_model
+    from app.reporting.analysis_files import read_all
+    from app.reporting.discovery_files import discover_runs, write_discovery
+    from app.results.result_files import read_model
 
     parent = None if model_file is None else read_model(model_file, model_id or "")
     runs = read_all(run_files, open_recorded)
@@ -73,8 +73,8 @@ def discover_recorded(
 
 def prepare() -> None:
     """Import what science needs, so that the first job does not wait for it."""
-    import app.jobs.analysis
-    import app.jobs.discovery  # noqa: F401
+    import app.reporting.analysis_files
+    import app.reporting.discovery_files  # noqa: F401
 
 
 def _replace(final: Path, write: Callable[[Path], None]) -> None:

@@ -27,7 +27,7 @@ from app.jobs.measuring import CONFIRM_S, Measuring
 from app.jobs.models import model_file
 from app.jobs.outcome import outcome_of
 from app.jobs.plan_orders import first_part, plan_measurement
-from app.jobs.plans import Commanded, commanded_from_plan, plan_json
+from app.jobs.plans import commanded_from_plan, plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import discover_recorded
 from app.jobs.store import Store
@@ -35,7 +35,8 @@ from app.jobs.transitions import State, Verb
 from app.jobs.workers import Workers
 from app.kinematics.machine import Machine
 from app.measurement.cell import Order
-from app.planning.paths import check_travel
+from app.motion.configurations import Commanded
+from app.motion.paths import check_travel
 
 TRY_AGAIN_S = 0.5
 

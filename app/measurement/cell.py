@@ -19,8 +19,8 @@ from app.errors import MeasurementFailed, TruepathError
 from app.kinematics.machine import Machine
 from app.measurement.cell_process import Command, main
 from app.measurement.orders import CellConfig, CellEvent, CellState, Order
-from app.measurement.parts import Commanded
-from app.planning.paths import check_travel
+from app.motion.configurations import Commanded
+from app.motion.paths import check_travel
 from drivers.interfaces import errors as device_errors
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.records import Identity

@@ -23,7 +23,7 @@ from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement
 from app.measurement.orders import CellConfig, CellState, Order
 from app.measurement.outbox import Outbox
-from app.measurement.parts import Commanded
+from app.motion.configurations import Commanded
 from app.plugins import load
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController

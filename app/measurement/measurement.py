@@ -19,15 +19,15 @@ from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
 from app.measurement.on_the_fly import stream_path
 from app.measurement.orders import CellState, Order, Report
-from app.measurement.parts import Commanded, More, extended
+from app.measurement.parts import More, extended
 from app.measurement.progress import schedule_of
 from app.measurement.recorder import ClosedRun, Committed, Recorder
 from app.measurement.run_file import RunHeader
 from app.measurement.session import Session
 from app.measurement.step_through import step_through
 from app.measurement.watch import Watch
-from app.planning.configurations import Configurations
-from app.planning.paths import check_travel
+from app.motion.configurations import Commanded, Configurations
+from app.motion.paths import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import Identity, MotionState, Path, TrackerSamples

@@ -9,7 +9,7 @@ from typing import Any
 
 from app.kinematics.machine import Machine
 from app.measurement.stream_watch import Patience
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
 
 

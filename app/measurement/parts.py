@@ -12,10 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from app.errors import PlanningError
-from app.planning.configurations import Configurations
+from app.motion.configurations import Commanded, Configurations
 from drivers.interfaces.records import Path
 
-Commanded = Path | Configurations
 More = Callable[[], Commanded | None]
 """Waits for a further part, in the controller's axes; None if none follows."""
 _SAME = 1e-6  # mm or deg

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.planning.configurations import Configurations
-from app.planning.paths import line_times_s
+from app.motion.configurations import Configurations
+from app.motion.paths import line_times_s
 from drivers.interfaces.records import Path
 
 _TRUST_S = 3.0  # before it the pace so far says little

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from app.errors import MeasurementFailed
-from app.measurement.parts import Commanded
+from app.files.whole_files import sync_folder
 from app.measurement.run_database import (
     connect,
     insert_batches,
@@ -45,7 +45,7 @@ from app.measurement.run_file import (
     pack_samples,
     with_commanded,
 )
-from app.measurement.whole_files import sync_folder
+from app.motion.configurations import Commanded
 from drivers.interfaces.records import AxisSamples, TrackerSamples
 
 RESERVE_BYTES = 500 << 20

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from app.errors import BundleError
+from app.files.run import Run, RunEvent
+from app.files.whole_files import sync_folder
 from app.measurement.recorder import ClosedRun
-from app.measurement.run import Run, RunEvent
 from app.measurement.run_database import (
     connect,
     insert_batches,
@@ -40,7 +41,6 @@ from app.measurement.run_file import (
     unpack_axes,
     unpack_samples,
 )
-from app.measurement.whole_files import sync_folder
 from drivers.interfaces.records import AxisSamples, TrackerSamples
 
 _LEAST_ROW_BYTES = 64  # no row of the file is smaller

@@ -8,8 +8,8 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
+from app.files.whole_files import sync_folder
 from app.measurement.run_file import Batch
-from app.measurement.whole_files import sync_folder
 
 
 def connect(file: Path) -> sqlite3.Connection:

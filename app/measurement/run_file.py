@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
+from app.files.machine_file import machine_from_json, machine_to_json
 from app.kinematics.machine import Machine
-from app.measurement.machine_file import machine_from_json, machine_to_json
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import AxisSamples, Identity, Path, TrackerSamples
 
 SCHEMA = "run/1"

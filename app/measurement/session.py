@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from app.measurement.control import Control, HoldReason
 from app.measurement.faults import NO_BEAM, UNSTOPPED, Fault
 from app.measurement.orders import Report
-from app.measurement.parts import Commanded
 from app.measurement.progress import Schedule
 from app.measurement.recorder import Recorder
 from app.measurement.watch import Watch
+from app.motion.configurations import Commanded
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import MotionState, MotionStatus, Path

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.measurement.parts import Commanded, More
+from app.measurement.parts import More
 from app.measurement.session import Session
-from app.planning.configurations import Configurations
+from app.motion.configurations import Commanded, Configurations
 
 
 def step_through(

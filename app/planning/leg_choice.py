@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
+from app.motion.motion_times import Drive
+from app.motion.short_order import short_order
+from app.motion.travel import DECIMALS
 from app.numerics.design_criteria import Belief
-from app.planning.motion_times import Drive
 from app.planning.outlook import Outlook, inverse
-from app.planning.short_order import short_order
-from app.planning.travel import DECIMALS
 
 Allowed = Callable[
     [Float64[np.ndarray, "n a"], Float64[np.ndarray, "n a"]], Bool[np.ndarray, " n"]

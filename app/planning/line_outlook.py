@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.kinematics.effects.base import Conditions, Surroundings
-from app.planning.motion_times import Drive
+from app.motion.motion_times import Drive
 from app.planning.outlook import Outlook
 from drivers.interfaces.records import Path
 

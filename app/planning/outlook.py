@@ -20,8 +20,8 @@ from scipy.linalg import cho_factor, cho_solve
 from app.kinematics.effects.base import Conditions, standstill
 from app.kinematics.machine import Target
 from app.kinematics.model import MachineModel
-from app.planning.configurations import Configurations
-from app.planning.motion_times import Drive
+from app.motion.configurations import Configurations
+from app.motion.motion_times import Drive
 from drivers.interfaces.records import Path
 
 

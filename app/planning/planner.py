@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
 from app.kinematics.machine import Machine
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
+from app.motion.motion_times import Drive
+from app.motion.paths import check_travel
+from app.motion.travel import DECIMALS, inner_travel
+from app.motion.workspace import Workspace
 from app.planning.leg_choice import LegChoice, Region
-from app.planning.motion_times import Drive
 from app.planning.outlook import Outlook
-from app.planning.paths import check_travel
-from app.planning.travel import DECIMALS, inner_travel
-from app.planning.workspace import Workspace
 from drivers.interfaces.records import Path
 
 _STARTS = 400  # places that are tried where no corner is allowed

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from app.motion.configurations import Configurations
+from app.motion.motion_times import Drive
 from app.numerics.design_criteria import Belief
-from app.planning.configurations import Configurations
-from app.planning.motion_times import Drive
 from app.planning.next_configuration import climbed_from, search_space
 from app.planning.outlook import Outlook
 

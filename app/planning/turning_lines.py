@@ -17,15 +17,15 @@ from jaxtyping import Float64
 
 from app.errors import PlanningError
 from app.kinematics.machine import Machine, RotaryAxis, Target
+from app.motion.travel import DECIMALS, inner_travel
+from app.motion.turning_points import moving_targets
 from app.planning.line_information import Knowledge
-from app.planning.travel import DECIMALS, inner_travel
 from app.planning.turning_information import (
     nothing_known_of_turning,
     slopes_mm,
     turning_conditions,
     turning_rows,
 )
-from app.planning.turning_points import moving_targets
 from drivers.interfaces.records import Path
 
 LINES_WITH_ROTARY_AXES = 72

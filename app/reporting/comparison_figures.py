@@ -8,8 +8,6 @@ from jaxtyping import Float64
 from app.kinematics.machine import Axis
 from app.reporting.axis_panels import LEFT, SIGN, TOP, axis_panels
 from app.reporting.chart import Frame, Scale
-from app.reporting.comparison import ComparedError, Comparison, K
-from app.reporting.comparison_volume import ComparedVolume
 from app.reporting.svg import (
     Colour,
     band,
@@ -19,6 +17,8 @@ from app.reporting.svg import (
     strokes,
     words,
 )
+from app.results.comparison import ComparedError, Comparison, K
+from app.results.comparison_volume import ComparedVolume
 
 _BINS = 31
 _VIEW = np.array([[0.87, -0.5, 0.0], [0.28, 0.48, -0.83]])  # from front, right, above

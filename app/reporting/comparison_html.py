@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from app.kinematics.machine import Machine
 from app.reporting.axis_panels import SIGN
-from app.reporting.comparison import ComparedError, Comparison, K, described
 from app.reporting.comparison_figures import axis_figure, volume_figure
-from app.reporting.comparison_files import KINDS, agreeing, kind_of, largest
-from app.reporting.comparison_volume import ComparedVolume, mean_length
-from app.reporting.html_parts import drawing, escape, expanded, plain, section, table
+from app.reporting.html_parts import drawing, escape, section, table
 from app.reporting.report_style import STYLE
+from app.results.comparison import ComparedError, Comparison, K, described
+from app.results.comparison_files import KINDS, agreeing, kind_of, largest
+from app.results.comparison_volume import ComparedVolume, mean_length
+from app.results.numbers_as_text import expanded, plain
 
 
 def comparison_html(

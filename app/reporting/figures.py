@@ -8,9 +8,9 @@ from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Axis
 from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, axis_panels
 from app.reporting.chart import Frame, Scale
-from app.reporting.error_tables import MILLI, ErrorTable, error_table
-from app.reporting.findings import Findings, RunFindings
 from app.reporting.svg import WIDTH, Colour, band, curve, image, segments, words
+from app.results.error_tables import MILLI, ErrorTable, error_table
+from app.results.findings import Findings, RunFindings
 
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22

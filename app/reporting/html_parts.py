@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import html
-import math
 from collections.abc import Iterable, Sequence
 
-from app.reporting.volumetric_error import Figure
+from app.results.numbers_as_text import expanded
+from app.results.volumetric_error import Figure
 
 
 def escape(text: object) -> str:
     """Return the text as it may stand in HTML."""
     return html.escape(str(text), quote=True)
-
-
-def expanded(value: float, standard: float) -> str:
-    """Return `value ± U`, k = 2, with U at two significant digits."""
-    half = 2.0 * standard
-    decimals = 1
-    if half > 0.0:
-        decimals = min(max(1 - math.floor(math.log10(half)), 0), 3)
-    return f"{_number(value, decimals)} ± {_number(half, decimals)}"
-
-
-def plain(value: float, decimals: int = 1) -> str:
-    """Return a number with a true minus sign."""
-    return _number(value, decimals)
 
 
 def figure_text(figure: Figure) -> str:
@@ -79,7 +65,3 @@ def section(number: int, title: str, *content: str) -> str:
 def callout(text: str, *, warn: bool = False) -> str:
     """Return a paragraph that stands out."""
     return f'<div class="callout{" warn" if warn else ""}"><p>{text}</p></div>'
-
-
-def _number(value: float, decimals: int) -> str:
-    return f"{value:z.{decimals}f}".replace("-", "−")

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from app.reporting.effect_titles import effect_title
 from app.reporting.html_parts import drawing, escape, facts, table
-from app.reporting.model_difference import in_words
 from app.reporting.report_style import STYLE
 from app.reporting.svg import NUMBER, WIDTH, Colour, curve, image, segments, words
+from app.results.effect_titles import effect_title
+from app.results.model_difference import in_words
 
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
 _TICKS = 5

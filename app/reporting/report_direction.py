@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from app.kinematics.symbols import meaning
-from app.reporting.direction_tables import HalfDifference, half_differences
-from app.reporting.findings import Findings
-from app.reporting.html_parts import expanded, section, table
+from app.reporting.html_parts import section, table
+from app.results.direction_tables import HalfDifference, half_differences
+from app.results.findings import Findings
+from app.results.numbers_as_text import expanded
 
 _SAID = {
     "none": "The data give no sign that the direction of approach matters: tables that "

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from app.kinematics.effects.catalogue import Measured
-from app.reporting.effects_beside import (
+from app.reporting.html_parts import callout, escape, section, table
+from app.results.effects_beside import (
     EffectBeside,
     ModelAccount,
     effects_beside,
     taken,
 )
-from app.reporting.findings import Findings
-from app.reporting.html_parts import callout, escape, section, table
-from app.reporting.model_difference import in_words
+from app.results.findings import Findings
+from app.results.model_difference import in_words
 
 
 def effects(number: int, found: Findings) -> str:

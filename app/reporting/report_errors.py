@@ -8,19 +8,13 @@ from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import error_motions as symbols_of
 from app.kinematics.symbols import meaning
 from app.reporting.axis_panels import SIGN
-from app.reporting.error_tables import ErrorTable
 from app.reporting.figures import axis_figure
-from app.reporting.findings import Findings
-from app.reporting.html_parts import (
-    drawing,
-    expanded,
-    figure_text,
-    plain,
-    section,
-    table,
-)
+from app.reporting.html_parts import drawing, figure_text, section, table
 from app.reporting.volume_figure import volume_figure
-from app.reporting.volumetric_error import Spread
+from app.results.error_tables import ErrorTable
+from app.results.findings import Findings
+from app.results.numbers_as_text import expanded, plain
+from app.results.volumetric_error import Spread
 
 _K = 2.0
 

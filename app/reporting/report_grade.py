@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from app.kinematics.machine import position_unit
-from app.reporting.error_tables import MILLI
-from app.reporting.findings import Findings
-from app.reporting.grade_json import in_words
-from app.reporting.html_parts import escape, plain
+from app.reporting.html_parts import escape
+from app.results.error_tables import MILLI
+from app.results.findings import Findings
+from app.results.grade_json import in_words
+from app.results.numbers_as_text import plain
 
 
 def grade_of_set_up(found: Findings) -> tuple[tuple[str, str], ...]:

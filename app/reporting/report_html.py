@@ -7,8 +7,7 @@ expanded ones (k = 2).
 
 from __future__ import annotations
 
-from app.reporting.findings import Findings
-from app.reporting.html_parts import escape, figure_text, plain, tile
+from app.reporting.html_parts import escape, figure_text, tile
 from app.reporting.report_direction import direction
 from app.reporting.report_effects import effects
 from app.reporting.report_errors import error_motions, squareness, volumetric
@@ -23,6 +22,8 @@ from app.reporting.report_measurement import (
 )
 from app.reporting.report_runs import measured_how
 from app.reporting.report_style import STYLE
+from app.results.findings import Findings
+from app.results.numbers_as_text import plain
 
 
 def report_html(found: Findings) -> str:

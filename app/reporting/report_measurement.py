@@ -5,15 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from app.kinematics.machine import Axis, Machine, position_unit
-from app.reporting.error_tables import MILLI
-from app.reporting.findings import Findings
-from app.reporting.html_parts import (
-    callout,
-    escape,
-    facts,
-    plain,
-    section,
-)
+from app.reporting.html_parts import callout, escape, facts, section
 from app.reporting.report_grade import (
     extrapolated_ends,
     grade_of_set_up,
@@ -21,6 +13,9 @@ from app.reporting.report_grade import (
 )
 from app.reporting.report_runs import each_run, measurement, origin, residuals
 from app.reporting.report_trials import trials
+from app.results.error_tables import MILLI
+from app.results.findings import Findings
+from app.results.numbers_as_text import plain
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
 

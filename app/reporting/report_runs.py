@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from app.reporting.error_tables import MICRO, MILLI
 from app.reporting.figures import residual_figure
-from app.reporting.findings import Findings, RunFindings
-from app.reporting.html_parts import drawing, escape, facts, plain, table
+from app.reporting.html_parts import drawing, escape, facts, table
+from app.results.error_tables import MICRO, MILLI
+from app.results.findings import Findings, RunFindings
+from app.results.numbers_as_text import plain
 
 _K = 2.0
 _HOW = {"otf": "on the fly", "standstill": "at standstill"}

@@ -7,8 +7,9 @@ import numpy as np
 from app.kinematics.symbols import meaning
 from app.numerics.adaptive_trials import NORMAL_FACTOR
 from app.reporting.axis_panels import SIGN
-from app.reporting.held_trials import MAP, HeldQuantity, HeldTrials
-from app.reporting.html_parts import callout, plain, table
+from app.reporting.html_parts import callout, table
+from app.results.held_trials import MAP, HeldQuantity, HeldTrials
+from app.results.numbers_as_text import plain
 
 
 def trials(held: HeldTrials) -> str:

@@ -15,9 +15,7 @@ from app.estimation.volumetric_map import volumetric_map
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import LinearAxis
 from app.reporting.chart import Frame, Scale, round_down
-from app.reporting.error_tables import MILLI
 from app.reporting.figures import legend
-from app.reporting.findings import Findings
 from app.reporting.svg import (
     NUMBER,
     TITLE,
@@ -29,7 +27,9 @@ from app.reporting.svg import (
     segments,
     words,
 )
-from app.reporting.volumetric_error import with_rotary_axes
+from app.results.error_tables import MILLI
+from app.results.findings import Findings
+from app.results.volumetric_error import with_rotary_axes
 
 # Readable on light and on dark paper: blue, violet, orange.
 _STOPS, _RED, _GREEN, _BLUE = (

@@ -13,9 +13,9 @@ from app.alignment.align import align
 from app.alignment.course import course_of
 from app.alignment.streaming import StreamingAlignment
 from app.errors import AlignmentError
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
 from app.kinematics.effects.timing_law import TimingLaw
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import parse_machine

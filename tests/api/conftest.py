@@ -18,6 +18,7 @@ from starlette.testclient import TestClient
 
 from app.api.application import create_application
 from app.api.service import Service
+from app.files.machine_file import machine_from_json, machine_to_json
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
@@ -26,8 +27,7 @@ from app.jobs.plans import plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.workflow import Workshop
-from app.measurement.machine_file import machine_from_json, machine_to_json
-from app.planning.paths import default_path
+from app.planning.default_path import default_path
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))

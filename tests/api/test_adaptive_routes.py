@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scripted_cell import wait_until
 
-from app.jobs.part_choice import Part
+from app.planning.part_choice import Part
 from drivers.interfaces.records import Path
 
 REQUEST = {"kind": "measure-adaptive", "target_um": 2.0}

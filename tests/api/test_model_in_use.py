@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from scripted_cell import wait_until
 
+from app.files.machine_file import machine_to_json
 from app.jobs.plans import plan_json
-from app.measurement.machine_file import machine_to_json
-from app.planning.paths import default_path
+from app.planning.default_path import default_path
 
 JOBS, PLANS = "/api/v1/jobs", "/api/v1/plans"
 NOBODY = "0190a1b2-0000-7000-8000-000000000000"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scripted_cell import wait_until
 
+from app.files.machine_file import machine_from_json
 from app.jobs.plan_orders import plan_measurement
-from app.measurement.machine_file import machine_from_json
-from app.planning.nc_programs.programs import parse_nc_program
+from app.motion.nc_programs.programs import parse_nc_program
 from simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))

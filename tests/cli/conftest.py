@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from app.cli.command import run
-from app.measurement.bundle import write_bundle
+from app.files.bundle import write_bundle
 
 
 @pytest.fixture(scope="session")

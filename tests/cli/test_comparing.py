@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
+from app.files.reference_file import encode_reference
+from app.files.run import DirectMeasurement
 from app.kinematics.symbols import error_motions, is_turn
-from app.measurement.reference_file import encode_reference
-from app.measurement.run import DirectMeasurement
 
 RUNS, STEP_MM = 5, 25.0
 REPEATABILITY = {"um": 0.3, "urad": 0.8}

@@ -10,9 +10,9 @@ from app.cli.command import run
 from app.cli.demo import planned
 from app.cli.truth import proof
 from app.errors import PlanningError
-from app.measurement.bundle import read_bundle
-from app.measurement.machine_file import machine_from_json
-from app.planning.paths import travel_time_s
+from app.files.bundle import read_bundle
+from app.files.machine_file import machine_from_json
+from app.motion.paths import travel_time_s
 from simulators.scenario import load_machine
 
 FAST = ["--speed", "4", "--feed", "15000"]
@@ -91,8 +91,8 @@ def test_the_proof_is_exact_for_a_result_that_is_the_truth(analysed):
     """The truth less what the result says is nothing: 0 % left, all within 2 u."""
     import json
 
-    from app.reporting.prediction import predict
-    from app.reporting.result_json import read_result
+    from app.results.prediction import predict
+    from app.results.result_json import read_result
 
     result = json.loads((analysed / "result.json").read_text())
     loaded = read_result(result)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.jobs.analysis import predict_points
-from app.measurement.commanded_file import encode_commanded
-from app.measurement.machine_file import machine_from_json
-from app.planning.nc_programs.programs import nc_program, parse_nc_program
-from app.planning.paths import default_path
+from app.files.commanded_file import encode_commanded
+from app.files.machine_file import machine_from_json
+from app.motion.nc_programs.programs import nc_program, parse_nc_program
+from app.planning.default_path import default_path
+from app.reporting.analysis_files import predict_points
 from simulators import synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.scenario import load_machine

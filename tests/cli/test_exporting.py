@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.measurement.machine_file import machine_from_json
-from app.reporting.compensation.isg_csv import IsgCsv
-from app.reporting.compensation.linuxcnc import LinuxCnc
+from app.compensation.isg_csv import IsgCsv
+from app.compensation.linuxcnc import LinuxCnc
+from app.files.machine_file import machine_from_json
 from simulators.scenario import load_machine
 
 

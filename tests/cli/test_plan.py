@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.measurement.commanded_file import decode_path, decode_points
-from app.measurement.machine_file import decode_machine
-from app.planning.nc_programs.programs import dialect_names, parse_nc_program
+from app.files.commanded_file import decode_path, decode_points
+from app.files.machine_file import decode_machine
+from app.motion.nc_programs.programs import dialect_names, parse_nc_program
 from simulators.scenario import load_machine
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.measurement.bundle import read_bundle
-from app.measurement.commanded_file import encode_commanded
-from app.measurement.machine_file import machine_from_json
-from app.planning.nc_programs.programs import nc_program, parse_nc_program
-from app.planning.paths import default_path
+from app.files.bundle import read_bundle
+from app.files.commanded_file import encode_commanded
+from app.files.machine_file import machine_from_json
+from app.motion.nc_programs.programs import nc_program, parse_nc_program
+from app.planning.default_path import default_path
 from drivers.cnc.modbus.driver import ModbusController
 from drivers.interfaces.errors import DeviceTimeout
 from drivers.interfaces.records import MotionState

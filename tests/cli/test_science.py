@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.measurement.bundle import write_bundle, zip_bundle
+from app.files.bundle import write_bundle, zip_bundle
 from app.numerics.adaptive_trials import TrialPlan
 
 

@@ -16,19 +16,19 @@ import pytest
 
 from app.api.models.job_request import JobRequest
 from app.discovery.asking import Ask, ask
-from app.discovery.asking_json import ask_json
 from app.discovery.base import GivenModel
 from app.discovery.discover import Discovery, discover
-from app.discovery.discovery_json import discovery_json
 from app.discovery.extending import Extended, plain
-from app.discovery.model_file import next_model
-from app.discovery.report_ask import asked_section
-from app.discovery.report_html import report_html
 from app.errors import BundleError
+from app.files.commanded_file import decode_path, encode_commanded
+from app.files.run import Run
 from app.kinematics.model import MachineModel
-from app.measurement.commanded_file import decode_path, encode_commanded
-from app.measurement.run import Run
-from app.planning.paths import check_travel
+from app.motion.paths import check_travel
+from app.reporting.discovery_ask import asked_section
+from app.reporting.discovery_html import report_html
+from app.results.asking_json import ask_json
+from app.results.discovery_json import discovery_json
+from app.results.model_file import next_model
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.effect import HiddenEffect

@@ -3,7 +3,7 @@
 import pytest
 
 from app.discovery.discover import discover
-from app.discovery.discovery_json import discovery_json
+from app.results.discovery_json import discovery_json
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from app.discovery.discover import discover
-from app.discovery.model_file import given_by, next_model
 from app.errors import BundleError
 from app.kinematics.effects.catalogued import Catalogued
-from app.reporting.earlier_model import EarlierModel
-from app.reporting.prediction import predict
-from app.reporting.result_json import LoadedResult, read_result
+from app.results.earlier_model import EarlierModel
+from app.results.model_file import given_by, next_model
+from app.results.prediction import predict
+from app.results.result_json import LoadedResult, read_result
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.synthetic import Setting
 

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from app.jobs.discovery import discover_runs, write_discovery
+from app.reporting.discovery_files import discover_runs, write_discovery
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from app.discovery.discover import Discovery, discover
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
-from app.planning.paths import default_path
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.planning.default_path import default_path
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash

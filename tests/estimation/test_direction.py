@@ -10,7 +10,7 @@ from app.estimation.batch import estimate
 from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.effects.base import standstill
 from app.kinematics.machine import LinearAxis
-from app.reporting.direction_tables import half_differences
+from app.results.direction_tables import half_differences
 
 HALF_MM = 0.003
 

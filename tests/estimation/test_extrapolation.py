@@ -10,10 +10,10 @@ from app.estimation.extrapolation import (
     variations,
     whole_travel,
 )
+from app.files.bundle import read_bundle
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.measurement.bundle import read_bundle
-from app.reporting.error_tables import error_tables
+from app.results.error_tables import error_tables
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine

@@ -5,8 +5,8 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.estimation.forecast import forecast
 from app.estimation.volumetric_map import volumetric_gram
+from app.planning.forecast import forecast
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["all", "perpendicular"])

@@ -8,11 +8,11 @@ import pytest
 from app.alignment.align import align
 from app.errors import PlanningError
 from app.estimation.batch import estimate
-from app.estimation.grade import SetUp, grade, grade_together, verdict
 from app.estimation.volumetric_map import volumetric_gram
 from app.kinematics.machine import Target, TrackerNoise
-from app.planning.configurations import Configurations
-from app.planning.paths import default_path
+from app.motion.configurations import Configurations
+from app.planning.default_path import default_path
+from app.planning.grade import SetUp, grade, grade_together, verdict
 from drivers.interfaces.records import Path
 
 STAND = np.array([-900.0, 200.0, 100.0])

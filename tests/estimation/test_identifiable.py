@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.identifiable import identifiable_model
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 ONE = [(0.0, 0.0, -100.0)]

@@ -9,7 +9,7 @@ from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.estimation.live import LiveEstimator
 from app.estimation.volumetric_map import volumetric_gram
-from app.reporting.error_tables import error_tables
+from app.results.error_tables import error_tables
 from drivers.interfaces.records import TrackerSamples
 
 

@@ -9,11 +9,11 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.direction import best_fit
-from app.estimation.identifiable import identifiable_model
 from app.estimation.monte_carlo import block, drawn, prepared
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import with_unknown_strengths
 from app.estimation.runs import Measured
+from app.kinematics.identifiable import identifiable_model
 from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
 NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25), 0.8, 1e-4)

@@ -7,7 +7,6 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.direction import with_half_widths
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, information, posterior, without_rest
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence
@@ -15,6 +14,7 @@ from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.prior import evidence_cost, first_guess, fitted
 from app.estimation.problem import pose_problem
 from app.estimation.runs import Measured
+from app.kinematics.identifiable import identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
 

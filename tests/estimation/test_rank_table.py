@@ -10,9 +10,9 @@ import itertools
 import numpy as np
 import pytest
 
-from app.estimation.identifiable import identifiable_model
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions

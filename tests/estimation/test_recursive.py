@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from app.alignment.align import align
 from app.errors import EstimationError
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import Information, information, without_rest
 from app.estimation.noise import NoiseModel, whiten
 from app.estimation.problem import pose_problem
 from app.estimation.recursive import Linearisation, begun
+from app.kinematics.identifiable import identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
 DIGITS = 1e-9

@@ -5,10 +5,10 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.estimation.identifiable import identifiable_model
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.kinematics.identifiable import identifiable_model
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import parse_machine

@@ -10,16 +10,16 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import information, without_rest
 from app.estimation.live import LiveEstimator
 from app.estimation.noise import NoiseModel
 from app.estimation.problem import pose_problem
 from app.estimation.recursive import Linearisation, begun
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
-from app.planning.paths import default_path
-from app.reporting.error_tables import error_tables
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.kinematics.identifiable import identifiable_model
+from app.planning.default_path import default_path
+from app.results.error_tables import error_tables
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic
 from simulators.scenario import load_machine

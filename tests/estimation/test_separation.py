@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from app.estimation import separation
-from app.estimation.grade import grade
-from app.estimation.identifiable import identifiable_model
 from app.estimation.information import posterior
-from app.estimation.rehearsal import expected_information, rehearsed
 from app.estimation.weak_shapes import usual_precision
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -19,7 +17,9 @@ from app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
-from app.planning.paths import default_path
+from app.planning.default_path import default_path
+from app.planning.grade import grade
+from app.planning.rehearsal import expected_information, rehearsed
 
 STAND = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")

@@ -8,15 +8,15 @@ import pytest
 from app.alignment.align import align
 from app.errors import BundleError, Unidentifiable
 from app.estimation.batch import estimate
-from app.estimation.identifiable import identifiable_model
 from app.estimation.noise import NoiseModel
 from app.estimation.runs import Measured, shares_of, together
 from app.estimation.volumetric_map import volumetric_map
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.measurement.machine_file import machine_from_json
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
+from app.kinematics.identifiable import identifiable_model
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine

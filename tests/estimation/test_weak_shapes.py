@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from app.estimation.identifiable import identifiable_model
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import form_of, usual_precision, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 X = LinearAxis("X", 0.0, 600.0)

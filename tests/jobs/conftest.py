@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from app.files.machine_file import machine_from_json
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
@@ -21,7 +22,6 @@ from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.transitions import State
 from app.jobs.workflow import Workshop
-from app.measurement.machine_file import machine_from_json
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parent))

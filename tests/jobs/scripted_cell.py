@@ -14,11 +14,11 @@ import numpy as np
 
 from app.jobs.errors import Aborted
 from app.jobs.executor import Computation, Executor
-from app.jobs.part_choice import Part
 from app.measurement.cell import CellEvent, Order
 from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
+from app.planning.part_choice import Part
 from drivers.interfaces.records import Identity, Path, TrackerSamples
 from simulators.scenario import load_machine
 

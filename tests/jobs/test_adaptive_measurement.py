@@ -22,7 +22,7 @@ from app.jobs.transitions import State
 from app.jobs.workflow import Workshop
 from app.measurement.cell import Cell, CellConfig
 from app.measurement.recording import open_run
-from app.planning.paths import check_travel
+from app.motion.paths import check_travel
 from simulators.bench import Bench
 
 SPEED = 10.0

@@ -9,16 +9,16 @@ import pytest
 from scripted_cell import wait_until
 
 from app.errors import BundleError, NotFound
+from app.files.bundle import write_bundle
+from app.files.run import Run
 from app.jobs import dispatcher as dispatching
 from app.jobs.dispatcher import Dispatcher, Wish
 from app.jobs.errors import Aborted, QueueFull
 from app.jobs.job import Kind
 from app.jobs.runs import check_archive, free_bytes, open_recorded
 from app.jobs.workers import Workers
-from app.measurement.bundle import write_bundle
-from app.measurement.run import Run
+from app.motion.configurations import Configurations
 from app.numerics.adaptive_trials import TrialPlan
-from app.planning.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
 
 

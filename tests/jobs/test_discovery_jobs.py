@@ -11,14 +11,14 @@ import pytest
 from scripted_cell import Explorer, wait_until
 
 from app.errors import EstimationError, NotFound
+from app.files.bundle import write_bundle, zip_bundle
+from app.files.run import Run
 from app.jobs.dispatcher import Dispatcher, Wish
 from app.jobs.job import Kind
 from app.jobs.models import difference_between, model_file, versions
 from app.jobs.science import discover_recorded
 from app.jobs.transitions import State
-from app.measurement.bundle import write_bundle, zip_bundle
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
 
 

@@ -9,12 +9,12 @@ import pytest
 from scripted_cell import Explorer
 
 from app.errors import NotFound, OutOfTravel, PlanningError
+from app.files.bundle import zip_bundle
+from app.files.run import Run
 from app.jobs.dispatcher import Dispatcher, Wish
 from app.jobs.job import Kind
 from app.jobs.transitions import State
-from app.measurement.bundle import zip_bundle
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
 
 ROWS = [

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimation.identifiable import identifiable_model
 from app.estimation.live import LiveEstimate
+from app.files.machine_file import machine_from_json
 from app.jobs.live_process import estimate_json
 from app.kinematics.effects.axis_location import AxisLocation
-from app.measurement.machine_file import machine_from_json
+from app.kinematics.identifiable import identifiable_model
 from simulators.scenario import load_machine
 
 

@@ -6,6 +6,7 @@ The truth machine composes homogeneous transforms; nothing is shared with it.
 import numpy as np
 import pytest
 
+from app.files.machine_file import machine_from_json
 from app.kinematics.effects.axis_location import axis_locations
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
@@ -13,7 +14,6 @@ from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, locations, meaning, unit
 from app.kinematics.turning import local_directions
-from app.measurement.machine_file import machine_from_json
 from simulators.machine_file import parse_machine
 from simulators.rotary_joint import local_frame
 from simulators.scenario import load_machine

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.files.bundle import write_bundle
+from app.files.run import DirectMeasurement, Run
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.measurement.bundle import write_bundle
 from app.measurement.limits import Limits
-from app.measurement.run import DirectMeasurement, Run
 from app.measurement.stream_watch import Patience
 from drivers.interfaces.errors import DeviceTimeout
 from drivers.interfaces.link import ByteLink

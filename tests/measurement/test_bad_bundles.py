@@ -12,9 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from app.errors import BundleError
-from app.measurement import tables
-from app.measurement.bundle import read_bundle
-from app.measurement.machine_file import decode_machine, read_machine
+from app.files import tables
+from app.files.bundle import read_bundle
+from app.files.machine_file import decode_machine, read_machine
 
 Edit = Callable[[Path], None]
 

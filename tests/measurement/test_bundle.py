@@ -12,11 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from app.errors import BundleError
+from app.files import bundle_files, whole_files
+from app.files.bundle import read_bundle, write_bundle, zip_bundle
+from app.files.run import Run
 from app.kinematics.machine import RotaryAxis, Target
-from app.measurement import bundle_files, whole_files
-from app.measurement.bundle import read_bundle, write_bundle, zip_bundle
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 
 

@@ -19,16 +19,16 @@ import psutil
 import pytest
 
 from app.errors import MeasurementFailed, OutOfTravel, TruepathError
+from app.files.bundle import read_bundle, write_bundle
+from app.files.machine_file import machine_from_json
 from app.measurement import cell as cell_module
-from app.measurement.bundle import read_bundle, write_bundle
 from app.measurement.cell import Cell, CellConfig, CellEvent, Order
 from app.measurement.cell_process import Command, serve
-from app.measurement.machine_file import machine_from_json
 from app.measurement.outbox import MAX_BLOCKS, Outbox
 from app.measurement.recording import link_bytes, open_run, settle
 from app.measurement.stream_watch import Patience
-from app.planning.configurations import Configurations
-from app.planning.paths import default_path
+from app.motion.configurations import Configurations
+from app.planning.default_path import default_path
 from app.plugins import load
 from drivers.interfaces.errors import ConnectionLost, WrongDevice
 from drivers.interfaces.records import MotionStatus
@@ -324,8 +324,8 @@ def assert_held(status: MotionStatus) -> None:
 PARENT = """
 import sys, time
 from app.measurement.cell import Cell, CellConfig, Order
-from app.measurement.machine_file import machine_from_json
-from app.planning.paths import default_path
+from app.files.machine_file import machine_from_json
+from app.planning.default_path import default_path
 def main():
     tracker, motion, machine, file = eval(sys.argv[1])
     machine = machine_from_json(machine)

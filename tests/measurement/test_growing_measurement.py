@@ -13,7 +13,7 @@ from app.measurement.measurement import Measurement
 from app.measurement.orders import Order
 from app.measurement.parts import extended
 from app.measurement.recording import open_run
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
 
 ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]

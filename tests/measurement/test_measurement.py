@@ -15,7 +15,7 @@ from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement, arranged
 from app.measurement.orders import Order
 from app.measurement.recording import link_bytes, open_run
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.errors import (
     ConnectionLost,
     DeviceTimeout,

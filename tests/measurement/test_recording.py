@@ -22,7 +22,7 @@ from app.measurement.recorder import Recorder
 from app.measurement.recording import link_bytes, open_run, settle
 from app.measurement.run_database import sha256_of
 from app.measurement.run_file import RunHeader
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
 from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 DEVICES = {

@@ -10,11 +10,11 @@ import pytest
 
 from app.alignment.align import align
 from app.alignment.course import course_of
-from app.measurement.bundle import read_bundle, write_bundle
+from app.files.bundle import read_bundle, write_bundle
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
 from app.measurement.cell import Cell, CellConfig, Order
-from app.measurement.machine_file import machine_from_json
 from app.measurement.recording import open_run
-from app.measurement.run import Run
 from drivers.interfaces.records import Path
 from simulators.bench import Bench
 from simulators.machine_file import parse_machine

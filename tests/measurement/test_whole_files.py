@@ -3,7 +3,7 @@
 import pytest
 
 from app.errors import BundleError
-from app.measurement.whole_files import read_whole, replace_file
+from app.files.whole_files import read_whole, replace_file
 
 
 def test_what_was_written_is_read(tmp_path):

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.jobs.outlooks import line_outlook, point_outlook
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -17,10 +16,11 @@ from app.kinematics.machine import (
     TrackerNoise,
     linear_part,
 )
-from app.planning.motion_times import drive_of
+from app.motion.motion_times import drive_of
+from app.motion.workspace import Workspace
 from app.planning.outlook import Outlook
+from app.planning.outlooks import line_outlook, point_outlook
 from app.planning.planner import Planner
-from app.planning.workspace import Workspace
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 

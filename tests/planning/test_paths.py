@@ -15,15 +15,10 @@ from app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
-from app.planning.configurations import Configurations
+from app.motion.configurations import Configurations
+from app.motion.paths import check_travel, default_points, line_times_s, travel_time_s
+from app.planning.default_path import default_path
 from app.planning.line_information import nothing_known
-from app.planning.paths import (
-    check_travel,
-    default_path,
-    default_points,
-    line_times_s,
-    travel_time_s,
-)
 from drivers.interfaces.records import Path
 
 

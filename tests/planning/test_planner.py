@@ -6,16 +6,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from app.jobs.outlooks import line_outlook, mismatch_sigma_s
-from app.planning.corner_path import corner_path
+from app.motion.corner_path import corner_path
+from app.motion.motion_times import drive_of
+from app.motion.paths import line_times_s
+from app.motion.short_order import short_order
+from app.motion.travel import inner_travel
+from app.motion.workspace import Workspace
+from app.planning.default_path import default_path
 from app.planning.leg_choice import LegChoice, Region
-from app.planning.motion_times import drive_of
 from app.planning.outlook import inverse
-from app.planning.paths import default_path, line_times_s
+from app.planning.outlooks import line_outlook, mismatch_sigma_s
 from app.planning.planner import Planner
-from app.planning.short_order import short_order
-from app.planning.travel import inner_travel
-from app.planning.workspace import Workspace
 from drivers.interfaces.records import Path
 
 

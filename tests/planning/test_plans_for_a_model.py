@@ -9,18 +9,18 @@ from app.alignment.align import align
 from app.alignment.surroundings import with_surroundings
 from app.errors import BundleError
 from app.estimation.batch import estimate
-from app.estimation.forecast import forecast
-from app.jobs.plan_files import plan_document
-from app.jobs.planning import PlanRequest, make_plan
+from app.files.machine_file import machine_from_json
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
-from app.measurement.machine_file import machine_from_json
-from app.reporting.earlier_model import EarlierModel
+from app.planning.forecast import forecast
+from app.planning.plan import PlanRequest, make_plan
+from app.reporting.plan_files import plan_document
 from app.reporting.plan_page import plan_page
-from app.reporting.result_json import LoadedResult
+from app.results.earlier_model import EarlierModel
+from app.results.result_json import LoadedResult
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag

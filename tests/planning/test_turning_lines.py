@@ -16,7 +16,8 @@ from app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
-from app.planning.paths import check_travel, default_path, travel_time_s
+from app.motion.paths import check_travel, travel_time_s
+from app.planning.default_path import default_path
 from app.planning.turning_information import (
     nothing_known_of_turning,
     slopes_mm,

@@ -16,7 +16,7 @@ import jsonschema
 import pytest
 import yaml
 
-from app.measurement.machine_file import read_machine
+from app.files.machine_file import read_machine
 from app.settings import Settings, load_settings
 
 VENDORED = Path(__file__).parent / "vendor" / "compose-spec.json"

@@ -11,13 +11,13 @@ import pytest
 
 from app.estimation.estimate import Estimate, Observability, Residuals, RunEstimate
 from app.estimation.extrapolation import whole_travel
-from app.estimation.identifiable import identifiable_model
 from app.estimation.noise import NoiseModel
+from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.numerics.rigid import RigidTransform
-from app.reporting.findings import Findings, Provenance, find
-from app.reporting.result_json import LoadedResult
-from app.reporting.run_account import RunAccount
+from app.results.findings import Findings, Provenance, find
+from app.results.result_json import LoadedResult
+from app.results.run_account import RunAccount
 
 AXES = (
     LinearAxis("X", -200.0, 300.0),  # zero inside the travel

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from app.errors import AlignmentError, BundleError
-from app.jobs.analysis import analyse, predict_points, write_analysis
-from app.jobs.result_files import load_result
-from app.reporting.prediction import predict
+from app.reporting.analysis_files import analyse, predict_points, write_analysis
+from app.results.prediction import predict
+from app.results.result_files import load_result
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from pyLSV2 import NCTable
 
+from app.compensation.export import GROUP, export_result
+from app.compensation.fanuc import Fanuc
+from app.compensation.heidenhain import Heidenhain
+from app.compensation.isg_csv import IsgCsv
+from app.compensation.linuxcnc import LinuxCnc
+from app.compensation.siemens import SiemensCec, SiemensLec
+from app.compensation.source import source_of
 from app.errors import BadInput
 from app.plugins import installed
-from app.reporting.compensation.export import GROUP, export_result
-from app.reporting.compensation.fanuc import Fanuc
-from app.reporting.compensation.heidenhain import Heidenhain
-from app.reporting.compensation.isg_csv import IsgCsv
-from app.reporting.compensation.linuxcnc import LinuxCnc
-from app.reporting.compensation.siemens import SiemensCec, SiemensLec
-from app.reporting.compensation.source import source_of
 
 OURS = ("fanuc", "heidenhain", "isg-csv", "linuxcnc", "siemens-cec", "siemens-lec")
 every_format = pytest.mark.parametrize("name", OURS)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from app.compensation.export import export_result
+from app.compensation.source import source_of
+from app.files.json_fields import Field
+from app.files.machine_file import machine_from_json
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.screw_cyclic import ScrewCyclicFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
-from app.measurement.json_fields import Field
-from app.measurement.machine_file import machine_from_json
-from app.reporting.compensation.export import export_result
-from app.reporting.compensation.source import source_of
-from app.reporting.direction_tables import half_differences
-from app.reporting.result_json import LoadedResult, halves_json
+from app.results.direction_tables import half_differences
+from app.results.result_json import LoadedResult, halves_json
 from simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"), file="machine.json")

@@ -5,7 +5,7 @@ import pytest
 
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.symbols import is_straightness, is_turn
-from app.reporting.error_tables import error_tables, table_positions_mm
+from app.results.error_tables import error_tables, table_positions_mm
 
 
 @pytest.fixture

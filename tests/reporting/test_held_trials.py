@@ -10,13 +10,13 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.jobs.analysis import analyse
-from app.measurement.bundle import read_bundle
+from app.files.bundle import read_bundle
 from app.numerics.adaptive_trials import TrialPlan
-from app.reporting.error_tables import error_tables
-from app.reporting.held_trials import MAP, held_against_trials
+from app.reporting.analysis_files import analyse
 from app.reporting.report_trials import trials as report_of
-from app.reporting.trials_json import trials_json
+from app.results.error_tables import error_tables
+from app.results.held_trials import MAP, held_against_trials
+from app.results.trials_json import trials_json
 
 PLAN = TrialPlan(seed=5, most_blocks=2)
 

@@ -14,21 +14,21 @@ import pytest
 from app.alignment.align import align
 from app.alignment.surroundings import with_surroundings
 from app.discovery.discover import discover
-from app.discovery.model_file import next_model
 from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.estimation.monte_carlo import drawn as trials_drawn
 from app.estimation.monte_carlo import prepared
-from app.jobs.analysis import analyse
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
 from app.numerics.adaptive_trials import TrialPlan
-from app.reporting.earlier_model import EarlierModel
-from app.reporting.prediction import predict
-from app.reporting.result_json import LoadedResult, read_result
+from app.reporting.analysis_files import analyse
+from app.results.earlier_model import EarlierModel
+from app.results.model_file import next_model
+from app.results.prediction import predict
+from app.results.result_json import LoadedResult, read_result
 from simulators import paths, synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag

@@ -9,10 +9,10 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
+from app.compensation.export import export_result
+from app.compensation.source import source_of
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.planning.nc_programs.programs import nc_program
-from app.reporting.compensation.export import export_result
-from app.reporting.compensation.source import source_of
+from app.motion.nc_programs.programs import nc_program
 from drivers.interfaces.records import Path
 
 sys.path.append(str(FilePath(__file__).parent))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from app.errors import BundleError
-from app.reporting.points_csv import predicted_csv, read_points
-from app.reporting.prediction import Prediction, predict
+from app.results.points_csv import predicted_csv, read_points
+from app.results.prediction import Prediction, predict
 
 HEADER = "x_mm,y_mm,z_mm"
 

@@ -9,8 +9,8 @@ from app.estimation.volumetric_map import volumetric_map
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
-from app.reporting import prediction
-from app.reporting.prediction import predict
+from app.results import prediction
+from app.results.prediction import predict
 
 
 @pytest.fixture

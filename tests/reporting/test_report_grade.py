@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.grade import grade
-from app.planning.paths import default_path
-from app.reporting.error_tables_csv import error_tables_csv
-from app.reporting.findings import find
-from app.reporting.grade_json import grade_json, in_words
-from app.reporting.prediction import predict
+from app.planning.default_path import default_path
+from app.planning.grade import grade
 from app.reporting.report_html import report_html
-from app.reporting.result_json import read_result, result_json
+from app.results.error_tables_csv import error_tables_csv
+from app.results.findings import find
+from app.results.grade_json import grade_json, in_words
+from app.results.prediction import predict
+from app.results.result_json import read_result, result_json
 
 STAND = np.array([900.0, 100.0, -200.0])
 MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}

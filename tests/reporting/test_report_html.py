@@ -7,8 +7,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from app.reporting.findings import find, noise_found, residuals_by_line
-from app.reporting.html_parts import expanded, plain
 from app.reporting.report_errors import error_motions, volumetric
 from app.reporting.report_html import report_html
 from app.reporting.report_measurement import (
@@ -17,6 +15,8 @@ from app.reporting.report_measurement import (
     residuals_and_noise,
     unobservable,
 )
+from app.results.findings import find, noise_found, residuals_by_line
+from app.results.numbers_as_text import expanded, plain
 
 VOID = {"meta", "br", "img", "link", "hr", "path", "use"}
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from app.errors import BundleError
+from app.files.machine_file import machine_from_json
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.measurement.machine_file import machine_from_json
-from app.reporting.findings import find
-from app.reporting.model_json import model_to_json
-from app.reporting.packing import pack_symmetric
-from app.reporting.prediction import predict
-from app.reporting.result_json import read_result, result_json
+from app.results.findings import find
+from app.results.model_json import model_to_json
+from app.results.packing import pack_symmetric
+from app.results.prediction import predict
+from app.results.result_json import read_result, result_json
 
 
 @pytest.fixture

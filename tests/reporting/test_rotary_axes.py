@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from app.jobs.analysis import analyse, predict_points, write_analysis
-from app.jobs.result_files import load_result
-from app.measurement.bundle import read_bundle
+from app.files.bundle import read_bundle
+from app.reporting.analysis_files import analyse, predict_points, write_analysis
+from app.results.result_files import load_result
 from simulators import synthetic, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.measurement.run import Run
-from app.planning.configurations import Configurations
-from app.reporting.run_account import account_of, run_digest
+from app.files.run import Run
+from app.motion.configurations import Configurations
+from app.results.run_account import account_of, run_digest
 from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 

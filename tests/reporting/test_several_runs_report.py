@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from app.errors import AlignmentError, BundleError
-from app.jobs.analysis import analyse, told_apart
 from app.kinematics.machine import Target
-from app.reporting.result_json import read_result
+from app.reporting.analysis_files import analyse, told_apart
+from app.results.result_json import read_result
 
 
 @pytest.fixture(scope="module")

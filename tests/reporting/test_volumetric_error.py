@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from app.reporting.prediction import predict
-from app.reporting.volumetric_error import volumetric_error
+from app.results.prediction import predict
+from app.results.volumetric_error import volumetric_error
 
 
 @pytest.fixture

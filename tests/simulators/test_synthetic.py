@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.measurement.bundle import read_bundle
+from app.files.bundle import read_bundle
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.hidden.setup_step import SetupStep

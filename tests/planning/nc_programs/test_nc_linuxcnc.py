@@ -9,8 +9,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from app.planning.nc_programs.programs import nc_program
-from app.planning.paths import default_path, default_points
+from app.motion.nc_programs.programs import nc_program
+from app.motion.paths import default_points
+from app.planning.default_path import default_path
 
 pytestmark = pytest.mark.skipif(
     shutil.which("rs274") is None,

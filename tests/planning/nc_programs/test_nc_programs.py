@@ -13,18 +13,19 @@ from hypothesis import strategies as st
 
 from app import plugins
 from app.errors import BadInput, OutOfTravel, PlanningError
-from app.planning.configurations import Configurations
-from app.planning.nc_programs.fanuc import Fanuc
-from app.planning.nc_programs.linuxcnc import LinuxCnc
-from app.planning.nc_programs.motion import path_checksum
-from app.planning.nc_programs.programs import (
+from app.motion.configurations import Configurations
+from app.motion.nc_programs.fanuc import Fanuc
+from app.motion.nc_programs.linuxcnc import LinuxCnc
+from app.motion.nc_programs.motion import path_checksum
+from app.motion.nc_programs.programs import (
     GROUP,
     dialect_names,
     nc_program,
     parse_nc_program,
     program_file_name,
 )
-from app.planning.paths import default_path, default_points
+from app.motion.paths import default_points
+from app.planning.default_path import default_path
 from drivers.interfaces.records import Path
 
 OURS = ("fanuc", "heidenhain", "linuxcnc", "siemens-840d")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.planning.nc_programs.programs import parse_nc_program
+from app.motion.nc_programs.programs import parse_nc_program
 
 SIEMENS = """\
 ; PROGRAM BY_HAND

@@ -1,0 +1,59 @@
+"""A result file as a controller's compensation files, on disk."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from app.compensation.export import SPACING_MM, export_result, suffix_of
+from app.compensation.source import source_of
+from app.files.json_fields import Field, parse_json
+from app.files.whole_files import replace_file
+from app.results.result_files import load_result
+
+ACCOUNT = ".json"
+
+
+def export_files(
+    result: str | Path,
+    name: str,
+    output: str | Path,
+    *,
+    spacing_mm: float = SPACING_MM,
+) -> dict[str, Any]:
+    """Write the files of a format beside `output`, and their account as `STEM.json`.
+
+    A format of one file is written to `output` itself; of several, the stem of `output`
+    begins their names. Returns the account, `files` as paths.
+
+    Raises BundleError with the place in the result, BadInput as `export_result`.
+    """
+    suffix = suffix_of(name)
+    loaded = load_result(result)
+    place = Path(output)
+    export = export_result(
+        source_of(loaded, _direction(Path(result))),
+        name,
+        place.stem,
+        spacing_mm=spacing_mm,
+    )
+    place.parent.mkdir(parents=True, exist_ok=True)
+    alone = len(export.files) == 1 and place.suffix not in ("", suffix)
+    written: list[Path] = []
+    for file, text in export.files.items():
+        target = place if alone else place.parent / file
+        replace_file(target, text.encode("ascii"))
+        written.append(target)
+    account = {**export.account, "files": [str(path) for path in written]}
+    beside = place.parent / f"{place.stem}{ACCOUNT}"
+    text = json.dumps(account, ensure_ascii=False, indent=1, allow_nan=False)
+    replace_file(beside, f"{text}\n".encode())
+    return account
+
+
+def _direction(result: Path) -> Field | None:
+    """Return what the result says about both directions, if it does."""
+    content = parse_json(result.read_bytes(), str(result))
+    top = Field(str(result), "", content).mapping()
+    return top.child("direction") if "direction" in top else None

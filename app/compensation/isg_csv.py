@@ -1,0 +1,133 @@
+"""ISG kernel and Beckhoff TF5280: volumetric compensation by error motions (ISG_CSV).
+
+Blocks of an argument and the motions of an axis, mm and rad, split by `#`. Squareness
+is in the straightness, the target's offset in the displacements, so that lever arms
+count from the zero of the axes and the tool length is 0. The controller computes the
+tool point of the chain and takes the error away; the sign at the machine has to be
+tried (it has a switch `negate`). A guide that bends under another axis has a block of
+two arguments, the other axis first, on a grid. Source: ISG kernel manual, volumetric
+compensation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.compensation.format import CompensationFormat, Correction
+from app.compensation.order import AxisTable, CompensationOrder
+from app.errors import BadInput
+from app.kinematics.machine import Machine
+from app.kinematics.symbols import LINEAR, error_motions, is_turn
+
+
+class IsgCsv(CompensationFormat):
+    """All error motions of all straight axes, one file."""
+
+    control: ClassVar[str] = "ISG kernel, Beckhoff TF5280"
+    suffix: ClassVar[str] = ".csv"
+    most_points: ClassVar[int] = 1000
+    carries: ClassVar[str] = (
+        "all error motions and squareness, with their lever arms in the whole volume; "
+        "of each axis what it does with one other one, as sag"
+    )
+    not_carried: ClassVar[str] = "backlash and what depends on direction"
+    sign: ClassVar[str] = "the file has the errors; the controller takes them away"
+    sign_is_verified: ClassVar[bool] = False
+    note: ClassVar[str] = (
+        "file_format ISG_CSV, Interpolation GRID, tool length 0 (N0X, N0Y, N0Z left "
+        "out), the kinematic chain as it stands in the first line"
+    )
+
+    def write(self, order: CompensationOrder) -> dict[str, str]:
+        """Return one file with a block an axis."""
+        lines = [f"// {line}" for line in order.stamp]
+        blocks = ["\n".join(_block(table)) for table in order.tables]
+        text = "\n".join([*lines, "\n#\n".join(blocks), ""])
+        return {f"{order.stem}{self.suffix}": text}
+
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return minus the error that the chain makes of the motions."""
+        (text,) = files.values()
+        blocks = dict(_parsed(text))
+
+        def correction(
+            position_mm: Float64[np.ndarray, "n a"], direction: float
+        ) -> Float64[np.ndarray, "n 3"]:
+            added = np.zeros((len(position_mm), 3))
+            lever = np.zeros((len(position_mm), 3))
+            # From the tool to the workpiece: later axes are the lever of earlier ones.
+            for axis in reversed([name for name in machine.order if name in LINEAR]):
+                at = position_mm[:, machine.axis_names.index(axis)]
+                if axis in blocks:
+                    by, rows = blocks[axis]
+                    motion = _between(rows, at)
+                    if by:
+                        other = position_mm[:, machine.axis_names.index(by)]
+                        motion = _on_grid(rows, other, at)
+                    added -= motion[:, :3] + np.cross(motion[:, 3:], lever)
+                lever[:, LINEAR.index(axis)] += at
+            return added
+
+        return correction
+
+
+def _block(table: AxisTable) -> Iterator[str]:
+    symbols, bending = error_motions(table.axis.name), table.bending
+    motions = np.hstack([table.shift_mm, table.turn_rad])
+    if bending is None:
+        yield "  ".join([table.axis.name, *symbols])
+        yield from _rows(table, motions)
+        return
+    yield "  ".join([bending.by.name, table.axis.name, *symbols])
+    for by, more in zip(bending.by_mm, bending.more_mm, strict=True):
+        bent = motions + np.hstack([more, np.zeros_like(more)])
+        yield from (f"{by:.6f}  {row}" for row in _rows(table, bent))
+
+
+def _rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterator[str]:
+    symbols = error_motions(table.axis.name)
+    for at, row in zip(table.position_mm, motions, strict=True):
+        values = zip(symbols, row, strict=True)
+        numbers = [f"{v:z.9f}" if is_turn(s) else f"{v:z.6f}" for s, v in values]
+        yield "  ".join([f"{at:.6f}", *numbers])
+
+
+def _between(
+    table: Float64[np.ndarray, "m 7"], at_mm: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n 6"]:
+    columns = [np.interp(at_mm, table[:, 0], table[:, k]) for k in range(1, 7)]
+    return np.stack(columns, axis=1)
+
+
+def _on_grid(
+    table: Float64[np.ndarray, "r 8"],
+    by_mm: Float64[np.ndarray, " n"],
+    at_mm: Float64[np.ndarray, " n"],
+) -> Float64[np.ndarray, "n 6"]:
+    """Return the motions between the four neighbours on the grid."""
+    places = np.unique(table[:, 0])
+    lines = [_between(table[table[:, 0] == place, 1:], at_mm) for place in places]
+    high = np.clip(np.searchsorted(places, by_mm), 1, len(places) - 1)
+    share = (by_mm - places[high - 1]) / (places[high] - places[high - 1])
+    share = np.clip(share, 0.0, 1.0)[:, None]
+    each, n = np.stack(lines), np.arange(len(at_mm))
+    return (1.0 - share) * each[high - 1, n] + share * each[high, n]
+
+
+def _parsed(text: str) -> Iterator[tuple[str, tuple[str, Float64[np.ndarray, "r c"]]]]:
+    """Yield (axis, (second axis, rows of positions and six motions)) of each block.
+
+    The second axis is empty for a block of one argument.
+    """
+    plain = [line for line in text.splitlines() if not line.startswith("//")]
+    for block in "\n".join(plain).split("#"):
+        head, *rows = [line.split() for line in block.splitlines() if line.strip()]
+        by = head.pop(0) if len(head) > 1 and head[1] in LINEAR else ""
+        axis = head[0]
+        if head[1:] != list(error_motions(axis)):
+            raise BadInput(f"the block of {axis} does not have its six motions")
+        yield axis, (by, np.array([[float(word) for word in row] for row in rows]))

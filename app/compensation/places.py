@@ -1,0 +1,37 @@
+"""Where an export is judged: over the travel, on rows and between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.compensation.source import Source
+
+GRID, ANYWHERE = 5, 400  # positions an axis of the grid; random ones between rows
+
+
+def positions(source: Source) -> Float64[np.ndarray, "n a"]:
+    """Return a grid of the travel, and random positions for what is between rows."""
+    low = np.array([axis.min_mm for axis in source.axes])
+    high = np.array([axis.max_mm for axis in source.axes])
+    unit = np.stack(
+        np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * len(low), indexing="ij"), -1
+    ).reshape(-1, len(low))
+    anywhere = np.random.default_rng(0).random((ANYWHERE, len(low)))
+    place = np.tile(source.middle_mm(), (len(unit) + ANYWHERE, 1))
+    place[:, : len(low)] = low + np.vstack([unit, anywhere]) * (high - low)
+    return place
+
+
+def without_rigid(
+    position_mm: Float64[np.ndarray, "n a"], error_mm: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Remove the best-fit rigid motion, which is no error of the machine."""
+    point = position_mm[:, :3] - position_mm[:, :3].mean(axis=0)
+    columns = np.zeros((len(point), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        columns[:, :, 3 + k] = np.cross(axis, point)
+    flat = columns.reshape(-1, 6)
+    fit, *_ = np.linalg.lstsq(flat, error_mm.reshape(-1), rcond=None)
+    return error_mm - (flat @ fit).reshape(-1, 3)

@@ -1,0 +1,190 @@
+"""Siemens SINUMERIK: leadscrew tables (LEC) and cross tables (CEC).
+
+`$AA_ENC_COMP` holds a table an axis; a positive value moves the axis in the negative
+direction, so that the file has the error itself. `$AN_CEC` corrects one axis by the
+position of another; its sign is taken to be the same and has to be tried at the
+machine. Both interpolate straight, hold their end values beyond the table, and are
+equidistant. Source: SINUMERIK function manual, compensations.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.compensation.format import CompensationFormat, Correction
+from app.compensation.order import AxisTable, CompensationOrder
+from app.errors import BadInput
+from app.kinematics.machine import Machine
+from app.kinematics.symbols import LINEAR
+
+
+class SiemensLec(CompensationFormat):
+    """Positioning of each axis, one INI file."""
+
+    control: ClassVar[str] = "Siemens 840D, leadscrew error compensation"
+    suffix: ClassVar[str] = ".ini"
+    most_points: ClassVar[int] = 1000
+    carries: ClassVar[str] = "positioning of each axis, mean of both directions"
+    not_carried: ClassVar[str] = (
+        "backlash (MD32450 has it), straightness, angular errors, squareness"
+    )
+    sign: ClassVar[str] = (
+        "the value is the error: a positive value moves the axis in the negative "
+        "direction"
+    )
+    sign_is_verified: ClassVar[bool] = True
+    note: ClassVar[str] = (
+        "rename X1, Y1, Z1 to the machine axes; MD38000 must hold the points; load "
+        "with MD32700 = 0, set it to 1, reference the axes"
+    )
+
+    def write(self, order: CompensationOrder) -> dict[str, str]:
+        """Return one file for all axes."""
+        lines = ["%_N_AX_EEC_INI", *(f"; {s}" for s in order.stamp), "CHANDATA(1)"]
+        for table in order.tables:
+            lines += _leadscrew(table)
+        return {f"{order.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
+
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return the negative of the interpolated tables."""
+        tables = [_Table.of_leadscrew(*item) for item in _settings(files, "ENC_COMP")]
+        return _correction(tables, machine)
+
+
+class SiemensCec(CompensationFormat):
+    """What each axis does across itself, one INI file of cross tables."""
+
+    control: ClassVar[str] = "Siemens 840D, cross error compensation"
+    suffix: ClassVar[str] = ".ini"
+    most_points: ClassVar[int] = 500
+    carries: ClassVar[str] = (
+        "straightness and squareness, along the middle of the travel"
+    )
+    not_carried: ClassVar[str] = (
+        "positioning (siemens-lec has it), angular errors away from the middle"
+    )
+    sign: ClassVar[str] = (
+        "the value is the error of the output axis, as in leadscrew tables"
+    )
+    sign_is_verified: ClassVar[bool] = False
+    note: ClassVar[str] = (
+        "AX1, AX2, AX3 are X, Y, Z; MD18342 sizes the tables, MD32710 enables them; a "
+        "licensed option; verify by a probe move that the tables act at all"
+    )
+
+    def write(self, order: CompensationOrder) -> dict[str, str]:
+        """Return one file with two tables an axis."""
+        lines = ["%_N_NC_CEC_INI", *(f"; {s}" for s in order.stamp), "CHANDATA(1)"]
+        pairs = [(t, out) for t in order.tables for out in range(3) if out != t.own]
+        for number, (table, out) in enumerate(pairs):
+            lines += _cross(number, table, out)
+        return {f"{order.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
+
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return the negative of the interpolated tables."""
+        tables = [_Table.of_cross(*item) for item in _settings(files, "CEC")]
+        return _correction(tables, machine)
+
+
+def _leadscrew(table: AxisTable) -> Iterator[str]:
+    axis, own = f"{table.axis.name}1", table.own
+    for index, value in enumerate(table.mean_mm[:, own]):
+        yield f"$AA_ENC_COMP[0,{index},{axis}]={value:z.6f}"
+    yield f"$AA_ENC_COMP_STEP[0,{axis}]={table.spacing_mm:.9g}"
+    yield f"$AA_ENC_COMP_MIN[0,{axis}]={table.position_mm[0]:.6f}"
+    yield f"$AA_ENC_COMP_MAX[0,{axis}]={table.position_mm[-1]:.6f}"
+    yield f"$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"
+
+
+def _cross(number: int, table: AxisTable, out: int) -> Iterator[str]:
+    for index, value in enumerate(table.mean_mm[:, out]):
+        yield f"$AN_CEC[{number},{index}]={value:z.6f}"
+    yield f"$AN_CEC_INPUT_AXIS[{number}]=(AX{table.own + 1})"
+    yield f"$AN_CEC_OUTPUT_AXIS[{number}]=(AX{out + 1})"
+    yield f"$AN_CEC_STEP[{number}]={table.spacing_mm:.9g}"
+    yield f"$AN_CEC_MIN[{number}]={table.position_mm[0]:.6f}"
+    yield f"$AN_CEC_MAX[{number}]={table.position_mm[-1]:.6f}"
+    yield f"$AN_CEC_DIRECTION[{number}]=0"
+    yield f"$AN_CEC_MULT_BY_TABLE[{number}]=0"
+    yield f"$AN_CEC_IS_MODULO[{number}]=0"
+
+
+_SETTING = re.compile(
+    r"\$A[AN]_(ENC_COMP|CEC)(\w*)\[([\w,]+)\]="
+    r"\(?(AX\d|[-+]?\d+\.?\d*(?:e[-+]\d+)?)\)?$"
+)
+
+
+def _settings(
+    files: Mapping[str, str], kind: str
+) -> list[tuple[str, dict[str, str], dict[int, float]]]:
+    """Return (table, settings, values by index) of every table of the files."""
+    names: dict[str, dict[str, str]] = {}
+    values: dict[str, dict[int, float]] = {}
+    for name, text in files.items():
+        for number, line in enumerate(text.splitlines(), 1):
+            block = line.partition(";")[0].strip()
+            if not block.startswith("$"):
+                continue
+            found = _SETTING.fullmatch(block)
+            if found is None or found.group(1) != kind:
+                raise BadInput(f"{name}, row {number}: {block!r} cannot be read")
+            _, word, place, value = found.groups()
+            places = place.split(",")
+            # A leadscrew table is named by its axis, a cross table by its number.
+            table = places[-1] if kind == "ENC_COMP" else places[0]
+            if word:
+                names.setdefault(table, {})[word] = value
+            else:
+                values.setdefault(table, {})[int(places[1])] = float(value)
+    return [(table, names[table], values[table]) for table in values]
+
+
+class _Table:
+    """A table as the controller has it: corrects `out` by the position of `axis`."""
+
+    def __init__(
+        self, axis: str, out: int, settings: dict[str, str], values: dict[int, float]
+    ) -> None:
+        step, low = float(settings["_STEP"]), float(settings["_MIN"])
+        count = round((float(settings["_MAX"]) - low) / step) + 1
+        if sorted(values) != list(range(count)):
+            raise BadInput(f"the table of {axis} lacks points between MIN and MAX")
+        self.axis, self.out = axis, out
+        self.position_mm = low + step * np.arange(count)
+        self.value_mm = np.array([values[index] for index in range(count)])
+
+    @classmethod
+    def of_leadscrew(
+        cls, axis: str, settings: dict[str, str], values: dict[int, float]
+    ) -> _Table:
+        name = axis.rstrip("0123456789")
+        return cls(name, LINEAR.index(name), settings, values)
+
+    @classmethod
+    def of_cross(
+        cls, _number: str, settings: dict[str, str], values: dict[int, float]
+    ) -> _Table:
+        source, out = (
+            int(settings[word].removeprefix("AX")) - 1
+            for word in ("_INPUT_AXIS", "_OUTPUT_AXIS")
+        )
+        return cls(LINEAR[source], out, settings, values)
+
+
+def _correction(tables: list[_Table], machine: Machine) -> Correction:
+    def correction(
+        position_mm: Float64[np.ndarray, "n a"], direction: float
+    ) -> Float64[np.ndarray, "n 3"]:
+        added = np.zeros((len(position_mm), 3))
+        for table in tables:
+            at = position_mm[:, machine.axis_names.index(table.axis)]
+            added[:, table.out] -= np.interp(at, table.position_mm, table.value_mm)
+        return added
+
+    return correction

@@ -1,0 +1,142 @@
+"""The result's volumetric error at any position, going up the axes or down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.estimation.volumetric_map import VolumetricMap, volumetric_map
+from app.files.json_fields import Field
+from app.kinematics.effects.base import Effect, standstill
+from app.kinematics.effects.catalogued import bare
+from app.kinematics.effects.elastic_sag import ElasticSag
+from app.kinematics.effects.error_motion import ErrorMotion, reference_position_mm
+from app.kinematics.effects.plane_error import PlaneError
+from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.symbols import DIRECTION, is_turn
+from app.results.error_tables import MILLI
+from app.results.result_json import LoadedResult
+
+Half = dict[str, tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A result, its map without the rigid motion of the volume, and its backlash.
+
+    half : half difference of both directions of each axis' own positioning, as
+        (position mm, value mm), by axis; none where direction plays no part
+    """
+
+    result: LoadedResult
+    found: VolumetricMap
+    half: Half
+
+    @property
+    def machine(self) -> Machine:
+        """The machine of the result."""
+        return self.result.machine
+
+    @property
+    def axes(self) -> tuple[LinearAxis, ...]:
+        """The axes that tables are written for."""
+        return self.machine.linear_axes
+
+    def error_mm(
+        self,
+        position_mm: Float64[np.ndarray, "n a"],
+        direction: float = 0.0,
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return δ = actual − nominal.
+
+        direction : 1 where all axes came up, −1 where they came down, 0 for the mean
+        """
+        error = self.found.error_mm(
+            standstill(self.machine, position_mm), self.result.theta
+        )
+        for column, axis in enumerate(self.axes):
+            half = direction * self.half_mm(axis.name, position_mm[:, column])
+            error[:, DIRECTION[axis.name]] += half
+        return error
+
+    def half_mm(
+        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return half the difference of both directions of an axis' positioning."""
+        if axis not in self.half:
+            return np.zeros(len(at_mm))
+        return np.interp(at_mm, *self.half[axis])
+
+    def turn_rad(
+        self, axis: str, at_mm: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return ω of an axis: the turns that the result tells, else 0."""
+        omega = np.zeros((len(at_mm), 3))
+        model = self.result.model
+        motions = [e for e in model.effects if isinstance(e, ErrorMotion)]
+        for motion in motions:
+            if motion.symbol[2] == axis and is_turn(motion.symbol):
+                part = model.slices[motion.name]
+                value = motion.rows(at_mm) @ self.result.theta[part]
+                omega[:, DIRECTION[motion.symbol[1]]] = value
+        return omega
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the pairs of axes that the model has effects of, a guide first."""
+        return [pair for pair in map(_pair, self.result.model.effects) if pair]
+
+    def bent_mm(
+        self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return what the effects of a pair of axes do to the tool point."""
+        at = standstill(self.machine, position_mm)
+        model, theta = self.result.model, self.result.theta
+        total = np.zeros((len(position_mm), 3))
+        for effect in model.effects:
+            if _pair(effect) == (axis, by):
+                total += effect.displacement_mm(at, theta[model.slices[effect.name]])
+        return total
+
+    def middle_mm(self) -> Float64[np.ndarray, " a"]:
+        """Return the middle of the travel; rotary axes at their zero."""
+        return np.array(
+            [
+                0.5 * (axis.min_mm + axis.max_mm)
+                if isinstance(axis, LinearAxis)
+                else reference_position_mm(axis)
+                for axis in self.machine.axes
+            ]
+        )
+
+
+def _pair(effect: Effect) -> tuple[str, str] | None:
+    """Return the two axes that an effect depends on at once, the guide first."""
+    own = bare(effect)
+    if isinstance(own, ElasticSag):
+        return own.axis.name, own.by.name
+    if isinstance(own, PlaneError):
+        return own.first.name, own.second.name
+    return None
+
+
+def source_of(result: LoadedResult, direction: Field | None = None) -> Source:
+    """Return what a result says.
+
+    direction : its `direction`, if the file has one
+    """
+    half = {} if direction is None else _half(direction, result.machine)
+    return Source(result, volumetric_map(result.model), half)
+
+
+def _half(direction: Field, machine: Machine) -> Half:
+    found = direction.mapping().child("half_difference").mapping()
+    half: Half = {}
+    for axis in machine.linear_axes:
+        symbol = f"E{axis.name}{axis.name}"
+        if symbol in found:
+            table = found.child(symbol).mapping()
+            position = table.child("position_mm").numbers()
+            half[axis.name] = position, table.child("value_um").numbers() / MILLI
+    return half

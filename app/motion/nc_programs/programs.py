@@ -1,0 +1,175 @@
+"""A path or points as a control's program, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.errors import OutOfTravel, PlanningError
+from app.kinematics.machine import Machine, position_unit
+from app.motion.configurations import Configurations
+from app.motion.nc_programs.dialect import Dialect
+from app.motion.nc_programs.motion import ProgrammedMotion, path_checksum
+from app.motion.nc_programs.order import (
+    LARGEST_FEED,
+    Order,
+    as_printed,
+    header_of,
+    plain_name,
+    steps_of,
+)
+from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
+from app.plugins import installed, load
+from drivers.interfaces.records import Path
+
+GROUP = "truepath.nc_dialects"
+_LEAST_FEED = 0.1  # mm/min
+
+
+def dialect_names() -> tuple[str, ...]:
+    """Return the controls that programs can be written for."""
+    return tuple(sorted(installed(GROUP)))
+
+
+def control_of(dialect: str) -> str:
+    """Return what people call a control."""
+    return _dialect(dialect).control
+
+
+def nc_program(
+    path_or_points: Path | Configurations,
+    machine: Machine,
+    dialect: str,
+    name: str = "",
+    *,
+    feed_mm_min: float = DEFAULT_FEED_MM_MIN,
+) -> str:
+    """Return the program of a path or of standstill points for a control.
+
+    dialect : one of `dialect_names`
+    name : of the program, made fit for the control; the machine's where it is empty
+    feed_mm_min : between standstill points, which have no feed of their own
+
+    The text is read back by the dialect's own reader before it is returned, and is
+    held against the path, row by row, and against the travel of the axes.
+
+    Raises OutOfTravel naming row, axis, value and remedy; PlanningError where a feed, a
+    dwell or the number of rows is beyond the control; BadInput for an unknown dialect.
+    """
+    kind = _dialect(dialect)
+    check_travel(machine, path_or_points)
+    planned = _as_path(path_or_points, feed_mm_min)
+    _refuse_beyond(kind, planned)
+    path = as_printed(
+        planned,
+        kind.decimals,
+        kind.least_dwell_s,
+        counts_degrees=kind.counts_degrees,
+    )
+    text = kind.write(_order(kind, path, planned, machine, name))
+    _check(kind.read(text), path, machine, kind)
+    return text
+
+
+def parse_nc_program(text: str, dialect: str) -> ProgrammedMotion:
+    """Return what a control would do with a measuring program.
+
+    Raises PlanningError naming the line that a measuring path must not have: a position
+    that is not in machine coordinates, a mode that was not set, a word unknown here.
+    """
+    return _dialect(dialect).read(text)
+
+
+def program_file_name(text: str, dialect: str) -> str:
+    """Return what a program's file is to be called on its control."""
+    kind = _dialect(dialect)
+    return f"{kind.read(text).name}{kind.suffix}"
+
+
+def _dialect(name: str) -> Dialect:
+    return load(GROUP, name)()
+
+
+def _as_path(commanded: Path | Configurations, feed_mm_min: float) -> Path:
+    if isinstance(commanded, Path):
+        return commanded
+    feed = np.full(len(commanded), feed_mm_min)
+    points = commanded
+    return Path(points.axes, points.position, feed, points.dwell_s, points.target)
+
+
+def _order(
+    kind: Dialect, path: Path, planned: Path, machine: Machine, name: str
+) -> Order:
+    rotary = {axis.name for axis in machine.rotary_axes}
+    checksum = path_checksum(path.axes, path.position)
+    wanted = plain_name(name or machine.name)
+    return Order(
+        name=kind.program_name(wanted, checksum),
+        axes=path.axes,
+        linear=tuple(n for n in path.axes if n not in rotary),
+        rotary=tuple(n for n in path.axes if n in rotary),
+        header=header_of(path, planned, machine, wanted, kind.control, kind.frame),
+        steps=steps_of(path),
+    )
+
+
+def _refuse_beyond(kind: Dialect, path: Path) -> None:
+    """Refuse what no program of this control can say."""
+    if len(path) > kind.most_rows:
+        raise PlanningError(
+            f"the path has {len(path)} rows; a {kind.control} program numbers "
+            f"{kind.most_rows}; plan two shorter paths"
+        )
+    feed, dwell_s = path.feed_mm_min, path.dwell_s
+    _refuse_row(
+        feed, (feed >= _LEAST_FEED) & (feed <= LARGEST_FEED), "feed_mm_min",
+        f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED:g} mm/min",
+    )  # fmt: skip
+    _refuse_row(
+        dwell_s, (dwell_s >= 0) & (dwell_s <= kind.longest_dwell_s), "dwell_s",
+        f"{kind.control} dwells 0 to {kind.longest_dwell_s:g} s",
+    )  # fmt: skip
+
+
+def _refuse_row(
+    values: Float64[np.ndarray, " n"],
+    good: Bool[np.ndarray, " n"],
+    name: str,
+    remedy: str,
+) -> None:
+    if not good.all():
+        row = int(np.argmin(good))
+        raise PlanningError(f"row {row + 1}: {name} is {values[row]:g}; {remedy}")
+
+
+def _check(
+    motion: ProgrammedMotion, path: Path, machine: Machine, kind: Dialect
+) -> None:
+    """Hold what the reader found against the path and the travel."""
+    half = 0.5 * 10.0**-kind.decimals
+    same = (
+        motion.axes == path.axes
+        and motion.position.shape == path.position.shape
+        and bool((np.abs(motion.position - path.position) < half).all())
+        and np.allclose(motion.feed_mm_min, path.feed_mm_min, rtol=1e-3, atol=1e-3)
+        and np.allclose(motion.dwell_s, path.dwell_s, rtol=0.0, atol=5e-4)
+        and bool(motion.exact_stop.all())
+        and motion.row.tolist() == list(range(1, len(path) + 1))
+        and motion.checksum == motion.stated_checksum
+    )
+    if not same:
+        raise PlanningError(
+            f"the {kind.control} program does not read back as the path; do not run "
+            "it, and report the path"
+        )
+    by_name = {axis.name: axis for axis in machine.axes}
+    for column, axis in enumerate(by_name[name] for name in path.axes):
+        for row, value in enumerate(motion.position[:, column], 1):
+            if not axis.low - half <= value <= axis.high + half:
+                unit = position_unit(axis)
+                raise OutOfTravel(
+                    f"row {row}: {axis.name} = {value:.4f} {unit} is outside "
+                    f"{axis.low:g} to {axis.high:g} {unit} as the program states it; "
+                    "shorten the plan or correct the travel in the machine file"
+                )

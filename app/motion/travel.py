@@ -1,0 +1,79 @@
+"""Keeps commanded positions inside the travel of the axes.
+
+Straight lines in axis positions never leave a box that holds both of their ends, so
+checking the rows checks the whole swept path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
+from app.motion.configurations import Configurations
+from drivers.interfaces.records import Path
+
+# Rows are written with three or four decimals: a limit may be overrun by the rounding.
+ROUNDING = 1e-3
+DECIMALS = 4  # of mm and deg: rows survive a CSV file and a controller's counts
+_MARGIN, _MARGIN_SHARE = 10.0, 0.02  # mm or deg, of the travel; the less counts
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """A commanded position beyond the travel of an axis.
+
+    index : row of the commanded positions, from 0
+    value, low, high : mm, or deg for a rotary axis
+    """
+
+    index: int
+    axis: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        side, limit = (
+            ("exceeds", self.high) if self.value > self.high else ("is below", self.low)
+        )
+        return (
+            f"{self.axis} = {self.value:.4g} {self.unit} {side} {limit:.4g} {self.unit}"
+        )
+
+
+def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach | None:
+    """Return the first row beyond the travel, or None. Every axis must be known."""
+    axes = {axis.name: axis for axis in machine.axes}
+    limits = [(axes[name].low, axes[name].high) for name in commanded.axes]
+    low, high = np.array(limits).T
+    outside = (commanded.position < low - ROUNDING) | (
+        commanded.position > high + ROUNDING
+    )
+    if not outside.any():
+        return None
+    row, column = (int(i) for i in np.argwhere(outside)[0])
+    name = commanded.axes[column]
+    unit = "mm" if isinstance(axes[name], LinearAxis) else "deg"
+    value = float(commanded.position[row, column])
+    return Breach(row, name, unit, value, *limits[column])
+
+
+def inner_travel(
+    machine: Machine,
+) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
+    """Return the travel of all axes less a margin at both ends, mm or deg.
+
+    It is rounded as rows are written. A full turn has no ends, and so no margin.
+    """
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    is_round = [
+        isinstance(axis, RotaryAxis) and axis.turns_fully for axis in machine.axes
+    ]
+    margin = np.minimum(_MARGIN, _MARGIN_SHARE * (high - low))
+    margin = np.where(is_round, 0.0, margin)
+    return np.round(low + margin, DECIMALS), np.round(high - margin, DECIMALS)

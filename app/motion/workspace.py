@@ -1,0 +1,176 @@
+"""Where the machine may go and what the tracker must see while it does.
+
+Keep-out boxes are stated in axis positions, like the protection zones of a control.
+Range and line of sight are those of the measured target where the tracker stands. All
+are checked over the whole swept line, exactly: a straight line in axis positions
+against boxes, the triangle that the beam sweeps against what blocks it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.errors import PlanningError
+from app.kinematics.effects.base import standstill
+from app.kinematics.machine import Machine
+from app.motion.configurations import Configurations
+from drivers.interfaces.records import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A closed box.
+
+    low_mm, high_mm : in X, Y, Z; name : for people
+    """
+
+    low_mm: tuple[float, float, float]
+    high_mm: tuple[float, float, float]
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """What limits a plan beside the travel.
+
+    keep_out : boxes of axis positions X, Y, Z that no motion may touch
+    tracker_mm : place of the tracker in the frame that it stands on; None if unknown
+    nearest_mm, farthest_mm : range of the tracker
+    blocks_sight : boxes in the same frame that the beam must not touch
+    """
+
+    keep_out: tuple[Box, ...] = ()
+    tracker_mm: tuple[float, float, float] | None = None
+    nearest_mm: float = 0.0
+    farthest_mm: float = np.inf
+    blocks_sight: tuple[Box, ...] = ()
+
+    def allowed(
+        self,
+        machine: Machine,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell which straight lines keep to it from begin to end. Linear axes only."""
+        ok = np.ones(len(begin), bool)
+        for box in self.keep_out:
+            ok &= ~_crosses(begin[:, :3], end[:, :3], box)
+        if self.tracker_mm is None:
+            return ok
+        a, b = _target_mm(machine, begin), _target_mm(machine, end)
+        tracker = np.array(self.tracker_mm)
+        near, far = _distances(tracker, a, b)
+        ok &= (near >= self.nearest_mm) & (far <= self.farthest_mm)
+        for box in self.blocks_sight:
+            ok &= ~_triangle_touches(np.tile(tracker, (len(a), 1)), a, b, box)
+        return ok
+
+    def refuse(self, machine: Machine, commanded: Path | Configurations) -> None:
+        """Raise PlanningError if a motion of the plan breaks it; names row and reason.
+
+        Rows are counted from 1; a single row is a place to stand at.
+        """
+        position = commanded.position
+        begin = position[:-1] if len(position) > 1 else position
+        end = position[1:] if len(position) > 1 else position
+        bad = ~self.allowed(machine, begin, end)
+        if bad.any():
+            index = int(np.argmax(bad))
+            why = self.reason(machine, begin[index], end[index])
+            raise PlanningError(
+                f"the way to row {index + 1 + (len(position) > 1)} {why}; plan other "
+                "lines, or correct the workspace"
+            )
+
+    def reason(
+        self,
+        machine: Machine,
+        begin: Float64[np.ndarray, " a"],
+        end: Float64[np.ndarray, " a"],
+    ) -> str:
+        """Say why a line is not allowed."""
+        a, b = begin[None], end[None]
+        for box in self.keep_out:
+            if _crosses(a[:, :3], b[:, :3], box)[0]:
+                return f"enters the keep-out box {_called(box)}"
+        tracker = np.array(self.tracker_mm)
+        p, q = _target_mm(machine, a), _target_mm(machine, b)
+        near, far = (float(d[0]) for d in _distances(tracker, p, q))
+        if near < self.nearest_mm:
+            return f"brings the target to {near:.0f} mm, nearer than the tracker sees"
+        if far > self.farthest_mm:
+            return f"takes the target {far:.0f} mm away, farther than the tracker sees"
+        for box in self.blocks_sight:
+            if _triangle_touches(tracker[None], p, q, box)[0]:
+                return f"goes behind {_called(box)}, out of the tracker's sight"
+        return "is allowed"
+
+
+def _called(box: Box) -> str:
+    return box.name or f"{list(box.low_mm)} to {list(box.high_mm)} mm"
+
+
+def _target_mm(
+    machine: Machine, position: Float64[np.ndarray, "n a"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Return the nominal place of the first target where the tracker stands."""
+    target = machine.target()
+    aside = np.full(len(position), target.on == "workpiece")
+    return (
+        standstill(machine, position).seen_by(machine.tracker.stands_on, aside).point_mm
+    )
+
+
+def _crosses(
+    begin: Float64[np.ndarray, "n 3"], end: Float64[np.ndarray, "n 3"], box: Box
+) -> Bool[np.ndarray, " n"]:
+    """Tell which segments touch a box: slabs, one coordinate after another."""
+    low, high = np.array(box.low_mm), np.array(box.high_mm)
+    step = end - begin
+    still = step == 0.0
+    rate = np.where(still, 1.0, step)
+    first, last = (low - begin) / rate, (high - begin) / rate
+    enters, leaves = np.minimum(first, last), np.maximum(first, last)
+    inside = (begin >= low) & (begin <= high)
+    enters = np.where(still, np.where(inside, -np.inf, np.inf), enters)
+    leaves = np.where(still, np.where(inside, np.inf, -np.inf), leaves)
+    latest = np.maximum(enters.max(axis=1), 0.0)
+    return latest <= np.minimum(leaves.min(axis=1), 1.0)
+
+
+def _distances(
+    place: Float64[np.ndarray, "3"],
+    begin: Float64[np.ndarray, "n 3"],
+    end: Float64[np.ndarray, "n 3"],
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Return the least and the largest distance of each segment from a place."""
+    step, off = end - begin, place - begin
+    square = np.maximum(np.einsum("ni,ni->n", step, step), 1e-12)
+    share = np.clip(np.einsum("ni,ni->n", off, step) / square, 0.0, 1.0)
+    near = np.linalg.norm(off - share[:, None] * step, axis=1)
+    ends = [np.linalg.norm(place - p, axis=1) for p in (begin, end)]
+    return near, np.maximum(ends[0], ends[1])
+
+
+def _triangle_touches(
+    a: Float64[np.ndarray, "n 3"],
+    b: Float64[np.ndarray, "n 3"],
+    c: Float64[np.ndarray, "n 3"],
+    box: Box,
+) -> Bool[np.ndarray, " n"]:
+    """Tell which triangles touch a box (separating axes, Akenine-Möller 2001)."""
+    low, high = np.array(box.low_mm), np.array(box.high_mm)
+    half = (high - low) / 2.0
+    corners = np.stack([a, b, c], axis=1) - (low + high) / 2.0
+    edges = np.roll(corners, -1, axis=1) - corners
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    unit = np.broadcast_to(np.eye(3), (len(a), 3, 3))
+    across = np.cross(edges[:, :, None], np.eye(3)).reshape(len(a), 9, 3)
+    axes = np.concatenate([unit, normal[:, None], across], axis=1)
+    reach = np.abs(axes) @ half
+    shadow = axes @ np.swapaxes(corners, 1, 2)
+    apart = (shadow.min(axis=2) > reach) | (shadow.max(axis=2) < -reach)
+    return ~apart.any(axis=1)

@@ -1,0 +1,159 @@
+"""What a planned measurement will leave unknown, by the estimator's own model.
+
+The cells that the plan would give, the noise and the prior of the estimator, and its
+posterior: nothing is estimated, so the covariance is all there is. The prior's
+strengths, which an estimate finds from its data, are those of machines of usual errors,
+or those that a live estimate has found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.linalg import block_diag
+
+from app.alignment.observations import Observations
+from app.estimation.information import posterior
+from app.estimation.known_effects import KnownEffects
+from app.estimation.noise import NoiseModel
+from app.estimation.observability import observability
+from app.estimation.prior import first_guess
+from app.estimation.recursive import Linearisation, Recursive, begun
+from app.estimation.runs import Measured
+from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.weak_shapes import usual_precision
+from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.identifiable import identifiable_model
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.motion.configurations import Configurations
+from app.planning.rehearsal import EXPECTED_NOISE, rehearsed
+from drivers.interfaces.records import Path
+
+_CURVE = 24  # places along the plan at which the uncertainty is told
+# Of the tracker, before enough lines tell it: a millimetre, a milliradian.
+_POSE = np.repeat([1.0, 1e6], 3)
+# Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
+# ones, in the median of their error motions.
+_SMOOTHER = 4.0
+_POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The uncertainty after a plan, and on the way.
+
+    covariance : (p, p) of the model's parameters
+    known : effects in the model that an earlier measurement has told, as they were
+    volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
+        of the volumetric error vector, its rigid motion left out
+    row, sigma_mm : (k,) the same once the plan's row is reached, in its order
+    unobservable : what the plan cannot tell, in words
+    """
+
+    model: MachineModel
+    known: KnownEffects
+    covariance: Float64[np.ndarray, "p p"]
+    volumetric_sigma_mm: float
+    row: tuple[int, ...]
+    sigma_mm: tuple[float, ...]
+    unobservable: tuple[str, ...]
+
+    def motion_sigmas(self) -> dict[str, float]:
+        """Return the standard uncertainty of each error, mm or rad, by its symbol.
+
+        Of an error motion the root mean square over its travel.
+        """
+        found: dict[str, float] = {}
+        for effect in self.model.effects:
+            if isinstance(effect, Catalogued) or effect.parameters[0].nuisance:
+                continue
+            part = self.model.slices[effect.name]
+            C = self.covariance[part, part]
+            mean_square = float(np.trace(C))
+            if isinstance(effect, ErrorMotion):
+                low, high = effect.axis.low, effect.axis.high
+                rows = effect.rows(np.linspace(low, high, _POSITIONS))
+                mean_square = float(np.sum((rows @ C) * rows)) / _POSITIONS
+            found[effect.name] = mean_square**0.5
+        return found
+
+
+def forecast(
+    machine: Machine,
+    commanded: Path | Configurations,
+    stand_mm: Float64[np.ndarray, "3"],
+    *,
+    known: KnownEffects | None = None,
+    perpendicular_only: bool = False,
+    noise: NoiseModel = EXPECTED_NOISE,
+    strength: Mapping[str, float] | None = None,
+) -> Forecast:
+    """Return what is to be expected of a plan, the tracker standing at a place.
+
+    stand_mm : in the frame that the tracker stands on
+    known : effects beside the error motions, before the plan
+    strength : of the prior, by the effect's name; usual ones where left out
+    """
+    seen = rehearsed(machine, commanded, stand_mm)
+    offsets = np.unique(seen.at.offset_mm, axis=0)
+    known = known or KnownEffects()
+    model = known.beside(identifiable_model(machine, offsets)[0])
+    if perpendicular_only:
+        noise = replace(noise, along_sigma_mm=np.inf)
+    prior = usual_precision(model, strength or usual_strength(model))
+    prior[known.part(model), known.part(model)] += known.precision()
+    judge = _Judge(model, prior, volumetric_gram(model))
+    sums = _begun(model, seen, noise)
+    rows: list[int] = []
+    sigmas: list[float] = []
+    covariance = np.zeros((model.size, model.size))
+    ends = np.flatnonzero(np.diff(seen.row, append=seen.row[-1] + 1)) + 1
+    some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
+    told = [0, *ends[np.unique(some)].tolist()]
+    for first, last in pairwise(told):
+        sums = sums.added(seen.taken(np.arange(first, last)))
+        covariance, sigma = judge.of(sums)
+        rows.append(int(seen.row[last - 1]))
+        sigmas.append(sigma)
+    told_of = observability(machine, [Measured(seen, seen.pose, noise)])
+    return Forecast(
+        model,
+        known,
+        covariance,
+        sigmas[-1],
+        tuple(rows),
+        tuple(sigmas),
+        told_of.unobservable,
+    )
+
+
+def usual_strength(model: MachineModel) -> dict[str, float]:
+    """Return the strengths that estimates of usual machines come to, by effect."""
+    found = first_guess(model).strength
+    return {name: _SMOOTHER * strength for name, strength in found.items()}
+
+
+@dataclass(frozen=True)
+class _Judge:
+    model: MachineModel
+    prior: Float64[np.ndarray, "p p"]
+    gram: Float64[np.ndarray, "p p"]
+
+    def of(self, sums: Recursive) -> tuple[Float64[np.ndarray, "p p"], float]:
+        """Return the covariance after the cells so far, and the volumetric sigma."""
+        data, size = sums.information(), self.model.size
+        prior = block_diag(self.prior, np.diag(_POSE))
+        covariance = posterior(data, prior).covariance[:size, :size]
+        square = float(np.sum(self.gram * covariance))
+        return covariance, float(np.sqrt(max(square, 0.0)))
+
+
+def _begun(model: MachineModel, seen: Observations, noise: NoiseModel) -> Recursive:
+    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
+    return begun(Linearisation(model, seen.pose, (x, y, z), noise))

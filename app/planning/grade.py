@@ -1,0 +1,278 @@
+"""A plain grade of a set-up from its geometry alone, before anything moves.
+
+One number, as the dilution of precision of satellite navigation: the standard
+uncertainty of the volumetric error that the measurement would leave, root mean square
+over the travel, in units of the standard deviation of a single tracker sample. It
+follows from machine, path or points, targets and the place of the tracker; deviations
+of the machine play no part (as in the valuation numbers of HEIDENHAIN's cycle 451).
+Indices of robot calibration (Menq & Borm 1988, Nahvi & Hollerbach 1996) ask the same of
+singular values, but those depend on units and on how a spline is cut; the variance of
+the map does not.
+
+Up to 0.25 a set-up is good: twice the uncertainty of the map is half of what one sample
+scatters. Up to 1 it is usable: the map is still worth more than measuring its every
+point once. Above it is poor: it rests on what is usual of machines more than on data.
+On random simulated set-ups the error that was left is in `docs/grade.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.estimation.information import Information, posterior
+from app.estimation.separation import statements
+from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.weak_shapes import WeakShape, usual_precision, weak_shapes
+from app.kinematics.effects.error_motion import ErrorMotion, error_motion
+from app.kinematics.identifiable import identifiable_model
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+from app.motion.configurations import Configurations
+from app.planning.rehearsal import (
+    expected_information,
+    rehearsed,
+    usual_stands_mm,
+)
+from app.planning.remedies import Remedy, best_line, with_line
+from drivers.interfaces.records import Path
+
+GOOD, USABLE = 0.25, 1.0
+_SHAPES = 5  # intervals of the knots, for shapes that a person can picture
+_INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
+_NAMED = 3  # weakest motions
+# What any measurement tells of the tracker's pose: 1 mm, 10 mrad. Less drowns in
+# rounding where a set-up tells hardly anything.
+_ROUGH_POSE = np.array([1.0, 1.0, 1.0, 1e4, 1e4, 1e4])
+
+
+@dataclass(frozen=True, slots=True)
+class WeakMotion:
+    """One of the weakest error motions.
+
+    at_tool_mm : standard uncertainty that it alone puts at the tool, root mean square
+        over the travel
+    remedy : the line that helps it most, None where the set-up is good
+    """
+
+    symbol: str
+    at_tool_mm: float
+    remedy: Remedy | None
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """What a set-up is worth.
+
+    number : expected sigma_mm over sample_sigma_mm; the worst of the stands
+    verdict : `good`, `usable` or `poor`
+    sigma_mm : expected standard uncertainty of the volumetric error vector
+    sample_sigma_mm : standard deviation of one tracker sample as a vector
+    stand_mm : where the tracker stands for this number; assumed : nobody said so
+    best : number of the best of the stands
+    improved : number with the line that the weakest motion asks for, None where the
+        set-up is good
+    """
+
+    number: float
+    verdict: str
+    sigma_mm: float
+    sample_sigma_mm: float
+    stand_mm: Float64[np.ndarray, "3"]
+    assumed: bool
+    best: float
+    improved: float | None
+    weakest: tuple[WeakMotion, ...]
+    shapes: tuple[WeakShape, ...]
+    unobservable: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SetUp:
+    """One Run of a set-up: its machine (with its targets), what it commands, the stand.
+
+    stand_mm : place of the tracker in the frame that it stands on
+    """
+
+    machine: Machine
+    commanded: Path | Configurations
+    stand_mm: Float64[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """Set-ups, solved as far as that goes before anything has been measured.
+
+    told : (p, p) information on the machine, whatever the tracker's poses
+    """
+
+    set_ups: tuple[SetUp, ...]
+    told: Float64[np.ndarray, "p p"]
+    covariance: Float64[np.ndarray, "p p"]
+    sigma_mm: float
+    sample_sigma_mm: float
+
+    @property
+    def number(self) -> float:
+        return self.sigma_mm / self.sample_sigma_mm
+
+
+@dataclass(frozen=True, slots=True)
+class _Judge:
+    """What set-ups are judged by: gram is of the model's θ."""
+
+    model: MachineModel
+    gram: Float64[np.ndarray, "p p"]
+    perpendicular_only: bool
+
+    def judged(self, set_ups: tuple[SetUp, ...]) -> _Judged:
+        seen = [rehearsed(s.machine, s.commanded, s.stand_mm) for s in set_ups]
+        told = np.sum([self._told(one) for one in seen], axis=0)
+        nothing = Information(told, np.zeros(len(told)), 0.0, 0.0)
+        covariance = posterior(nothing, usual_precision(self.model)).covariance
+        sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
+        return _Judged(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
+
+    def _told(self, seen: Observations) -> Float64[np.ndarray, "p p"]:
+        """Return what one Run tells of the machine whatever the tracker's pose."""
+        matrix = expected_information(
+            seen, self.model, perpendicular_only=self.perpendicular_only
+        ).matrix
+        p = self.model.size
+        pose, cross = matrix[p:, p:] + np.diag(_ROUGH_POSE), matrix[:p, p:]
+        return matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
+
+
+def grade(
+    machine: Machine,
+    commanded: Path | Configurations,
+    *,
+    stand_mm: Float64[np.ndarray, "3"] | None = None,
+    perpendicular_only: bool = False,
+) -> Grade:
+    """Grade what would be measured.
+
+    stand_mm : place of the tracker in the frame that it stands on. If left out, four
+        usual places a metre off each side of the travel are tried; the worst counts
+    perpendicular_only : what lies along the lines will be left out
+
+    Raises PlanningError if nothing would be measured at all.
+    """
+    stands = usual_stands_mm(machine) if stand_mm is None else stand_mm[None, :]
+    tried = [(SetUp(machine, commanded, stand),) for stand in stands]
+    found = _graded(machine, tried, perpendicular_only)
+    return replace(found, assumed=stand_mm is None)
+
+
+def grade_together(
+    machine: Machine, set_ups: Sequence[SetUp], *, perpendicular_only: bool = False
+) -> Grade:
+    """Grade several Runs that are solved together, each with its own stand.
+
+    machine : with the targets of all
+    """
+    return _graded(machine, [tuple(set_ups)], perpendicular_only)
+
+
+def _graded(
+    machine: Machine, tried: list[tuple[SetUp, ...]], perpendicular_only: bool
+) -> Grade:
+    offsets_mm = np.concatenate(
+        [
+            rehearsed(one.machine, one.commanded, one.stand_mm).at.offset_mm
+            for one in tried[0]
+        ]
+    )
+    model, merged = identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
+    judge = _Judge(model, volumetric_gram(model), perpendicular_only)
+    every = [judge.judged(set_ups) for set_ups in tried]
+    worst = max(every, key=lambda one: one.number)
+    weakest = _weakest(worst, judge)
+    coarse, refined = _coarser(model)
+    return Grade(
+        worst.number,
+        verdict(worst.number),
+        worst.sigma_mm,
+        worst.sample_sigma_mm,
+        worst.set_ups[-1].stand_mm,
+        False,
+        min(one.number for one in every),
+        _improved(worst, weakest[0].remedy, judge),
+        weakest,
+        weak_shapes(
+            refined.T @ worst.told @ refined, coarse, refined.T @ judge.gram @ refined
+        ),
+        statements(machine, offsets_mm, merged, model, worst.covariance),
+    )
+
+
+def _improved(worst: _Judged, remedy: Remedy | None, judge: _Judge) -> float | None:
+    """Return the number with a line more, at the end of the last Run."""
+    if remedy is None:
+        return None
+    *others, last = worst.set_ups
+    longer = replace(last, commanded=with_line(last.commanded, remedy))
+    return judge.judged((*others, longer)).number
+
+
+def verdict(number: float) -> str:
+    """Return the word for a number."""
+    if number <= GOOD:
+        return "good"
+    return "usable" if number <= USABLE else "poor"
+
+
+def _sample_sigma_mm(seen: Sequence[Observations]) -> float:
+    """Return the standard deviation of one sample as a vector, at usual distance."""
+    distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in seen])
+    tracker = seen[0].at.machine.tracker
+    along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
+    return float(np.sqrt(along**2 + 2.0 * across**2))
+
+
+def _coarser(
+    model: MachineModel,
+) -> tuple[MachineModel, Float64[np.ndarray, "p c"]]:
+    """Return a model of fewer knots, and its shapes in the parameters of the finer.
+
+    Every second knot of a spline makes a spline of the same space, so nothing is lost.
+    """
+    effects = tuple(
+        error_motion(e.symbol, e.axis, _SHAPES) if isinstance(e, ErrorMotion) else e
+        for e in model.effects
+    )
+    coarse = MachineModel(model.machine, effects)
+    refined = np.zeros((model.size, coarse.size))
+    for fine, rough in zip(model.effects, effects, strict=True):
+        part = (model.slices[fine.name], coarse.slices[rough.name])
+        if isinstance(fine, ErrorMotion) and isinstance(rough, ErrorMotion):
+            # The gauge's columns are orthonormal.
+            refined[part] = fine.gauge.T @ rough.rows(fine.spline.knots)
+        else:
+            refined[part] = np.eye(len(fine.parameters))
+    return coarse, refined
+
+
+def _weakest(one: _Judged, judge: _Judge) -> tuple[WeakMotion, ...]:
+    model, gram = judge.model, judge.gram
+    share = {
+        e.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
+        for e in model.effects
+        if isinstance(e, ErrorMotion)
+        for p in (model.slices[e.name],)
+    }
+    names = sorted(share, key=lambda name: -share[name])[:_NAMED]
+    if one.number <= GOOD:
+        return tuple(WeakMotion(name, share[name], None) for name in names)
+    last = one.set_ups[-1]
+    seen = rehearsed(last.machine, last.commanded, last.stand_mm)
+    return tuple(
+        WeakMotion(
+            name, share[name], best_line(name, seen, model, one.covariance, gram)
+        )
+        for name in names
+    )

@@ -1,0 +1,196 @@
+"""The planner's outlook from the estimator: its model, prior, noise and criterion.
+
+Planning comes before estimation, so what is believed of a machine is handed to it from
+here: the motions that the targets can tell, with few knots, and how each depends on the
+direction of approach, so that backlash is planned for as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from app.estimation.direction import with_half_widths
+from app.estimation.known_effects import KnownEffects
+from app.estimation.noise import NoiseModel
+from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.weak_shapes import usual_precision
+from app.kinematics.effects.base import standstill
+from app.kinematics.effects.catalogued import bare
+from app.kinematics.effects.servo_mismatch import ServoMismatch
+from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.identifiable import identifiable_model
+from app.kinematics.machine import Machine, Target, linear_part
+from app.kinematics.model import MachineModel
+from app.motion.corner_path import corner_path
+from app.motion.paths import DEFAULT_FEED_MM_MIN
+from app.motion.workspace import Workspace
+from app.planning.forecast import usual_strength
+from app.planning.line_outlook import LineOutlook
+from app.planning.outlook import ExpectedNoise, Outlook, inverse
+from app.planning.point_outlook import PointOutlook
+from app.planning.rehearsal import EXPECTED_NOISE, rehearsed, usual_stands_mm
+
+INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
+_ANY_POSE = (1e2, 1e-1)  # mm and rad: nobody knows where the tracker stands
+_ANY_LAG_S = 1e-3  # of an axis behind its command
+_JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
+
+
+def mismatch_sigma_s(outlook: Outlook) -> dict[str, float]:
+    """Return how well each axis' lag against the mean of all is known, by axis.
+
+    The lag that all have in common only makes a line late, which its own unknown phase
+    takes up. Nothing where the outlook has no lags.
+    """
+    model = outlook.model
+    lags = {e.name: bare(e) for e in model.effects}
+    lags = {name: e for name, e in lags.items() if isinstance(e, ServoMismatch)}
+    if not lags:
+        return {}
+    at = [model.slices[name].start for name in lags]
+    own = inverse(outlook.precision)[np.ix_(at, at)]
+    against_mean = np.eye(len(at)) - 1.0 / len(at)
+    sigma = np.sqrt(np.diag(against_mean @ own @ against_mean.T))
+    return {e.axis.name: float(v) for e, v in zip(lags.values(), sigma, strict=True)}
+
+
+class _Believed(TypedDict):
+    model: MachineModel
+    target: Target
+    precision: NDArray[np.float64]
+    gram: NDArray[np.float64]
+    stand_mm: NDArray[np.float64]
+    noise: ExpectedNoise
+
+
+def stand_of(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
+    """Return where the tracker stands: as stated, or a usual place."""
+    if workspace.tracker_mm is not None:
+        return np.array(workspace.tracker_mm, np.float64)
+    return usual_stands_mm(machine)[2]
+
+
+def line_outlook(
+    machine: Machine,
+    stand_mm: NDArray[np.float64],
+    *,
+    known: KnownEffects | None = None,
+    perpendicular_only: bool = False,
+    dynamic: bool = False,
+    noise: NoiseModel = EXPECTED_NOISE,
+    strength: Mapping[str, float] | None = None,
+) -> LineOutlook:
+    """Return what is believed before the first line of a machine's straight axes.
+
+    known : effects that an earlier measurement has told, to be told apart as well
+    dynamic : each axis may lag behind its command by more than the others, which lines
+        of several feeds tell from errors that do not depend on the feed
+    strength : of the prior, by the effect's name, where a live estimate has found it
+    """
+    part = linear_part(machine)
+    if perpendicular_only:
+        noise = replace(noise, along_sigma_mm=np.inf)
+    target = machine.target()
+    offset = np.array([target.offset_mm], np.float64)
+    known = known or KnownEffects()
+    lags = tuple(_lags(part, known)) if dynamic else ()
+    believed = _believed(part, offset, target, stand_mm, noise, strength, known, lags)
+    return LineOutlook(**believed)
+
+
+def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
+    """Yield a lag an axis, but for those that are known effects already."""
+    has = {e.axis for e in map(bare, known.effects) if isinstance(e, ServoMismatch)}
+    yield from (ServoMismatch(axis) for axis in machine.linear_axes if axis not in has)
+
+
+def point_outlook(
+    machine: Machine,
+    stand_mm: NDArray[np.float64],
+    target: str = "",
+    *,
+    known: KnownEffects | None = None,
+    noise: NoiseModel = EXPECTED_NOISE,
+    strength: Mapping[str, float] | None = None,
+) -> PointOutlook:
+    """Return what is believed before the first standstill of a target.
+
+    known : effects that an earlier measurement has told, to be told apart as well
+    """
+    offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
+    one, known = machine.target(target), known or KnownEffects()
+    return PointOutlook(
+        **_believed(machine, offsets, one, stand_mm, noise, strength, known)
+    )
+
+
+def _believed(
+    machine: Machine,
+    offsets_mm: NDArray[np.float64],
+    target: Target,
+    stand_mm: NDArray[np.float64],
+    noise: NoiseModel,
+    strength: Mapping[str, float] | None,
+    known: KnownEffects,
+    lags: tuple[ServoMismatch, ...] = (),
+) -> _Believed:
+    motions, _ = identifiable_model(machine, offsets_mm, intervals=INTERVALS)
+    motions = with_half_widths(known.beside(motions))
+    model = motions.with_effects(*lags, _pose_of(machine))
+    size = motions.size
+    pose = np.diag(np.repeat(np.array(_ANY_POSE) ** -2.0, 3))
+    prior = usual_precision(motions, strength or usual_strength(motions))
+    prior[known.part(motions), known.part(motions)] += known.precision()
+    gram = np.zeros((model.size, model.size))
+    gram[:size, :size] = volumetric_gram(motions) + _in_motion(motions, known)
+    return _Believed(
+        model=model,
+        target=target,
+        precision=block_diag(prior, np.eye(len(lags)) / _ANY_LAG_S**2, pose),
+        gram=gram,
+        stand_mm=stand_mm,
+        noise=_expected(noise, machine.tracker.rate_hz),
+    )
+
+
+def _in_motion(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
+    """Return the Gram matrix of known effects that are nothing at a standstill.
+
+    What lost motion, a lag or a spike does on lines between the corners counts as the
+    volumetric error does: else no line would be chosen to tell it.
+    """
+    gram = np.zeros((model.size, model.size))
+    if not known.effects:
+        return gram
+    machine = model.machine
+    path = corner_path(machine, DEFAULT_FEED_MM_MIN, 0.0)
+    at = rehearsed(machine, path, usual_stands_mm(machine)[0]).at
+    still = standstill(machine, at.position_mm, at.offset_mm)
+    for effect in known.effects:
+        if not effect.jacobian(still).any():
+            part = model.slices[effect.name]
+            columns = effect.jacobian(at)
+            gram[part, part] = np.einsum("nip,niq->pq", columns, columns) / len(at)
+    return gram
+
+
+def _pose_of(machine: Machine) -> TrackerPose:
+    """Return the pose, its turn about the middle of the volume."""
+    middle = np.array([[0.5 * (axis.low + axis.high) for axis in machine.axes]])
+    x, y, z = (float(v) for v in standstill(machine, middle).point_mm[0])
+    return TrackerPose((x, y, z))
+
+
+def _expected(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
+    """Return white and slow noise as white: over seconds the slow part averages too."""
+    beam, across = (
+        white**2 / rate_hz + 2.0 * noise.slow_time_s * slow**2
+        for white, slow in zip(noise.white, noise.slow, strict=True)
+    )
+    return ExpectedNoise((beam, across), noise.along_sigma_mm**2 * _JITTER_CELL_S)

@@ -1,0 +1,305 @@
+"""Plans within a time or for a target: chosen by the planner, judged by the estimator.
+
+The plan is what tells most in the time it takes; the forecast says what it will leave
+unknown, by the model, prior and noise that the estimate will be made with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.errors import PlanningError
+from app.estimation.known_effects import KnownEffects, MachineKnowledge
+from app.kinematics.machine import Machine, linear_part
+from app.motion.configurations import Configurations
+from app.motion.corner_path import corner_path
+from app.motion.motion_times import Drive, drive_of
+from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
+from app.motion.turning_points import moves_where_seen
+from app.motion.workspace import Workspace
+from app.planning.forecast import Forecast, forecast
+from app.planning.outlooks import (
+    line_outlook,
+    mismatch_sigma_s,
+    point_outlook,
+    stand_of,
+)
+from app.planning.planner import Planner
+from drivers.interfaces.records import Path
+
+Progress = Callable[[float, str], None]
+
+LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
+DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
+LONGEST_S = 3600.0
+_FIRST_TRY_S = 60.0
+_TRIES = 5
+_CLOSE = 0.93  # a plan that would be shorter by less is not tried
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """What is asked of a plan.
+
+    mode : `otf` or `standstill`
+    minutes : at most; target_um : volumetric uncertainty (k = 1) to reach
+    feeds_mm_min : several to tell dynamic effects from static ones
+    corner_path : the path of the 2023 paper instead, to compare with
+    model : whose effects are to be told apart from the error motions and each other
+    """
+
+    mode: str = "otf"
+    minutes: float | None = None
+    target_um: float | None = None
+    feeds_mm_min: tuple[float, ...] = (DEFAULT_FEED_MM_MIN,)
+    dwell_s: float | None = None
+    perpendicular_only: bool = False
+    corner_path: bool = False
+    workspace: Workspace = field(default_factory=Workspace)
+    seed: int = 0
+    model: MachineKnowledge | None = None
+
+    def known(self, machine: Machine) -> KnownEffects:
+        """Return what the model knows of a machine's effects. Raises BundleError."""
+        return KnownEffects() if self.model is None else self.model.known(machine)
+
+    def refuse_nonsense(self) -> None:
+        """Raise PlanningError for numbers that no plan can follow."""
+        if self.mode not in DEFAULT_MINUTES:
+            raise PlanningError(f"mode is {self.mode!r}; it is otf or standstill")
+        numbers = [("minutes", self.minutes), ("target_um", self.target_um)]
+        numbers += [("dwell_s", self.dwell_s)]
+        numbers += [("feed_mm_min", feed) for feed in self.feeds_mm_min]
+        for name, value in numbers:
+            if value is not None and not 0.0 < value < np.inf:
+                raise PlanningError(f"{name} is {value:g}; it must be above 0")
+        if not self.feeds_mm_min:
+            raise PlanningError("no feed is given; give at least one")
+        if self.corner_path and (self.minutes or self.target_um):
+            raise PlanningError(
+                "a corner path is as long as it is; leave minutes and target out"
+            )
+        if self.corner_path and self.mode != "otf":
+            raise PlanningError("a corner path is driven on the fly; use mode otf")
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A plan and what it will leave unknown.
+
+    stand_mm : of the tracker; time_s : (rows,) at which each row is done
+    lag_sigma_s : of each axis behind the others, where there are several feeds
+    """
+
+    machine: Machine
+    request: PlanRequest
+    commanded: Path | Configurations
+    stand_mm: NDArray[np.float64]
+    time_s: NDArray[np.float64]
+    forecast: Forecast
+    lag_sigma_s: dict[str, float]
+
+    @property
+    def duration_s(self) -> float:
+        """From the first row on, dwells included."""
+        return float(self.time_s[-1])
+
+    @property
+    def uncertainty_um(self) -> float:
+        """Predicted volumetric uncertainty, k = 1."""
+        return 1e3 * self.forecast.volumetric_sigma_mm
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the target is reached, None without a target."""
+        target_um = self.request.target_um
+        return None if target_um is None else self.uncertainty_um <= target_um
+
+
+def make_plan(
+    machine: Machine, request: PlanRequest, *, progress: Progress | None = None
+) -> Planned:
+    """Return the plan that was asked for.
+
+    With a target it is the shortest plan found that reaches it; where none does within
+    the minutes (an hour without), the plan of that length, which says how far it comes.
+
+    Raises PlanningError if nothing can be planned; it names the reason. BundleError if
+    the model is of another machine.
+    """
+    request.refuse_nonsense()
+    told = progress or _untold
+    told(0.0, "planning")
+    stand_mm = stand_of(machine, request.workspace)
+    attempt = _Attempt(machine, request, request.known(machine), stand_mm)
+    if request.corner_path:
+        return attempt.of_corners()
+    minutes = request.minutes
+    if request.target_um is None:
+        return attempt.within(60.0 * (minutes or DEFAULT_MINUTES[request.mode]))
+    longest_s = 60.0 * minutes if minutes else LONGEST_S
+    return _for_target(attempt, request.target_um, longest_s, told)
+
+
+def _untold(share: float, stage: str) -> None:
+    """Tell nobody."""
+
+
+def _for_target(
+    attempt: _Attempt, target_um: float, longest_s: float, told: Progress
+) -> Planned:
+    """Return the shortest plan found that reaches the target, or the longest."""
+    budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
+    planned = attempt.within(budget_s)
+    for number in range(1, _TRIES):
+        reached_um = planned.uncertainty_um
+        told(number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)")
+        # Uncertainty falls with the square root of time, slower where much is known.
+        wanted = float(np.clip((reached_um / target_um) ** 2, 0.3, 6.0))
+        if planned.reached:
+            found = planned
+        elif budget_s >= longest_s:
+            break
+        else:
+            short_s = budget_s
+        if found is not None and short_s > _CLOSE * found.duration_s:
+            break
+        budget_s = min(budget_s * max(wanted, 1.0) * 1.05, longest_s)
+        if found is not None:
+            budget_s = max(found.duration_s * min(wanted, _CLOSE), 1.05 * short_s)
+            budget_s = min(
+                budget_s, 0.5 * (short_s + found.duration_s) if short_s else budget_s
+            )
+        planned = attempt.within(budget_s)
+    return found or planned
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    machine: Machine
+    request: PlanRequest
+    known: KnownEffects
+    stand_mm: NDArray[np.float64]
+
+    @property
+    def drive(self) -> Drive:
+        usual = LINE_DWELL_S if self.request.mode == "otf" else POINT_DWELL_S
+        dwell_s = self.request.dwell_s or usual
+        return drive_of(
+            self._moving, acceleration_mm_s2=ACCELERATION_MM_S2, dwell_s=dwell_s
+        )
+
+    @property
+    def _moving(self) -> Machine:
+        """The machine without its rotary axes on the fly: there they stand."""
+        on_the_fly = self.request.mode == "otf"
+        return linear_part(self.machine) if on_the_fly else self.machine
+
+    def within(self, budget_s: float) -> Planned:
+        if self.request.mode == "otf":
+            return self._judged(self._lines(budget_s))
+        return self._judged(self._points(budget_s))
+
+    def of_corners(self) -> Planned:
+        feed_mm_min = self.request.feeds_mm_min[0]
+        path = corner_path(self.machine, feed_mm_min, self.drive.dwell_s)
+        self.request.workspace.refuse(self.machine, path)
+        return self._judged(path)
+
+    def _lines(self, budget_s: float) -> Path | Configurations:
+        target = self.machine.target()
+        if not moves_where_seen(self._moving, target):
+            raise PlanningError(
+                f"the first target of {self.machine.name} does not move while the "
+                "rotary axes stand; state one on the tool first, or use mode standstill"
+            )
+        return self._line_planner().plan(budget_s, seed=self.request.seed)
+
+    def _line_planner(self) -> Planner:
+        request = self.request
+        outlook = line_outlook(
+            self.machine,
+            self.stand_mm,
+            known=self.known,
+            perpendicular_only=request.perpendicular_only,
+            dynamic=len(request.feeds_mm_min) > 1,
+        )
+        return Planner(
+            self.machine, outlook, request.workspace, self.drive, request.feeds_mm_min
+        )
+
+    def _points(self, budget_s: float) -> Path | Configurations:
+        """Return a block of points for each target that moves, one after another."""
+        request = self.request
+        names = [t.name for t in self.machine.targets if self._moves(t.name)]
+        if not names:
+            raise PlanningError(
+                f"no target of {self.machine.name} moves where the tracker stands; "
+                "state one on the tool in machine.json"
+            )
+        blocks: list[Path | Configurations] = []
+        precision, start = None, None
+        for name in names:
+            outlook = point_outlook(self.machine, self.stand_mm, name, known=self.known)
+            if precision is not None:
+                outlook = replace(outlook, precision=precision)
+            planner = Planner(
+                self.machine, outlook, request.workspace, self.drive, (self._feed,)
+            )
+            block = planner.plan(budget_s / len(names), start=start, seed=request.seed)
+            precision = planner.measured(block).outlook.precision
+            start = block.position[-1]
+            blocks.append(block)
+        return _joined(blocks)
+
+    def _moves(self, target: str) -> bool:
+        return moves_where_seen(self.machine, self.machine.target(target))
+
+    @property
+    def _feed(self) -> float:
+        return self.request.feeds_mm_min[0]
+
+    def _judged(self, commanded: Path | Configurations) -> Planned:
+        found = forecast(
+            self._moving,
+            commanded,
+            self.stand_mm,
+            known=self.known,
+            perpendicular_only=self.request.perpendicular_only,
+        )
+        return Planned(
+            self.machine,
+            self.request,
+            commanded,
+            self.stand_mm,
+            self._times_s(commanded),
+            found,
+            self._lags(commanded),
+        )
+
+    def _lags(self, commanded: Path | Configurations) -> dict[str, float]:
+        if self.request.mode != "otf" or len(self.request.feeds_mm_min) == 1:
+            return {}
+        return mismatch_sigma_s(self._line_planner().measured(commanded).outlook)
+
+    def _times_s(self, commanded: Path | Configurations) -> NDArray[np.float64]:
+        feed = np.full(len(commanded), self._feed)
+        if isinstance(commanded, Path):
+            feed = commanded.feed_mm_min
+        position = commanded.position[:, : len(self._moving.axes)]
+        drive = replace(self.drive, dwell_s=0.0)
+        moving = drive.times_s(position[:-1], position[1:], feed[1:])
+        return np.cumsum(np.concatenate([[0.0], moving]) + commanded.dwell_s)
+
+
+def _joined(blocks: list[Path | Configurations]) -> Configurations:
+    return Configurations(
+        blocks[0].axes,
+        np.concatenate([b.position for b in blocks]),
+        np.concatenate([b.dwell_s for b in blocks]),
+        tuple(name for b in blocks for name in b.target),
+    )

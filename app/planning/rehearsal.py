@@ -1,0 +1,196 @@
+"""A measurement before it is made: the cells that a path or points would give.
+
+Nothing is drawn at random and nothing moves. The cells stand where the machine would
+be, as often and for as long as feed and dwell have it, and where the tracker would see
+them; what they tell follows from that alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.alignment.stretches import approach_signs, offsets_mm, on_workpiece
+from app.alignment.surroundings import with_surroundings
+from app.errors import PlanningError
+from app.estimation.information import Information, information
+from app.estimation.noise import NoiseModel
+from app.estimation.problem import pose_problem
+from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.model import MachineModel
+from app.motion.configurations import Configurations
+from app.motion.paths import ACCELERATION_MM_S2, line_times_s
+from app.numerics.rigid import RigidTransform
+from drivers.interfaces.records import Path
+
+# Usual of trackers in a shop; what a Run shows is estimated once there is one.
+EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 2e-4)
+_CELL_MM, _CELL_S = 16.0, 0.25
+_MOST_CELLS = 4000  # then cells are longer
+_STEADY = 0.1  # of a line, at least: a short one is driven below its feed
+_AHEAD = 1e-4  # of a line, to see where the target is going
+_POINT_TO_POINT_S = 2.0  # usual time of a move between standstill points
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """One line or dwell: shares of the way to its row, and the times of its cells.
+
+    rate : of the share, a second; 0 for a dwell
+    """
+
+    row: int
+    share: Float64[np.ndarray, " n"]
+    time_s: Float64[np.ndarray, " n"]
+    cell_s: float
+    rate: float = 0.0
+
+
+def rehearsed(
+    machine: Machine,
+    commanded: Path | Configurations,
+    stand_mm: Float64[np.ndarray, "3"],
+) -> Observations:
+    """Return the cells of a measurement with the tracker at a place.
+
+    They know their surroundings, temperatures left out.
+
+    stand_mm : in the frame that the tracker stands on (workpiece or base)
+
+    Raises PlanningError if nothing moves and nothing dwells.
+    """
+    parts = list(_stretches(commanded))
+    if not parts:
+        raise PlanningError(
+            "no line has a length and no point a dwell; nothing would be measured"
+        )
+    at = _conditions(machine, commanded, parts)
+    speed = np.linalg.norm(at.velocity_mm_s, axis=1, keepdims=True)
+    seconds = np.concatenate([np.full(len(p.share), p.cell_s) for p in parts])
+    count = np.maximum(machine.tracker.rate_hz * seconds, 1.0)
+    seen = Observations(
+        at,
+        at.point_mm - stand_mm,
+        count,
+        at.velocity_mm_s / np.maximum(speed, 1e-12),
+        np.concatenate([np.full(len(p.share), p.row) for p in parts]),
+        np.ones(2),
+        RigidTransform(np.eye(3), -stand_mm),
+        (),
+        int(count.sum()),
+        int(count.sum()),
+    )
+    return with_surroundings(seen, commanded)
+
+
+def expected_information(
+    seen: Observations, model: MachineModel, *, perpendicular_only: bool = False
+) -> Information:
+    """Return what the cells would tell of model and tracker pose, timing left out."""
+    along = np.inf if perpendicular_only else EXPECTED_NOISE.along_sigma_mm
+    noise = NoiseModel(
+        EXPECTED_NOISE.white, EXPECTED_NOISE.slow, EXPECTED_NOISE.slow_time_s, along
+    )
+    problem = pose_problem(seen, model, seen.pose, timing=bool(np.isfinite(along)))
+    return information(problem, noise)
+
+
+def _stretches(commanded: Path | Configurations) -> Iterator[_Stretch]:
+    if isinstance(commanded, Path):
+        yield from _lines(commanded)
+    else:
+        yield from _dwells(commanded)
+
+
+def _lines(path: Path) -> Iterator[_Stretch]:
+    """Yield the part of each line that is driven at constant feed."""
+    took_s = line_times_s(path)
+    begin_s = np.cumsum(took_s) - took_s
+    linear = np.array([name in "XYZ" for name in path.axes])
+    step = np.diff(path.position, axis=0)
+    straight = np.asarray(np.linalg.norm(step[:, linear], axis=1), np.float64)
+    turn = np.asarray(np.linalg.norm(step[:, ~linear], axis=1), np.float64)
+    length = np.where(straight > 0.0, straight, turn)
+    speed = path.feed_mm_min[1:] / 60.0
+    steady = np.maximum(length - speed**2 / ACCELERATION_MM_S2, _STEADY * length)
+    cell = np.maximum(_CELL_MM, steady.clip(0.0).sum() / _MOST_CELLS)
+    for k in np.flatnonzero(steady > 0.0):
+        cells = max(1, round(float(steady[k] / min(cell, max(speed[k], cell)))))
+        place = (np.arange(cells) + 0.5) / cells * steady[k]
+        share = (place + 0.5 * (length[k] - steady[k])) / length[k]
+        time_s = begin_s[k + 1] + place / speed[k] + speed[k] / ACCELERATION_MM_S2
+        seconds = float(steady[k] / speed[k] / cells)
+        yield _Stretch(int(k) + 1, share, time_s, seconds, float(speed[k] / length[k]))
+
+
+def _dwells(points: Configurations) -> Iterator[_Stretch]:
+    begin_s = np.cumsum(points.dwell_s + _POINT_TO_POINT_S)
+    cell = max(_CELL_S, float(points.dwell_s.sum()) / _MOST_CELLS)
+    for k in np.flatnonzero(points.dwell_s > 0.0):
+        cells = max(1, round(float(points.dwell_s[k]) / cell))
+        seconds = float(points.dwell_s[k]) / cells
+        time_s = begin_s[k] + (np.arange(cells) + 0.5) * seconds
+        yield _Stretch(int(k), np.ones(cells), time_s, seconds)
+
+
+def _conditions(
+    machine: Machine, commanded: Path | Configurations, parts: list[_Stretch]
+) -> Conditions:
+    sizes = [len(p.share) for p in parts]
+    row = np.repeat([p.row for p in parts], sizes)
+    rate = np.repeat([p.rate for p in parts], sizes)
+    share = np.concatenate([p.share for p in parts])
+    time_s = np.concatenate([p.time_s for p in parts])
+    middle = np.concatenate([np.full(len(p.share), p.time_s.mean()) for p in parts])
+    order = [commanded.axes.index(name) for name in machine.axis_names]
+    position = commanded.position[:, order]
+    begin = position[np.where(rate > 0.0, row - 1, row)]
+    step = position[row] - begin
+    names = [commanded.target[int(r)] for r in row if commanded.target]
+    at = standstill(
+        machine, begin + share[:, None] * step, offsets_mm(machine, names, len(row))
+    ).seen_by(machine.tracker.stands_on, on_workpiece(machine, names, len(row)))
+    ahead, behind = (
+        replace(at, position_mm=at.position_mm + sign * _AHEAD * step).point_mm
+        for sign in (1.0, -1.0)
+    )
+    velocity = (ahead - behind) * (rate / (2.0 * _AHEAD))[:, None]
+    goes = np.linalg.norm(velocity, axis=1) > 0.0
+    line = np.where(goes, row, -1)
+    lag = np.where(goes, time_s - middle, 0.0)
+    return replace(
+        at,
+        time_s=time_s,
+        line=line,
+        line_time_s=lag,
+        velocity_mm_s=velocity,
+        approach=approach_signs(position)[row],
+    )
+
+
+def usual_stands_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
+    """Return four usual places of a tracker: a metre off each side, at middle height.
+
+    For when nobody has said where it will stand.
+    """
+    low, high = _reach_mm(machine)
+    middle = (low + high) / 2.0
+    stands = np.tile(middle, (4, 1))
+    stands[0, 0], stands[1, 0] = low[0] - 1000.0, high[0] + 1000.0
+    stands[2, 1], stands[3, 1] = low[1] - 1000.0, high[1] + 1000.0
+    return stands
+
+
+def _reach_mm(
+    machine: Machine,
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Return the box of the nominal target over the travel of the linear axes."""
+    low = [axis.low if isinstance(axis, LinearAxis) else 0.0 for axis in machine.axes]
+    high = [axis.high if isinstance(axis, LinearAxis) else 0.0 for axis in machine.axes]
+    at = standstill(machine, np.array([low, high]))
+    return at.point_mm.min(axis=0), at.point_mm.max(axis=0)

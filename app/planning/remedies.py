@@ -1,0 +1,158 @@
+"""The one line that would help a weak error motion most, found by trying.
+
+Lines along each axis at the ends and the middle of the others, and the diagonals of the
+travel; each is put through the same algebra as the measurement itself. What a line
+gains of the motion's variance at the tool decides.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.kinematics.effects.base import standstill
+from app.kinematics.machine import Axis, Machine, position_unit
+from app.kinematics.model import MachineModel
+from app.motion.configurations import Configurations
+from app.motion.travel import inner_travel
+from app.numerics.design_criteria import Belief
+from app.planning.rehearsal import EXPECTED_NOISE
+from drivers.interfaces.records import Path
+
+_POINTS = 12  # cells of a line, or points on it
+_SAMPLES = 100  # in the mean of a cell
+_SHORT = ("low", "middle", "high")
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """A line to add, or standstill points on it: in words, and where it goes.
+
+    begin, end : axis positions in the column order of the machine
+    """
+
+    text: str
+    begin: Float64[np.ndarray, " a"]
+    end: Float64[np.ndarray, " a"]
+
+
+def best_line(
+    symbol: str,
+    seen: Observations,
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+    gram: Float64[np.ndarray, "p p"],
+) -> Remedy:
+    """Return the line that leaves least of a motion's uncertainty.
+
+    covariance : of the model's θ as the measurement would leave it
+    """
+    part = model.slices[symbol]
+    own = np.zeros_like(gram)
+    own[part, part] = gram[part, part]
+    lines = list(_lines(model.machine))
+    rows = np.stack([_rows(line, seen, model) for line in lines])
+    return lines[int(np.argmax(Belief(covariance, own).drops(rows)))]
+
+
+def with_line(commanded: Path | Configurations, line: Remedy) -> Path | Configurations:
+    """Return what is commanded with a line at its end, or with points on it."""
+    is_path = isinstance(commanded, Path)
+    share = np.array([0.0, 1.0]) if is_path else np.linspace(0.0, 1.0, _POINTS)
+    added = line.begin + share[:, None] * (line.end - line.begin)
+    position = np.vstack([commanded.position, added])
+    more = len(added)
+    dwell_s = np.append(commanded.dwell_s, np.full(more, commanded.dwell_s.max()))
+    target = commanded.target and (*commanded.target, *commanded.target[-1:] * more)
+    if isinstance(commanded, Configurations):
+        return replace(commanded, position=position, dwell_s=dwell_s, target=target)
+    feed = np.append(commanded.feed_mm_min, np.full(more, commanded.feed_mm_min[-1]))
+    return replace(
+        commanded,
+        position=position,
+        feed_mm_min=feed,
+        dwell_s=dwell_s,
+        target=target,
+    )
+
+
+def _lines(machine: Machine) -> Iterator[Remedy]:
+    low, high = inner_travel(machine)
+    middle = (low + high) / 2.0
+    rest = np.array([np.clip(0.0, a.low, a.high) for a in machine.rotary_axes])
+    linear = len(machine.linear_axes)
+    at = {"low": low, "middle": middle, "high": high}
+    for column, axis in enumerate(machine.axes):
+        others = [k for k in range(linear) if k != column]
+        for places in itertools.product(_SHORT, repeat=len(others)):
+            begin = np.concatenate([middle[:linear], rest])
+            for k, place in zip(others, places, strict=True):
+                begin[k] = at[place][k]
+            end = begin.copy()
+            begin[column], end[column] = low[column], high[column]
+            where = _where(machine, others, places)
+            yield Remedy(f"a line along {axis.name} at {where}", begin, end)
+    for corner in itertools.product((0, 1), repeat=max(linear - 1, 0)):
+        side = np.array([0, *corner])
+        begin = np.concatenate([np.where(side, high[:linear], low[:linear]), rest])
+        end = np.concatenate([np.where(side, low[:linear], high[:linear]), rest])
+        yield Remedy(_diagonal(machine, begin, end), begin, end)
+
+
+def _where(machine: Machine, columns: list[int], places: tuple[str, ...]) -> str:
+    ends = {"low": "the low end of {}", "middle": "the middle of {}"}
+    words = [
+        ends.get(place, "the high end of {}").format(machine.axes[k].name)
+        for k, place in zip(columns, places, strict=True)
+    ]
+    return " and ".join(words)
+
+
+def _diagonal(
+    machine: Machine, begin: Float64[np.ndarray, " a"], end: Float64[np.ndarray, " a"]
+) -> str:
+    def place(q: Float64[np.ndarray, " a"]) -> str:
+        return " ".join(_shown(a, v) for a, v in zip(machine.axes, q, strict=True))
+
+    return f"the diagonal from {place(begin)} to {place(end)}"
+
+
+def _shown(axis: Axis, value: float) -> str:
+    return f"{axis.name}{value:.0f}{'°' if position_unit(axis) == 'deg' else ''}"
+
+
+def _rows(
+    line: Remedy, seen: Observations, model: MachineModel
+) -> Float64[np.ndarray, "r p"]:
+    """Return the rows of a line in units of the noise, phase and speed left out."""
+    share = (np.arange(_POINTS) + 0.5) / _POINTS
+    position = line.begin + share[:, None] * (line.end - line.begin)
+    offset = np.tile(seen.at.offset_mm[0], (_POINTS, 1))
+    at = standstill(model.machine, position, offset)
+    aside = seen.at.on_workpiece
+    if aside is not None:
+        at = at.seen_by(seen.at.seen_from, np.tile(aside[:1], _POINTS))
+    columns = model.jacobian(at)
+    direction = at.point_mm[-1] - at.point_mm[0]
+    length = float(np.linalg.norm(direction))
+    if length > 0.0:
+        direction = direction / length
+        along = np.einsum("d,ndp->np", direction, columns)
+        law = np.stack([np.ones(_POINTS), share], axis=1)
+        known = law @ (np.linalg.pinv(law) @ along)
+        columns = columns - direction[None, :, None] * known[:, None, :]
+    return columns.reshape(3 * _POINTS, -1) / _sigma_mm(seen)
+
+
+def _sigma_mm(seen: Observations) -> float:
+    """Return the standard deviation of one component of a cell."""
+    distance = np.linalg.norm(seen.tracker_mm, axis=1)
+    stated = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
+    white, slow = EXPECTED_NOISE.white[1], EXPECTED_NOISE.slow[1]
+    scale = np.sqrt(white**2 / _SAMPLES + slow**2)
+    return float(scale * np.sqrt((stated[0] ** 2 + 2.0 * stated[1] ** 2) / 3.0))

@@ -1,0 +1,47 @@
+"""A result file against a direct measurement, on files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from app.files.reference_file import decode_reference
+from app.files.whole_files import replace_file
+from app.reporting.comparison_html import comparison_html
+from app.results.comparison import ReferenceUncertainty, compare
+from app.results.comparison_files import comparison_csv, comparison_json
+from app.results.comparison_volume import compared_volume
+from app.results.result_files import load_result
+
+COMPARISON, TABLE, PAGE = "comparison.json", "comparison.csv", "comparison.html"
+
+
+def compare_files(
+    result: str | Path,
+    reference: str | Path,
+    folder: str | Path,
+    instrument: ReferenceUncertainty,
+) -> dict[str, Any]:
+    """Compare and write the three files into a folder; return the content of the JSON.
+
+    Raises BundleError with the place, BadInput if nothing can be compared.
+    """
+    loaded = load_result(result)
+    direct = decode_reference(Path(reference).read_bytes(), file=str(reference))
+    comparison = compare(loaded, direct, instrument)
+    volume = compared_volume(loaded.machine, comparison)
+    names = {
+        "machine": loaded.machine.name,
+        "result": Path(result).name,
+        "reference": Path(reference).name,
+    }
+    content = comparison_json(comparison, volume, names)
+    page = comparison_html(loaded.machine, comparison, volume, names)
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    replace_file(place / TABLE, comparison_csv(comparison).encode())
+    replace_file(place / PAGE, page.encode())
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False)
+    replace_file(place / COMPARISON, f"{text}\n".encode())
+    return content

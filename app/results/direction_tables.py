@@ -1,0 +1,88 @@
+"""What the direction of approach adds to the error tables.
+
+Going up an axis errs by its table plus the half difference, coming down by the table
+less it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.approach import Backlash
+from app.kinematics.effects.catalogued import bare
+from app.kinematics.model import MachineModel
+from app.kinematics.symbols import is_turn
+from app.results.error_tables import MICRO, MILLI, table_positions_mm
+
+
+@dataclass(frozen=True, slots=True)
+class HalfDifference:
+    """Half the difference of both directions of one error motion.
+
+    unit : "um" or "urad", of `value` and `uncertainty` (k = 1)
+    """
+
+    symbol: str
+    unit: str
+    position_mm: Float64[np.ndarray, " n"]
+    value: Float64[np.ndarray, " n"]
+    uncertainty: Float64[np.ndarray, " n"]
+
+    @property
+    def shows(self) -> bool:
+        """Tell whether it stands out of its expanded uncertainty anywhere."""
+        return bool(np.any(np.abs(self.value) > 2.0 * self.uncertainty))
+
+
+def half_differences(
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[HalfDifference, ...]:
+    """Return the half differences; none where direction plays no part."""
+    parts = [
+        (effect.name, lost)
+        for effect in model.effects
+        if isinstance(lost := bare(effect), Backlash)
+    ]
+    return tuple(
+        _half_difference(
+            [p for p in parts if p[1].symbol == width.symbol], model, theta, covariance
+        )
+        for _, width in parts
+        if not width.varies
+    )
+
+
+def directional(model: MachineModel) -> tuple[str, ...]:
+    """Return the names of the effects that are half differences and no more.
+
+    Lost motion with a name of its own is part of the machine's model.
+    """
+    return tuple(e.name for e in model.effects if isinstance(e, Backlash))
+
+
+def _half_difference(
+    parts: list[tuple[str, Backlash]],
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> HalfDifference:
+    width = parts[0][1]
+    at_mm = table_positions_mm(width.axis)
+    rows = np.zeros((len(at_mm), model.size))
+    for name, part in parts:
+        rows[:, model.slices[name]] = part.rows(at_mm)
+    turn = is_turn(width.symbol)
+    scale = MICRO if turn else MILLI
+    variance = np.einsum("np,np->n", rows @ covariance, rows)
+    return HalfDifference(
+        width.symbol,
+        "urad" if turn else "um",
+        at_mm,
+        scale * (rows @ theta),
+        scale * np.sqrt(np.maximum(variance, 0.0)),
+    )

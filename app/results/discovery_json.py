@@ -1,0 +1,116 @@
+"""`discovery.json` (schema `discovery/1` of the file formats)."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+from app.discovery.discover import Discovery, Finding
+from app.discovery.where import Segment, Shown
+from app.kinematics.effects.catalogue import Candidate, Described
+from app.kinematics.symbols import is_turn
+from app.results.catalogued_json import parameters_json
+
+SCHEMA = "discovery/1"
+_SEGMENTS = 20  # the worst ones; all of them are in the report's plots
+
+
+def discovery_json(found: Discovery) -> dict[str, Any]:
+    """Return the content of the file."""
+    named = [f for f in found.findings if f.structure is None]
+    return {
+        "schema": SCHEMA,
+        "effects": [effect_json(f) for f in named],
+        "unnamed": [
+            _unnamed_json(f.structure, f)
+            for f in found.findings
+            if f.structure is not None
+        ],
+        "gap": {
+            "unit": "um",
+            "before": found.gap.before_um,
+            "after": found.gap.after_um,
+            "noise_floor": found.gap.noise_floor_um,
+            "expected": found.gap.expected_um,
+            "on": "held-out segments",
+        },
+        "where": _worst(found),
+        "explained_by": _explained(found.shown[0]),
+        "runs": [
+            {
+                "name": scene.run.name,
+                "mode": scene.run.mode,
+                "where": [_segment_json(s) for s in one.before.segments[:_SEGMENTS]],
+                "explained_by": _explained(one),
+            }
+            for scene, one in zip(found.scenes, found.shown, strict=True)
+        ],
+        "compared": found.compared,
+        "provenance": {
+            "run": ", ".join(scene.run.name for scene in found.scenes),
+            "software": f"truepath {version('truepath')}",
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    }
+
+
+def effect_json(finding: Finding) -> dict[str, Any]:
+    """Return one effect with its parameters and its evidence."""
+    words = finding.family.signature
+    return {
+        **_key(finding.candidate),
+        "parameters": parameters_json(finding.parameters),
+        "evidence": {
+            "log_bayes_factor": finding.evidence.log_bayes,
+            "held_out_log_score": finding.evidence.held_out,
+            "share_of_gap": finding.evidence.share,
+        },
+        "indistinguishable_from": [_key(c) for c in finding.alternatives],
+        "cause": words.cause,
+        "looks_like": words.looks_like,
+        "remedy": words.remedy,
+    }
+
+
+def _unnamed_json(family: Described, finding: Finding) -> dict[str, Any]:
+    amplitude = finding.parameters.get("amplitude_um")
+    rms = finding.parameters.get("rms_um")
+    size = rms.value if rms else (amplitude.value / 2**0.5 if amplitude else 0.0)
+    return {
+        "structure": family.name,
+        "depends_on": family.depends_on(finding.candidate),
+        "description": family.told(finding.candidate, finding.parameters),
+        "rms_um": size,
+        **{k: v for k, v in effect_json(finding).items() if k not in ("name", "axis")},
+    }
+
+
+def _key(candidate: Candidate) -> dict[str, str]:
+    key = {"name": candidate.family, **candidate.keys}
+    if "motion" in candidate.keys:
+        key["unit"] = "urad" if is_turn(candidate.keys["motion"]) else "um"
+    return key
+
+
+def _segment_json(segment: Segment) -> dict[str, Any]:
+    return {
+        "segment": segment.row,
+        "axis": segment.axis,
+        "direction": segment.direction,
+        "region": segment.region,
+        "time_s": segment.time_s,
+        "feed_mm_min": segment.feed_mm_min,
+        "rms_um": segment.rms_um,
+    }
+
+
+def _worst(found: Discovery) -> list[dict[str, Any]]:
+    """Return the segments of all Runs that disagree most; `run` counts them from 0."""
+    every = [(s, k) for k, one in enumerate(found.shown) for s in one.before.segments]
+    every.sort(key=lambda pair: -pair[0].rms_um)
+    return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
+
+
+def _explained(shown: Shown) -> dict[str, dict[str, float]]:
+    return {"before": shown.before.shares, "after": shown.after.shares}

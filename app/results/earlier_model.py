@@ -1,0 +1,83 @@
+"""A model or result file as knowledge of the machine before a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from app.errors import BundleError
+from app.estimation.known_effects import KnownEffects, known_effects
+from app.kinematics.machine import Machine
+from app.results.result_json import LoadedResult
+
+
+@dataclass(frozen=True)
+class EarlierModel:
+    """What an earlier measurement has told of a machine.
+
+    source : its file, or its identifier in the service; sha256 : of the file
+    """
+
+    loaded: LoadedResult
+    source: str
+    sha256: str
+
+    @property
+    def version(self) -> int:
+        """Version of the model."""
+        return self.loaded.version
+
+    @property
+    def runs(self) -> tuple[dict[str, Any], ...]:
+        """The Runs that its numbers come from, each with its name and digest."""
+        provenance = self.loaded.provenance
+        own = {
+            "name": provenance.get("run", ""),
+            "input_sha256": provenance.get("input_sha256", ""),
+        }
+        return tuple(provenance.get("runs") or ((own,) if own["input_sha256"] else ()))
+
+    def is_of(self, digests: Sequence[str]) -> bool:
+        """Tell whether it was made from one of some Runs, told by their digests."""
+        return not {run["input_sha256"] for run in self.runs}.isdisjoint(digests)
+
+    def known(self, machine: Machine, digests: Sequence[str] = ()) -> KnownEffects:
+        """Return what it knows of the effects of a machine.
+
+        digests : of the Runs to be analysed; where it was made from one of them its
+            numbers are as good as unknown, for no Run counts twice
+
+        Raises BundleError if it is of another machine or of another target.
+        """
+        self.require_same(machine)
+        loaded = self.loaded
+        known = known_effects(loaded.model, loaded.theta, loaded.covariance)
+        return known.hardly_known() if self.is_of(digests) else known
+
+    def require_same(self, machine: Machine) -> None:
+        """Raise BundleError if it is of another machine or of another target."""
+        own = self.loaded.machine
+        for field, mine, theirs in (
+            ("kinematic_chain", own.chain, machine.chain),
+            ("axes", _travels(own), _travels(machine)),
+        ):
+            if mine != theirs:
+                raise BundleError(
+                    f"machine.{field}: {mine}, but {theirs} in the measurement",
+                    file=self.source,
+                    remedy="give a model of the measured machine",
+                )
+        same = {(t.on, t.offset_mm) for t in machine.targets} <= {
+            (t.on, t.offset_mm) for t in own.targets
+        }
+        if not same and not self.loaded.tables().any_tool:
+            raise BundleError(
+                "holds for its own target offset alone: it does not have all motions",
+                file=self.source,
+                remedy="give a model made with the measured target, or with several",
+            )
+
+
+def _travels(machine: Machine) -> str:
+    return ", ".join(f"{a.name} {a.low:g} to {a.high:g}" for a in machine.axes)

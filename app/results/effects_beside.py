@@ -1,0 +1,164 @@
+"""Effects that a model has brought into an analysis: as known before it, and with it.
+
+The Run is held against what was known: where it moves an effect further than chance
+would, the machine is not any more as the model has it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.estimation.estimate import Estimate
+from app.estimation.known_effects import KnownEffects
+from app.kinematics.effects.catalogue import Measured
+from app.kinematics.effects.catalogued import Catalogued, measured
+from app.kinematics.model import MachineModel
+from app.plugins import load
+from app.results.catalogued_json import parameters_json
+from app.results.effect_titles import effect_title
+
+_DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
+
+
+@dataclass(frozen=True, slots=True)
+class ModelAccount:
+    """The model whose effects an analysis has beside the error motions.
+
+    source : its file, or its identifier in the service; sha256 : of the file
+    of_these_runs : it was made from a Run that is analysed now; then the effects are
+        taken from it and their numbers are not
+    runs : that its numbers come from, each with its name and digest
+    """
+
+    source: str
+    version: int
+    sha256: str
+    of_these_runs: bool
+    runs: tuple[dict[str, Any], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectBeside:
+    """One effect of the machine.
+
+    before, after : its numbers as the model knew them, and as they are with the Run
+    chance : of so large a difference if nothing has changed; None where the Run does
+        not tell
+    """
+
+    effect: Catalogued
+    before: dict[str, Measured]
+    after: dict[str, Measured]
+    chance: float | None
+
+    @property
+    def title(self) -> str:
+        """The effect in words."""
+        return effect_title(self.effect.family, dict(self.effect.keys))
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether the Run agrees with what was known; None where it does not tell."""
+        return None if self.chance is None else self.chance >= _DOUBTFUL
+
+
+def effects_beside(estimate: Estimate) -> tuple[EffectBeside, ...]:
+    """Return the effects that an estimate has beside the error motions."""
+    model, known = estimate.model, estimate.known
+    found: list[EffectBeside] = []
+    begin = 0
+    for effect, chance in zip(known.effects, estimate.chances, strict=True):
+        own = slice(begin, begin + len(effect.parameters))
+        now, begin = model.slices[effect.name], own.stop
+        family = load("truepath.effects", effect.family)()
+        found.append(
+            EffectBeside(
+                effect,
+                measured(family, effect, known.theta[own], known.covariance[own, own]),
+                measured(
+                    family,
+                    effect,
+                    estimate.theta[now],
+                    estimate.covariance[now, now],
+                ),
+                chance,
+            )
+        )
+    return tuple(found)
+
+
+def effects_json(
+    effects: tuple[EffectBeside, ...], account: ModelAccount | None
+) -> list[dict[str, Any]]:
+    """Return the effects as `result.json` states them."""
+    fresh = account is not None and account.of_these_runs
+    return [
+        {
+            "name": one.effect.family,
+            **dict(one.effect.keys),
+            "parameters": parameters_json(one.after),
+            "known_before": None if fresh else parameters_json(one.before),
+            "agrees": None if fresh else one.agrees,
+        }
+        for one in effects
+    ]
+
+
+def foretold_json(
+    known: KnownEffects,
+    model: MachineModel,
+    covariance: Float64[np.ndarray, "p p"],
+) -> list[dict[str, Any]]:
+    """Return effects as a plan states them: as known, and as it is foretold to leave.
+
+    covariance : of the model's parameters, once the plan is measured
+    """
+    found: list[dict[str, Any]] = []
+    begin = 0
+    for effect in known.effects:
+        own = slice(begin, begin + len(effect.parameters))
+        now, begin = model.slices[effect.name], own.stop
+        family = load("truepath.effects", effect.family)()
+        before, after = (
+            parameters_json(measured(family, effect, known.theta[own], C))
+            for C in (known.covariance[own, own], covariance[now, now])
+        )
+        found.append(
+            {
+                "name": effect.family,
+                **dict(effect.keys),
+                "parameters": after,
+                "known_before": before,
+            }
+        )
+    return found
+
+
+def account_json(account: ModelAccount | None) -> dict[str, Any] | None:
+    """Return the model as the provenance of a result states it."""
+    if account is None:
+        return None
+    return {
+        "source": account.source,
+        "version": account.version,
+        "sha256": account.sha256,
+        "taken": taken(account),
+    }
+
+
+def taken(account: ModelAccount) -> str:
+    """Say what an analysis has taken from a model."""
+    if account.of_these_runs:
+        return (
+            "the effects of the machine; their numbers are estimated from this "
+            "measurement alone, for the model was made from it; so are the error "
+            "motions"
+        )
+    return (
+        "the effects of the machine, their numbers with their covariance as prior "
+        "knowledge; the error motions are measured anew"
+    )

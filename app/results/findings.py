@@ -1,0 +1,158 @@
+"""Everything that a result states, gathered once for the result file and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.estimation.estimate import Estimate, RunEstimate
+from app.planning.grade import Grade
+from app.results.effects_beside import ModelAccount
+from app.results.error_tables import MILLI, ErrorTables, error_tables
+from app.results.held_trials import HeldTrials
+from app.results.run_account import RunAccount
+from app.results.volumetric_error import VolumetricError, volumetric_error
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Which program computed a result from which Runs, when and how.
+
+    model : whose effects are beside the error motions, if one was given
+    """
+
+    runs: tuple[RunAccount, ...]
+    software_version: str
+    created: datetime
+    model: ModelAccount | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LineResiduals:
+    """Residuals by row of the path or points: root mean square of one component.
+
+    row : (m,), cells : (m,), rms_um : (m,)
+    """
+
+    row: Int64[np.ndarray, " m"]
+    cells: Int64[np.ndarray, " m"]
+    rms_um: Float64[np.ndarray, " m"]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFound:
+    """Standard deviations along and across the beam at the mean distance.
+
+    stated_um : (2,) of one sample, as the machine file states it
+    white_um : (2,) of one sample, as found; slow_um : (2,) of the correlated part
+    along_travel_um : of a cell, beyond phase and speed; None where not used
+    """
+
+    distance_mm: float
+    stated_um: Float64[np.ndarray, "2"]
+    white_um: Float64[np.ndarray, "2"]
+    slow_um: Float64[np.ndarray, "2"]
+    slow_time_s: float
+    along_travel_um: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunFindings:
+    """What is said of one Run.
+
+    number : of the Run in the estimate, from 0
+    """
+
+    number: int
+    account: RunAccount
+    estimate: RunEstimate
+    by_line: LineResiduals
+    noise: NoiseFound
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """An estimate and what follows from it.
+
+    runs : the Runs that it was made from, in the order given
+    trials : what trials say of it, if they were run
+    grade : what the set-up was worth before the measurement, if it was asked
+    """
+
+    estimate: Estimate
+    provenance: Provenance
+    tables: ErrorTables
+    volumetric: VolumetricError
+    runs: tuple[RunFindings, ...]
+    trials: HeldTrials | None = None
+    grade: Grade | None = None
+
+    @property
+    def main(self) -> RunFindings:
+        """The Run that most used samples come from."""
+        return self.runs[self.estimate.main]
+
+
+def find(
+    estimate: Estimate,
+    provenance: Provenance,
+    trials: HeldTrials | None = None,
+    grade: Grade | None = None,
+) -> Findings:
+    """Return the findings of an estimate."""
+    parts = estimate.model, estimate.theta, estimate.covariance
+    return Findings(
+        estimate,
+        provenance,
+        error_tables(*parts, estimate.measured),
+        volumetric_error(*parts),
+        tuple(
+            RunFindings(
+                number,
+                account,
+                run,
+                residuals_by_line(run, across_only=estimate.perpendicular_only),
+                noise_found(run),
+            )
+            for number, (account, run) in enumerate(
+                zip(provenance.runs, estimate.runs, strict=True)
+            )
+        ),
+        trials,
+        grade,
+    )
+
+
+def residuals_by_line(run: RunEstimate, *, across_only: bool) -> LineResiduals:
+    """Return the residuals of each row, as `Residuals.rms_mm` counts them.
+
+    across_only : only what lies across the travel was used
+    """
+    residuals = run.residuals
+    if across_only:
+        square = residuals.across_mm**2 / 3.0
+    else:
+        square = np.mean(residuals.residual_mm**2, axis=1)
+    row, place, cells = np.unique(
+        residuals.row, return_inverse=True, return_counts=True
+    )
+    mean = np.bincount(place, square, len(row)) / cells
+    return LineResiduals(row, cells, MILLI * np.sqrt(mean))
+
+
+def noise_found(run: RunEstimate) -> NoiseFound:
+    """Return the noise of a Run in µm."""
+    noise = run.noise
+    stated = MILLI * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]
+    along = MILLI * noise.along_sigma_mm
+    return NoiseFound(
+        run.distance_mm,
+        stated,
+        stated * np.array(noise.white),
+        stated * np.array(noise.slow),
+        noise.slow_time_s,
+        along if np.isfinite(along) else None,
+    )

@@ -1,0 +1,65 @@
+"""The grade of a set-up as JSON, and in a sentence: for files, REST and people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from app.kinematics.symbols import meaning
+from app.planning.grade import GOOD, USABLE, Grade, WeakMotion
+from app.results.error_tables import MILLI
+
+_MEANS = {
+    "good": "the map will be known to a quarter of what one tracker sample scatters "
+    "or better",
+    "usable": "the map will be worth more than measuring its every point once",
+    "poor": "the map would rest on what is usual of machines more than on data",
+}
+
+
+def grade_json(found: Grade) -> dict[str, Any]:
+    """Return the grade; uncertainties are standard ones (k = 1)."""
+    return {
+        "number": found.number,
+        "verdict": found.verdict,
+        "thresholds": {"good": GOOD, "usable": USABLE},
+        "text": in_words(found),
+        "expected_uncertainty_um": MILLI * found.sigma_mm,
+        "sample_sigma_um": MILLI * found.sample_sigma_mm,
+        "tracker": {
+            "position_mm": found.stand_mm.tolist(),
+            "assumed": found.assumed,
+            "best_number": found.best,
+        },
+        "improved_number": found.improved,
+        "weakest": [_weak_json(motion) for motion in found.weakest],
+        "weak_shapes": [str(shape) for shape in found.shapes],
+        "unobservable": list(found.unobservable),
+    }
+
+
+def in_words(found: Grade) -> str:
+    """Return what a person needs to know before the machine moves."""
+    said = (
+        f"{found.number:.2f}, {found.verdict}: {_MEANS[found.verdict]}; expected are "
+        f"{2 * MILLI * found.sigma_mm:.1f} µm (k = 2)"
+    )
+    if found.assumed:
+        said += ", with the tracker at the worst of four usual places"
+    weakest = found.weakest[0]
+    if weakest.remedy is None or found.improved is None:
+        return f"{said}. No error motion is weak."
+    others = ", ".join(m.symbol for m in found.weakest[1:])
+    return (
+        f"{said}. {weakest.symbol} ({meaning(weakest.symbol)}) is weak"
+        f"{f', then {others}' if others else ''}: add {weakest.remedy.text}, "
+        f"which makes it {found.improved:.2f}."
+    )
+
+
+def _weak_json(motion: WeakMotion) -> dict[str, Any]:
+    return {
+        "error": motion.symbol,
+        "meaning": meaning(motion.symbol),
+        "at_tool_um": MILLI * motion.at_tool_mm,
+        "remedy": None if motion.remedy is None else f"add {motion.remedy.text}",
+    }

@@ -1,0 +1,148 @@
+"""What differs between two models of a machine, in words and numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.effects.base import Effect
+from app.kinematics.effects.catalogued import Catalogued, measured
+from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.model import MachineModel
+from app.plugins import load
+from app.results.catalogued_json import unit_of
+from app.results.error_tables import error_table, table_positions_mm
+from app.results.numbers_as_text import expanded, plain
+
+_SHOWS = 2.0  # expanded uncertainty of the later model, k = 2
+SIGN = {
+    "um": "µm",
+    "hz": "Hz",
+    "urad": "µrad",
+    "um_per_s": "µm/s",
+    "um_per_m_K": "µm/m/K",
+    "um_per_m": "µm/m",
+}
+_SUFFIXES = (
+    "um_per_m_K",
+    "um_per_m",
+    "um_per_s",
+    "urad",
+    "rad",
+    "um",
+    "mm",
+    "ms",
+    "hz",
+    "s",
+)
+
+
+@dataclass(frozen=True)
+class ModelState:
+    """A model with its parameters and their covariance."""
+
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+
+    def part(
+        self, name: str
+    ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
+        """Return parameters and covariance of one effect."""
+        part = self.model.slices[name]
+        return self.theta[part], self.covariance[part, part]
+
+    def effects(self) -> dict[str, Effect]:
+        """Return the machine's own effects by name."""
+        return {
+            e.name: e
+            for e in self.model.effects
+            if not all(p.nuisance for p in e.parameters)
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One difference. kind : `added`, `removed` or `changed`; text : a sentence."""
+
+    kind: str
+    what: str
+    text: str
+
+
+def difference(before: ModelState, after: ModelState) -> tuple[Change, ...]:
+    """Return what one model has that another has not, and which numbers changed.
+
+    A number has changed if it did so by more than its expanded uncertainty (k = 2).
+    """
+    old, new = before.effects(), after.effects()
+    added = [_of(after, new[n], "added") for n in new if n not in old]
+    removed = [_of(before, old[n], "removed") for n in old if n not in new]
+    both = [n for n in new if n in old and type(old[n]) is type(new[n])]
+    changed = [c for n in both for c in _changed(before, after, old[n], new[n])]
+    return (*added, *removed, *changed)
+
+
+def in_words(name: str, value: float, uncertainty: float) -> str:
+    """Return `width 6.1 ± 0.4 µm` of a number that files call `width_um`."""
+    suffix = next((s for s in _SUFFIXES if _stem(name).endswith(f"_{s}")), "")
+    stem = _stem(name).removesuffix(f"_{suffix}").replace("_", " ")
+    _, _, direction = name.partition("[")
+    told = [stem, direction.rstrip("]"), expanded(value, uncertainty)]
+    return " ".join(filter(None, [*told, SIGN.get(suffix, suffix)]))
+
+
+def _stem(name: str) -> str:
+    return name.partition("[")[0]
+
+
+def _of(state: ModelState, effect: Effect, kind: str) -> Change:
+    theta, covariance = state.part(effect.name)
+    if isinstance(effect, Catalogued):
+        family = load("truepath.effects", effect.family)()
+        found = measured(family, effect, theta, covariance)
+        numbers = [in_words(n, m.value, m.uncertainty) for n, m in found.items()]
+        return Change(kind, effect.name, f"{effect.name}: {', '.join(numbers)}")
+    size = f"{len(theta)} parameters"
+    if len(theta) == 1:
+        unit, scale = unit_of(effect.parameters[0])
+        sigma = float(np.sqrt(covariance[0, 0]))
+        said = expanded(scale * float(theta[0]), scale * sigma)
+        size = f"{said} {SIGN.get(unit, unit)}"
+    return Change(kind, effect.name, f"{effect.name}: {size}")
+
+
+def _changed(
+    before: ModelState, after: ModelState, old: Effect, new: Effect
+) -> Iterator[Change]:
+    if isinstance(old, ErrorMotion) and isinstance(new, ErrorMotion):
+        yield from _motion_changed(before, after, old, new)
+        return
+    (was, _), (now, covariance) = before.part(old.name), after.part(new.name)
+    sigma = np.sqrt(np.diag(covariance))
+    for parameter, a, b, s in zip(new.parameters, was, now, sigma, strict=True):
+        if abs(b - a) > _SHOWS * s:
+            unit, scale = unit_of(parameter)
+            said = expanded(scale * float(b), scale * float(s))
+            text = f"{parameter.name}: from {plain(scale * float(a))} to {said}"
+            yield Change("changed", new.name, f"{text} {SIGN.get(unit, unit)}")
+
+
+def _motion_changed(
+    before: ModelState, after: ModelState, old: ErrorMotion, new: ErrorMotion
+) -> Iterator[Change]:
+    at_mm = table_positions_mm(new.axis)
+    was = error_table(old, *before.part(old.name), at_mm)
+    now = error_table(new, *after.part(new.name), at_mm)
+    moved = now.value - was.value
+    excess = np.abs(moved) / np.maximum(now.uncertainty, 1e-9)
+    worst = int(np.argmax(excess))
+    if excess[worst] > _SHOWS:
+        said = expanded(float(now.value[worst]), float(now.uncertainty[worst]))
+        place = f"{new.axis.name} {plain(float(at_mm[worst]), 0)} {now.position_unit}"
+        moved_to = f"{plain(float(was.value[worst]))} to {said} {SIGN[now.unit]}"
+        text = f"{new.symbol} at {place}: from {moved_to}"
+        yield Change("changed", new.symbol, text)

@@ -1,0 +1,181 @@
+"""`model.json`: the model with what was found, its version, and what became of it.
+
+It is read as a result is: what predicts, exports or compares from a result does so from
+a model, with the effects that were found in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from app.discovery.base import GivenModel
+from app.discovery.discover import Discovery, Finding
+from app.discovery.extending import Extended, extended, plain
+from app.estimation.extrapolation import measured_ranges
+from app.estimation.observability import observability
+from app.estimation.runs import Measured
+from app.files.machine_file import machine_to_json
+from app.files.run import Run
+from app.kinematics.effects.tool_orientation import tool_orientation
+from app.kinematics.model import MachineModel
+from app.results.catalogued_json import unit_of
+from app.results.direction_tables import half_differences
+from app.results.discovery_json import effect_json
+from app.results.earlier_model import EarlierModel
+from app.results.error_tables import error_tables
+from app.results.model_difference import ModelState, difference
+from app.results.model_json import model_to_json
+from app.results.result_json import (
+    MODEL_SCHEMA,
+    halves_json,
+    locations_json,
+    ranges_json,
+    table_json,
+)
+from app.results.run_account import run_digest
+
+_TURN_RAD = 1e-3  # how a tool may sit in the spindle
+
+
+def given_by(earlier: EarlierModel, run: Run) -> GivenModel:
+    """Return an earlier model as the base that explains a Run.
+
+    Raises BundleError if it is of another machine or of another target.
+    """
+    earlier.require_same(run.machine)
+    loaded = earlier.loaded
+    model = MachineModel(run.machine, loaded.model.effects)
+    offsets = np.array([t.offset_mm for t in run.machine.targets], float)
+    model = model.with_effects(*tool_orientation(run.machine, offsets))
+    size = loaded.model.size
+    theta = np.zeros(model.size)
+    theta[:size] = loaded.theta
+    covariance = np.eye(model.size) * _TURN_RAD**2
+    covariance[:size, :size] = loaded.covariance
+    return GivenModel(model, theta, covariance)
+
+
+@dataclass(frozen=True)
+class NextModel:
+    """What became of a model: its content as a file, and the change in words."""
+
+    extended: Extended
+    content: dict[str, Any]
+
+
+def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
+    """Return the model with what was found in it.
+
+    parent : what the Run was held against; None for the rigid-body model fitted to it
+    """
+    grown = extended(found)
+    state = ModelState(grown.model, grown.theta, grown.covariance)
+    before, told = _before(found, parent)
+    return NextModel(
+        grown,
+        {
+            "schema": MODEL_SCHEMA,
+            "version": told["version"] + 1,
+            "parent": told,
+            "difference": [
+                {"kind": c.kind, "what": c.what, "text": c.text}
+                for c in difference(before, state)
+            ],
+            "machine": machine_to_json(grown.model.machine),
+            "mode": found.scene.run.mode,
+            "effects": [_effect_json(f, grown) for f in found.findings],
+            **_tables_json(grown, found),
+            "observability": _observability_json(found),
+            "provenance": {
+                "software": "truepath",
+                "software_version": version("truepath"),
+                "created": datetime.now(UTC).isoformat(timespec="seconds"),
+                "run": ", ".join(scene.run.name for scene in found.scenes),
+                "input_sha256": run_digest(found.scene.run),
+                "runs": [*_earlier_runs(parent), *_runs_json(found)],
+            },
+            "model": model_to_json(grown.model, grown.theta, grown.covariance),
+        },
+    )
+
+
+def _before(
+    found: Discovery, parent: EarlierModel | None
+) -> tuple[ModelState, dict[str, Any]]:
+    if parent is None:
+        base = plain(found)
+        told = {
+            "version": 1,
+            "source": "rigid-body model fitted to "
+            + ", ".join(scene.run.name for scene in found.scenes),
+            "sha256": None,
+        }
+        return ModelState(base.model, base.theta, base.covariance), told
+    loaded = parent.loaded
+    told = {
+        "version": loaded.version,
+        "source": parent.source,
+        "sha256": parent.sha256,
+    }
+    return ModelState(loaded.model, loaded.theta, loaded.covariance), told
+
+
+def _runs_json(found: Discovery) -> list[dict[str, str]]:
+    runs = [scene.run for scene in found.scenes]
+    return [{"name": run.name, "input_sha256": run_digest(run)} for run in runs]
+
+
+def _earlier_runs(parent: EarlierModel | None) -> Sequence[dict[str, Any]]:
+    """Return the Runs that what is known of the machine came from before."""
+    return () if parent is None else parent.runs
+
+
+def _effect_json(finding: Finding, grown: Extended) -> dict[str, Any]:
+    effect = finding.candidate.effect
+    scale = np.array([unit_of(p)[1] for p in effect.parameters])
+    return {
+        **effect_json(finding),
+        "part_of": "machine" if grown.holds(finding) else "measurement",
+        "linear": {
+            "names": [p.name for p in effect.parameters],
+            "units": [unit_of(p)[0] for p in effect.parameters],
+            "values": (scale * finding.theta).tolist(),
+            "covariance": (scale[:, None] * finding.covariance * scale).tolist(),
+        },
+    }
+
+
+def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
+    ranges = measured_ranges(*(scene.seen for scene in found.scenes))
+    tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
+    halves = half_differences(grown.model, grown.theta, grown.covariance)
+    return {
+        "error_tables": {t.symbol: table_json(t) for t in tables.tables},
+        "squareness_urad": {
+            s.symbol: {"value": s.value_urad, "uncertainty": s.uncertainty_urad}
+            for s in tables.squareness
+        },
+        **locations_json(tables),
+        "direction": {
+            "model": "constant" if halves else "none",
+            "half_difference": halves_json(halves),
+        },
+        "measured_range": ranges_json(ranges, grown.model.machine),
+    }
+
+
+def _observability_json(found: Discovery) -> dict[str, Any]:
+    runs = [Measured(g.coarse, g.base.pose, g.base.noise) for g in found.grounds]
+    seen = observability(found.ground.base.model.machine, runs)
+    return {
+        "rank": seen.rank,
+        "parameters": seen.parameters,
+        "unobservable": list(seen.unobservable),
+        "weak": list(seen.weak),
+    }

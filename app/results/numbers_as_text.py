@@ -1,0 +1,23 @@
+"""Numbers as people read them: with their uncertainty, and a true minus sign."""
+
+from __future__ import annotations
+
+import math
+
+
+def expanded(value: float, standard: float) -> str:
+    """Return `value ± U`, k = 2, with U at two significant digits."""
+    half = 2.0 * standard
+    decimals = 1
+    if half > 0.0:
+        decimals = min(max(1 - math.floor(math.log10(half)), 0), 3)
+    return f"{_number(value, decimals)} ± {_number(half, decimals)}"
+
+
+def plain(value: float, decimals: int = 1) -> str:
+    """Return a number with a true minus sign."""
+    return _number(value, decimals)
+
+
+def _number(value: float, decimals: int) -> str:
+    return f"{value:z.{decimals}f}".replace("-", "−")

@@ -1,0 +1,95 @@
+"""What a result says about the Run that it was computed from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.files.machine_file import machine_to_json
+from app.files.run import Run
+from drivers.interfaces.records import Path
+
+
+@dataclass(frozen=True, slots=True)
+class RunAccount:
+    """The facts of one measurement.
+
+    mode : `otf` or `standstill`
+    digest : SHA-256 of machine, commanded rows and stream, whatever file they came from
+    lines : lines of the path, or standstill points
+    feed_mm_min : lowest and highest feed, None for standstill points
+    measured_s : from the first to the last sample; samples : in the stream
+    temperature_degc : lowest and highest of each sensor
+    source : what the Run itself knows about where it comes from
+    """
+
+    name: str
+    mode: str
+    digest: str
+    lines: int
+    feed_mm_min: tuple[float, float] | None
+    measured_s: float
+    samples: int
+    temperature_degc: dict[str, tuple[float, float]]
+    source: dict[str, str]
+
+
+def account_of(run: Run) -> RunAccount:
+    """Return the account of a Run."""
+    time_s = run.tracker.device_time_s
+    feed = None
+    if isinstance(run.commanded, Path):
+        feed = (
+            float(run.commanded.feed_mm_min.min()),
+            float(run.commanded.feed_mm_min.max()),
+        )
+    return RunAccount(
+        run.name,
+        run.mode,
+        run_digest(run),
+        # The first row of a path is where its first line starts.
+        len(run.commanded) - isinstance(run.commanded, Path),
+        feed,
+        float(time_s[-1] - time_s[0]) if len(time_s) else 0.0,
+        len(run.tracker),
+        _temperature(run),
+        dict(run.provenance),
+    )
+
+
+def run_digest(run: Run) -> str:
+    """Return the SHA-256 of what an analysis reads of a Run."""
+    machine = json.dumps(machine_to_json(run.machine), sort_keys=True)
+    digest = hashlib.sha256(machine.encode())
+    digest.update(json.dumps([run.mode, *run.commanded.target]).encode())
+    commanded = [run.commanded.position, run.commanded.dwell_s]
+    if isinstance(run.commanded, Path):
+        commanded.append(run.commanded.feed_mm_min)
+    stream = run.tracker
+    for block in (*commanded, stream.device_time_s, stream.position_mm, stream.status):
+        digest.update(str(block.shape).encode())
+        kind = "<f8" if np.issubdtype(block.dtype, np.floating) else "<i8"
+        digest.update(np.ascontiguousarray(block, dtype=kind).tobytes())
+    return digest.hexdigest()
+
+
+def digest_of_all(accounts: Sequence[RunAccount]) -> str:
+    """Return the digest of a Run, or the SHA-256 of the digests of several."""
+    if len(accounts) == 1:
+        return accounts[0].digest
+    every = "\n".join(account.digest for account in accounts)
+    return hashlib.sha256(every.encode()).hexdigest()
+
+
+def _temperature(run: Run) -> dict[str, tuple[float, float]]:
+    seen = run.temperature
+    if seen is None or not len(seen.time_s):
+        return {}
+    return {
+        name: (float(column.min()), float(column.max()))
+        for name, column in zip(seen.names, seen.celsius.T, strict=True)
+    }
