@@ -138,12 +138,12 @@ def planned(machine: Machine, feed_mm_min: float, minutes: float | None) -> Tool
 def _first_lines(machine: Machine, request: Mapping[str, Any]) -> Commanded:
     with progress("plan") as report:
         order = first_part(machine, request)
-        return commanded_from_plan(plan_measurement(machine, order, progress=report))
+        return commanded_from_plan(plan_measurement(machine, order, on_progress=report))
 
 
 def _analysed(run: Run) -> Analysis:
     with progress("analyse") as report:
-        return analyse(run, progress=report)
+        return analyse(run, on_progress=report)
 
 
 def _shown(options: dict[str, Any]) -> str:

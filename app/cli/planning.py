@@ -26,7 +26,7 @@ def plan_files(
     if output.exists() and not output.is_dir():
         raise BadInput(f"{output}: is a file; name a folder for the plan")
     with progress("plan") as report:
-        planned = make_plan(read_machine(machine), request, progress=report)
+        planned = make_plan(read_machine(machine), request, on_progress=report)
         report(1.0, "writing")
         document = write_plan(planned, output, controls)
     files = [str(output / name) for name in document["files"]]

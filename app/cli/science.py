@@ -50,7 +50,7 @@ def analyse_bundles(
             perpendicular_only=perpendicular_only,
             monte_carlo=monte_carlo,
             mapper=mapper,
-            progress=report,
+            on_progress=report,
         )
         report(1.0, "writing")
         write_analysis(analysis, output)

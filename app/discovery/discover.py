@@ -6,7 +6,7 @@ that is the answer, and how much of the gap is closed on lines not seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from app.estimation.noise import floor_mm
 from app.files.run import Run
 from app.kinematics.effects.base import Conditions
 from app.kinematics.effects.catalogue import Candidate, Described, Family, Measured
+from app.progress import ShareProgress, ignore_progress
 
 _EQUIVALENT = 3.0
 
@@ -132,7 +133,7 @@ class Discovery:
 def discover(
     runs: Sequence[Run],
     given: GivenModel | None = None,
-    progress: Callable[[float], None] | None = None,
+    on_progress: ShareProgress = ignore_progress,
 ) -> Discovery:
     """Find what simulation lacks to be like the measurement.
 
@@ -142,23 +143,22 @@ def discover(
     Raises AlignmentError, EstimationError if the Runs cannot be fitted at all,
     BundleError if they are not of one machine.
     """
-    told = progress or _untold
     scenes = tuple(scene_of(run, number) for number, run in enumerate(runs))
-    told(0.05)
+    on_progress(0.05)
     grounds = grounds_of(runs, given)
-    told(0.35)
+    on_progress(0.35)
     scenes, explainer = _prepared(scenes, grounds, given)
     best = Search(explainer).grown()
-    told(0.6)
+    on_progress(0.6)
     if best.chosen:
         # With the effects known, what they made is no noise any more.
         grounds = renoised(grounds, [o.effect for o in best.chosen])
         scenes, explainer = _prepared(scenes, grounds, given)
         best = Search(explainer).found(best.chosen)
-    told(0.8)
+    on_progress(0.8)
     plain = explainer.explained([]) if best.chosen else best
     findings = _findings(explainer, plain, best)
-    told(0.95)
+    on_progress(0.95)
     floor = _floor_um(scenes, grounds)
     left = zip(
         scenes, explainer.residuals(plain), explainer.residuals(best), strict=True
@@ -206,10 +206,6 @@ def _floor_um(scenes: Sequence[Scene], grounds: Sequence[Ground]) -> float:
 def _looked_for(given: GivenModel | None) -> tuple[Family, ...]:
     """Return all families; what the rigid-body model always has is not missing."""
     return tuple(f for f in families() if given is not None or f.name != "squareness")
-
-
-def _untold(share: float) -> None:
-    """Tell nobody."""
 
 
 def _gap(floor_um: float, plain: Explanation, best: Explanation) -> Gap:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from app.estimation.problem import Part, Problem, refined_pose
 from app.estimation.runs import Measured, Share
 from app.files.one_machine import one_machine
 from app.kinematics.identifiable import identifiable_model
+from app.progress import ShareProgress, ignore_progress
 
 
 def estimate(
@@ -29,7 +30,7 @@ def estimate(
     known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     keep_fit: bool = False,
-    progress: Callable[[float], None] | None = None,
+    on_progress: ShareProgress = ignore_progress,
     names: Sequence[str] = (),
 ) -> Estimate:
     """Estimate all error motions that the observations can tell.
@@ -39,13 +40,13 @@ def estimate(
     known : effects that an earlier measurement has told, to be estimated beside
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
     keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
-    progress : told the share done, 0 to 1
+    on_progress : receives the share done, 0 to 1
     names : of the Runs, for errors and for targets that need a name
 
     Raises Unidentifiable if the lines do not determine the error motions, BundleError
     if the Runs are not of one machine.
     """
-    told, known = progress or _untold, known or KnownEffects()
+    known = known or KnownEffects()
     machine = one_machine(
         [seen.at.machine for seen in observed], _named(names, observed)
     )
@@ -59,13 +60,12 @@ def estimate(
         for k, seen in enumerate(observed)
     )
     runs = looked_at(machine, runs, known=known)
-    told(0.5)
+    on_progress(0.5)
     fit = with_ends_free(best_fit(runs, known.beside(model), known))
+    on_progress(0.9)
     observable = observability(machine, runs)
-    told(0.9)
-    told(1.0)
     result = with_unknown_strengths(fit.prior, fit.result)
-    return Estimate(
+    made = Estimate(
         fit.model,
         result.theta,
         result.covariance,
@@ -79,10 +79,8 @@ def estimate(
         known.chances(fit.model, fit.result),
         fit if keep_fit else None,
     )
-
-
-def _untold(share: float) -> None:
-    """Tell nobody."""
+    on_progress(1.0)
+    return made
 
 
 def _named(names: Sequence[str], observed: Sequence[Observations]) -> Sequence[str]:

@@ -26,13 +26,12 @@ from typing import Any
 import structlog
 
 from app.jobs.errors import Aborted, TaskFailed, WorkerDied
+from app.progress import Progress
 
 log = structlog.get_logger(__name__)
 
-Report = Callable[[float, str], None]
-"""Told how much is done, 0 to 1, and the stage."""
 Task = Callable[..., Any]
-"""A function of a module, called as `task(*arguments, progress=report)` in a lane."""
+"""A function of a module, called as `task(*arguments, on_progress=…)` in a lane."""
 
 BELOW_THE_CELL = 10
 _THREADS = (
@@ -64,7 +63,7 @@ class Executor(ABC):
         self,
         task: Task,
         *arguments: object,
-        report: Report,
+        on_progress: Progress,
         started: Callable[[], None],
     ) -> Computation:
         """Begin a task as soon as there is room for it; `started` is called then."""
@@ -100,11 +99,11 @@ class ProcessLanes(Executor):
         self,
         task: Task,
         *arguments: object,
-        report: Report,
+        on_progress: Progress,
         started: Callable[[], None],
     ) -> Computation:
         """Begin a task as soon as a lane is free."""
-        return _Waiting(self, task, arguments, report, started)
+        return _Waiting(self, task, arguments, on_progress, started)
 
     def warm(self) -> None:
         """Start the processes now, not with the first task. Does not wait for them."""
@@ -148,11 +147,11 @@ class _Waiting(Computation):
         lanes: ProcessLanes,
         task: Task,
         arguments: tuple[object, ...],
-        report: Report,
+        on_progress: Progress,
         started: Callable[[], None],
     ) -> None:
         self._lanes, self._task, self._arguments = lanes, task, arguments
-        self._report, self._started = report, started
+        self._on_progress, self._started = on_progress, started
         self._cancelled = threading.Event()
         self._lane: _Lane | None = None
 
@@ -161,7 +160,7 @@ class _Waiting(Computation):
         try:
             self._started()
             return lane.compute(
-                self._task, self._arguments, self._report, self._cancelled
+                self._task, self._arguments, self._on_progress, self._cancelled
             )
         finally:
             self._lane = None
@@ -188,7 +187,7 @@ class _Lane:
         self,
         task: Task,
         arguments: tuple[object, ...],
-        report: Report,
+        on_progress: Progress,
         cancelled: threading.Event,
     ) -> Any:
         """Run a task in the process, made first if there is none."""
@@ -198,7 +197,7 @@ class _Lane:
             future = _submitted(link.pool, task, arguments)
             if cancelled.is_set():
                 self.kill()
-            _relay(link.reports, future, report)
+            _relay(link.reports, future, on_progress)
             return future.result()
         except BrokenProcessPool as error:
             self.kill()
@@ -284,13 +283,13 @@ def _submitted(
         raise BrokenProcessPool(str(error)) from error
 
 
-def _relay(reports: Connection, future: Future[Any], report: Report) -> None:
+def _relay(reports: Connection, future: Future[Any], on_progress: Progress) -> None:
     """Pass on what the process reports until its task has ended."""
     try:
         while not future.done() or reports.poll():
             if reports.poll(0.05):
                 fraction, stage = reports.recv()
-                report(fraction, stage)
+                on_progress(fraction, stage)
     except (EOFError, OSError):
         log.debug("a lane stopped reporting")
 
@@ -316,7 +315,7 @@ def _end_with_parent() -> None:
 
 def _in_lane(task: Task, arguments: tuple[object, ...]) -> Any:
     try:
-        return task(*arguments, progress=_report)
+        return task(*arguments, on_progress=_report)
     except Exception as error:
         # Not every error can be packed and unpacked again; its name and text can.
         trace = traceback.format_exc()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.errors import PlanningError
@@ -31,6 +31,7 @@ from app.kinematics.machine import Machine
 from app.measurement.progress import schedule_of
 from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
 from app.motion.turning_points import moves_where_seen
+from app.progress import Progress
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ _POINTS = Kind.MEASURE_STANDSTILL
 
 
 def plan_measurement(
-    machine: Machine, order: Json, *, progress: Callable[[float, str], None]
+    machine: Machine, order: Json, *, on_progress: Progress
 ) -> dict[str, Any]:
     """Return a plan as `plans.plan_json` states it, with its `document`.
 
@@ -57,7 +58,7 @@ def plan_measurement(
     from app.reporting.plan_files import plan_document
     from app.results.grading import graded
 
-    planned = make_plan(machine, plan_request(order), progress=progress)
+    planned = make_plan(machine, plan_request(order), on_progress=on_progress)
     if len(planned.commanded) > MAX_ROWS:
         raise PlanningError(
             f"the plan has {len(planned.commanded)} rows; a controller takes "

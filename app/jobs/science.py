@@ -11,6 +11,7 @@ from pathlib import Path
 from app.jobs.runs import open_recorded
 from app.jobs.workers import Workers, opened
 from app.numerics.adaptive_trials import TrialPlan
+from app.progress import Progress
 
 
 def analyse_recorded(
@@ -22,7 +23,7 @@ def analyse_recorded(
     model_file: str | None = None,
     model_id: str | None = None,
     *,
-    progress: Callable[[float, str], None],
+    on_progress: Progress,
 ) -> None:
     """Analyse Runs together and write the result into `folder`, whole or not at all.
 
@@ -43,7 +44,7 @@ def analyse_recorded(
             perpendicular_only=perpendicular_only,
             monte_carlo=monte_carlo,
             mapper=mapper,
-            progress=progress,
+            on_progress=on_progress,
         )
     _replace(Path(folder), lambda part: write_analysis(analysis, part))
 
@@ -54,7 +55,7 @@ def discover_recorded(
     model_file: str | None,
     model_id: str | None,
     *,
-    progress: Callable[[float, str], None],
+    on_progress: Progress,
 ) -> None:
     """Find what a model of Runs lacks and write the answer, whole or not at all.
 
@@ -67,7 +68,7 @@ def discover_recorded(
 
     parent = None if model_file is None else read_model(model_file, model_id or "")
     runs = read_all(run_files, open_recorded)
-    found = discover_runs(runs, parent, progress)
+    found = discover_runs(runs, parent, on_progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))
 
 

@@ -48,10 +48,10 @@ class Workshop:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
-    planner : task `(machine, order, *, progress)` that returns the plan as JSON
+    planner : task `(machine, order, *, on_progress)` that returns the plan as JSON
     science : task `(run_files, folder, perpendicular_only, monte_carlo, workers,
-        model_file, model_id, *, progress)`
-    discoverer : task `(run_files, folder, model_file, model_id, *, progress)`
+        model_file, model_id, *, on_progress)`
+    discoverer : task `(run_files, folder, model_file, model_id, *, on_progress)`
     workers : who computes what science can cut into blocks
     results : folder of results, one folder a job
     live : makes what estimates while the machine moves; None for no such thing
@@ -251,7 +251,9 @@ def _computed(
     def started() -> None:
         control.enter(*begins)
 
-    computation = shop.executor.submit(task, *arguments, report=report, started=started)
+    computation = shop.executor.submit(
+        task, *arguments, on_progress=report, started=started
+    )
     found = control.compute(computation)
     control.checkpoint()
     return found

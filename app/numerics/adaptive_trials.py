@@ -20,6 +20,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from app.progress import ShareProgress, ignore_progress
+
 BLOCK = 10_000  # trials: max(J, 10⁴), J ≥ 100/(1 − p), 7.9.4 b
 COVERAGE = 0.95
 NORMAL_FACTOR = 1.959964  # k_p of a normal distribution for this coverage
@@ -103,11 +105,12 @@ def propagate(
     draw: Callable[[int], TrialBlock],
     plan: TrialPlan,
     run: Mapper = map,
-    told: Callable[[float], None] | None = None,
+    on_progress: ShareProgress = ignore_progress,
 ) -> Propagated:
     """Add blocks in their order until they settle, or `plan.most_blocks` are done.
 
-    draw : block of a number, always the same; told : the share done, as foreseen
+    draw : block of a number, always the same
+    on_progress : receives the share done, of the trials expected
     """
     blocks: list[TrialBlock] = []
     results: list[Float64[np.ndarray, "4 o"]] = []
@@ -118,8 +121,7 @@ def propagate(
         missing = _missing(blocks, results, plan)
         foreseen = min(len(blocks) * max(missing, 1.0) ** 2, plan.most_blocks)
         share = max(share, len(blocks) / max(foreseen, _FEWEST + 1))
-        if told is not None:
-            told(share)
+        on_progress(share)
         if missing <= 1.0:
             break
     mean, sigma, low, high = _results(blocks, plan.interval)

@@ -6,7 +6,6 @@ unknown, by the model, prior and noise that the estimate will be made with.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,9 +28,8 @@ from app.planning.outlooks import (
     stand_of,
 )
 from app.planning.planner import Planner
+from app.progress import Progress, ignore_progress
 from drivers.interfaces.records import Path
-
-Progress = Callable[[float, str], None]
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
@@ -121,7 +119,7 @@ class Planned:
 
 
 def make_plan(
-    machine: Machine, request: PlanRequest, *, progress: Progress | None = None
+    machine: Machine, request: PlanRequest, *, on_progress: Progress = ignore_progress
 ) -> Planned:
     """Return the plan that was asked for.
 
@@ -132,8 +130,7 @@ def make_plan(
     the model is of another machine.
     """
     request.refuse_nonsense()
-    told = progress or _untold
-    told(0.0, "planning")
+    on_progress(0.0, "planning")
     stand_mm = stand_of(machine, request.workspace)
     attempt = _Attempt(machine, request, request.known(machine), stand_mm)
     if request.corner_path:
@@ -142,22 +139,20 @@ def make_plan(
     if request.target_um is None:
         return attempt.within(60.0 * (minutes or DEFAULT_MINUTES[request.mode]))
     longest_s = 60.0 * minutes if minutes else LONGEST_S
-    return _for_target(attempt, request.target_um, longest_s, told)
-
-
-def _untold(share: float, stage: str) -> None:
-    """Tell nobody."""
+    return _for_target(attempt, request.target_um, longest_s, on_progress)
 
 
 def _for_target(
-    attempt: _Attempt, target_um: float, longest_s: float, told: Progress
+    attempt: _Attempt, target_um: float, longest_s: float, on_progress: Progress
 ) -> Planned:
     """Return the shortest plan found that reaches the target, or the longest."""
     budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
     planned = attempt.within(budget_s)
     for number in range(1, _TRIES):
         reached_um = planned.uncertainty_um
-        told(number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)")
+        on_progress(
+            number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)"
+        )
         # Uncertainty falls with the square root of time, slower where much is known.
         wanted = float(np.clip((reached_um / target_um) ** 2, 0.3, 6.0))
         if planned.reached:

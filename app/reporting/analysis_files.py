@@ -26,6 +26,7 @@ from app.files.whole_files import read_whole, replace_file
 from app.kinematics.machine import Machine
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.planning.grade import Grade, SetUp, grade_together
+from app.progress import Progress, ignore_progress, scale_progress
 from app.reporting.report_html import report_html
 from app.results.earlier_model import EarlierModel
 from app.results.effects_beside import ModelAccount
@@ -37,8 +38,6 @@ from app.results.prediction import Prediction, predict
 from app.results.result_files import LARGEST_BYTES, load_result
 from app.results.result_json import result_json
 from app.results.run_account import RunAccount, account_of
-
-Progress = Callable[[float, str], None]
 
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
 
@@ -74,7 +73,7 @@ def analyse(
     perpendicular_only: bool = False,
     monte_carlo: TrialPlan | None = None,
     mapper: Mapper = map,
-    progress: Progress | None = None,
+    on_progress: Progress = ignore_progress,
 ) -> Analysis:
     """Analyse Runs of one machine, of either mode, in one estimate.
 
@@ -83,22 +82,18 @@ def analyse(
     perpendicular_only : leave out what is measured along the travel
     monte_carlo : the trials that the uncertainty is held against, if it is to be
     mapper : computes blocks of trials, here or elsewhere
-    progress : told the share done and the stage: aligning, estimating, validating where
-        trials are run, reporting
+    on_progress : receives the share done and the stage: aligning, estimating,
+        validating where trials are run, reporting
 
     Raises EstimationError if the data do not carry the answer, BundleError if the Runs
     are not of one machine, or the model is of another.
     """
-    told = progress or (lambda share, stage: None)
     shares = _SHARES if monte_carlo is None else _SHARES_WITH_TRIALS
-
-    def solved(share: float) -> None:
-        told(shares.aligned + share * (shares.solved - shares.aligned), "estimating")
-
-    def tried(share: float) -> None:
-        told(shares.solved + share * (shares.tried - shares.solved), "validating")
-
-    told(0.0, "aligning")
+    estimating = scale_progress(
+        on_progress, shares.aligned, shares.solved, "estimating"
+    )
+    validating = scale_progress(on_progress, shares.solved, shares.tried, "validating")
+    on_progress(0.0, "aligning")
     names = told_apart([run.name for run in runs])
     accounts = tuple(
         replace(account_of(run), name=name)
@@ -111,20 +106,20 @@ def analyse(
     observed = [
         _aligned(run, name, len(runs)) for run, name in zip(runs, names, strict=True)
     ]
-    solved(0.0)
+    estimating(0.0)
     estimated = estimate(
         *observed,
         names=names,
         known=known,
         perpendicular_only=perpendicular_only,
         keep_fit=monte_carlo is not None,
-        progress=solved,
+        on_progress=estimating,
     )
     trials = None
     if monte_carlo is not None:
-        tried(0.0)
-        trials = held_against_trials(estimated, monte_carlo, mapper, tried)
-    told(shares.tried, "reporting")
+        validating(0.0)
+        trials = held_against_trials(estimated, monte_carlo, mapper, validating)
+    on_progress(shares.tried, "reporting")
     told_model = None if model is None else _account(model, digests)
     provenance = Provenance(
         accounts, version("truepath"), datetime.now(UTC), told_model
@@ -134,7 +129,7 @@ def analyse(
     analysis = Analysis(
         found, result_json(found), error_tables_csv(found.tables), report_html(found)
     )
-    told(1.0, "reporting")
+    on_progress(1.0, "reporting")
     return analysis
 
 

@@ -13,7 +13,8 @@ from app.discovery.discover import Discovery, discover
 from app.files.commanded_file import encode_commanded
 from app.files.run import Run
 from app.files.whole_files import replace_file
-from app.reporting.analysis_files import REPORT, Progress
+from app.progress import Progress, ignore_progress, scale_progress
+from app.reporting.analysis_files import REPORT
 from app.reporting.discovery_html import report_html
 from app.results.asking_json import ask_json
 from app.results.discovery_json import discovery_json
@@ -41,24 +42,21 @@ class Discovered:
 def discover_runs(
     runs: Sequence[Run],
     parent: EarlierModel | None = None,
-    progress: Progress | None = None,
+    on_progress: Progress = ignore_progress,
 ) -> Discovered:
     """Find what a model of Runs lacks.
 
     parent : the model; the rigid-body model fitted to the Runs if None
-    progress : told the share done and the stage: discovering, reporting
+    on_progress : receives the share done and the stage: discovering, reporting
 
     Raises AlignmentError, EstimationError if the Runs cannot be fitted, BundleError if
     they, or the model, are not of one machine.
     """
-    told = progress or (lambda share, stage: None)
-
-    def searched(share: float) -> None:
-        told(_FOUND * share, "discovering")
-
     given = None if parent is None else given_by(parent, runs[0])
-    found = discover(runs, given, searched)
-    told(_FOUND, "reporting")
+    found = discover(
+        runs, given, scale_progress(on_progress, 0.0, _FOUND, "discovering")
+    )
+    on_progress(_FOUND, "reporting")
     model = next_model(found, parent)
     told_model = {k: model.content[k] for k in ("version", "parent", "difference")}
     content = {**discovery_json(found), "model": told_model}

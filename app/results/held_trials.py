@@ -7,7 +7,6 @@ the same measurement (JCGM 101) give each number's estimate, standard uncertaint
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -31,6 +30,7 @@ from app.numerics.adaptive_trials import (
     numerical_tolerance,
     propagate,
 )
+from app.progress import ShareProgress, ignore_progress
 from app.results.error_tables import MICRO, MILLI, table_positions_mm
 
 MAP = "volumetric error"
@@ -111,18 +111,19 @@ def held_against_trials(
     estimate: Estimate,
     plan: TrialPlan,
     run: Mapper = map,
-    told: Callable[[float], None] | None = None,
+    on_progress: ShareProgress = ignore_progress,
 ) -> HeldTrials:
     """Run trials of an estimate that has kept its fit.
 
-    run : computes blocks of trials, here or elsewhere; told : the share done
+    run : computes blocks of trials, here or elsewhere
+    on_progress : receives the share done
     """
     if estimate.fit is None:
         raise ValueError("the estimate has not kept its fit")
     asked = _asked(estimate.model)
     rows = np.concatenate([a.rows for a in asked])
     trials = prepared(estimate.fit, rows, plan)
-    moved = propagate(partial(block, trials), plan, run, told)
+    moved = propagate(partial(block, trials), plan, run, on_progress)
     linear = np.sqrt(np.einsum("op,op->o", rows @ estimate.covariance, rows).clip(0.0))
     columns = {
         "value": rows @ estimate.theta,

@@ -94,8 +94,8 @@ def empty_catalogue(tmp_path_factory):
 def planner():
     """Plans the usual path at once; overridden by tests of real plans."""
 
-    def plan(machine, order, *, progress):
-        progress(0.5, "planning")
+    def plan(machine, order, *, on_progress):
+        on_progress(0.5, "planning")
         document = {"machine": machine_to_json(machine)}
         rows = plan_json(default_path(machine))
         return {**rows, "predicted_um": 1.0, "document": document}

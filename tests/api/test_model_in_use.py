@@ -23,7 +23,7 @@ def orders():
 def planner(orders):
     """Note what is asked, and plan the usual path."""
 
-    def plan(machine, order, *, progress):
+    def plan(machine, order, *, on_progress):
         orders.append(dict(order))
         rows = plan_json(default_path(machine))
         document = {"machine": machine_to_json(machine)}

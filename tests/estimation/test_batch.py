@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from app.alignment.align import align
+from app.estimation import batch
 from app.estimation.batch import estimate
 from app.estimation.volumetric_map import volumetric_map
 from simulators.synthetic import Setting
@@ -127,6 +128,21 @@ def test_more_lines_leave_less(record, judge):
 def test_progress_is_told_from_start_to_end(record):
     run, _ = record(25)
     told: list[float] = []
-    estimate(align(run), progress=told.append)
+    estimate(align(run), on_progress=told.append)
     assert told == sorted(told)
     assert told[-1] == 1.0
+
+
+def test_progress_is_complete_only_after_the_last_work(record, monkeypatch):
+    run, _ = record(25)
+    order: list[object] = []
+    works = (batch.observability, batch.with_unknown_strengths)
+    for work in works:
+
+        def recorded(*arguments, work=work):
+            order.append(work)
+            return work(*arguments)
+
+        monkeypatch.setattr(batch, work.__name__, recorded)
+    estimate(align(run), on_progress=order.append)
+    assert order[-4:] == [0.9, *works, 1.0]

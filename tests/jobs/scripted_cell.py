@@ -282,28 +282,28 @@ class Inline(Executor):
     def __init__(self):
         self.closed = False
 
-    def submit(self, task, *arguments, report, started):
-        return _InlineComputation(task, arguments, report, started)
+    def submit(self, task, *arguments, on_progress, started):
+        return _InlineComputation(task, arguments, on_progress, started)
 
     def close(self):
         self.closed = True
 
 
 class _InlineComputation(Computation):
-    def __init__(self, task, arguments, report, started):
+    def __init__(self, task, arguments, on_progress, started):
         self._task, self._arguments = task, arguments
-        self._report, self._started = report, started
+        self._on_progress, self._started = on_progress, started
         self._cancelled = threading.Event()
 
     def result(self):
         self._started()
 
-        def progress(fraction, stage):
+        def on_progress(fraction, stage):
             if self._cancelled.is_set():
                 raise Aborted("cancelled")
-            self._report(fraction, stage)
+            self._on_progress(fraction, stage)
 
-        return self._task(*self._arguments, progress=progress)
+        return self._task(*self._arguments, on_progress=on_progress)
 
     def cancel(self):
         self._cancelled.set()
@@ -333,17 +333,17 @@ class Science:
         model_file,
         model_id,
         *,
-        progress,
+        on_progress,
     ):
         self.calls.append((run_files, folder, perpendicular_only))
         self.trials.append((monte_carlo, workers))
         self.models.append((model_file, model_id))
-        progress(0.0, "aligning")
+        on_progress(0.0, "aligning")
         while self.hold is not None and not self.hold.wait(0.01):
-            progress(0.1, "aligning")
+            on_progress(0.1, "aligning")
         if self.raises is not None:
             raise self.raises
-        progress(0.5, "estimating")
+        on_progress(0.5, "estimating")
         place = FilePath(folder)
         place.mkdir(parents=True)
         result = {
@@ -355,7 +355,7 @@ class Science:
         (place / "result.json").write_text(json.dumps(result))
         (place / "error_tables.csv").write_text("error,position_mm\nEXX,0.0\n")
         (place / "report.html").write_text("<!DOCTYPE html><title>Report</title>")
-        progress(1.0, "reporting")
+        on_progress(1.0, "reporting")
 
 
 class Explorer:
@@ -374,11 +374,11 @@ class Explorer:
         self.rows: list[dict] = []
         self.calls: list[tuple] = []
 
-    def __call__(self, run_files, folder, model_file, model_id, *, progress):
+    def __call__(self, run_files, folder, model_file, model_id, *, on_progress):
         self.calls.append((run_files, model_file, model_id))
-        progress(0.0, "discovering")
+        on_progress(0.0, "discovering")
         while self.hold is not None and not self.hold.wait(0.01):
-            progress(0.1, "discovering")
+            on_progress(0.1, "discovering")
         if self.raises is not None:
             raise self.raises
         parent = {"version": 1, "source": model_id or "fitted", "sha256": None}
@@ -405,4 +405,4 @@ class Explorer:
         model = {**grown, "machine": self.machine}
         (place / "model.json").write_text(json.dumps(model))
         (place / "report.html").write_text(page)
-        progress(1.0, "reporting")
+        on_progress(1.0, "reporting")

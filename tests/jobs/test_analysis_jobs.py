@@ -137,8 +137,8 @@ def test_an_analysis_reports_its_stages(analysing, shop, run, feed):
 
 
 def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(shop, run, feed):
-    def dreaming(run_files, folder, *_, progress):
-        progress(0.5, "dreaming")
+    def dreaming(run_files, folder, *_, on_progress):
+        on_progress(0.5, "dreaming")
 
     alone = replace(shop, science=dreaming, machine=None, cell=None)
     dispatcher = Dispatcher(alone, feed)

@@ -133,9 +133,11 @@ def test_the_task_writes_what_the_contract_asks_and_models_compare(small_run, tm
         stages.append((share, stage))
 
     first, second = tmp_path / "first", tmp_path / "second"
-    discover_recorded([str(small_run)], str(first), None, None, progress=told)
+    discover_recorded([str(small_run)], str(first), None, None, on_progress=told)
     model = first / "model.json"
-    discover_recorded([str(small_run)], str(second), str(model), "one", progress=told)
+    discover_recorded(
+        [str(small_run)], str(second), str(model), "one", on_progress=told
+    )
     assert {s for _, s in stages} == {"discovering", "reporting"}
     shares = [share for share, _ in stages]
     assert min(shares) >= 0.0

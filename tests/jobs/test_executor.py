@@ -16,6 +16,7 @@ from scripted_cell import wait_until
 
 from app.jobs.errors import Aborted, TaskFailed, WorkerDied
 from app.jobs.executor import ProcessLanes
+from app.progress import ignore_progress
 
 TASKS = """
 import os, time
@@ -26,12 +27,12 @@ prepared = []
 def prepare():
     prepared.append(os.getpid())
 
-def add(one, other, *, progress):
-    progress(0.5, "half")
-    progress(1.0, "whole")
+def add(one, other, *, on_progress):
+    on_progress(0.5, "half")
+    on_progress(1.0, "whole")
     return one + other
 
-def about(*, progress):
+def about(*, on_progress):
     return {
         "pid": os.getpid(),
         "threads": os.environ["OPENBLAS_NUM_THREADS"],
@@ -39,14 +40,14 @@ def about(*, progress):
         "prepared": prepared,
     }
 
-def fail(*, progress):
+def fail(*, on_progress):
     raise BundleError("is NaN", file="tracker.csv", row=3)
 
-def crash(*, progress):
+def crash(*, on_progress):
     os._exit(9)
 
-def sleep(file, *, progress):
-    progress(0.0, "asleep")
+def sleep(file, *, on_progress):
+    on_progress(0.0, "asleep")
     with open(file, "w") as mark:
         mark.write(str(os.getpid()))
     time.sleep(60)
@@ -69,14 +70,14 @@ def one_lane(tasks):
     lanes.close()
 
 
-def run(lanes, task, *arguments, report=lambda fraction, stage: None):
-    return lanes.submit(task, *arguments, report=report, started=lambda: None)
+def run(lanes, task, *arguments, on_progress=ignore_progress):
+    return lanes.submit(task, *arguments, on_progress=on_progress, started=lambda: None)
 
 
 def test_a_task_computes_elsewhere_and_reports(one_lane, tasks):
     reports = []
     computation = run(
-        one_lane, tasks.add, 2, 3, report=lambda *told: reports.append(told)
+        one_lane, tasks.add, 2, 3, on_progress=lambda *told: reports.append(told)
     )
     assert computation.result() == 5
     assert reports == [(0.5, "half"), (1.0, "whole")]
@@ -128,7 +129,7 @@ def test_a_task_in_line_begins_when_the_lane_is_free(one_lane, tasks, tmp_path):
     wait_until(lambda: mark.is_file() and mark.read_text(), "the first")
     started = threading.Event()
     second = one_lane.submit(
-        tasks.add, 4, 5, report=lambda *_: None, started=started.set
+        tasks.add, 4, 5, on_progress=ignore_progress, started=started.set
     )
     answer = in_thread(second.result)
     assert not started.is_set()
@@ -178,11 +179,12 @@ def test_the_processes_end_with_the_service_even_if_it_is_killed(tasks, tmp_path
         sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
         import lane_tasks
         from app.jobs.executor import ProcessLanes
+        from app.progress import ignore_progress
 
         if __name__ == "__main__":
             lanes = ProcessLanes(1)
             task = lanes.submit(
-                lane_tasks.about, report=lambda *_: None, started=lambda: None
+                lane_tasks.about, on_progress=ignore_progress, started=lambda: None
             )
             print(task.result()["pid"], flush=True)
             time.sleep(60)

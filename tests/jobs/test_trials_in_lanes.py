@@ -14,6 +14,7 @@ from app.jobs.executor import ProcessLanes
 from app.jobs.science import analyse_recorded
 from app.jobs.workers import Workers
 from app.numerics.adaptive_trials import TrialPlan
+from app.progress import ignore_progress
 
 TWO_BLOCKS = TrialPlan(seed=5, most_blocks=2)
 
@@ -30,9 +31,9 @@ def lane():
     lanes.close()
 
 
-def submit(lane, *arguments, report=lambda *_: None):
+def submit(lane, *arguments, on_progress=ignore_progress):
     return lane.submit(
-        analyse_recorded, *arguments, report=report, started=lambda: None
+        analyse_recorded, *arguments, on_progress=on_progress, started=lambda: None
     )
 
 
@@ -50,7 +51,7 @@ def test_a_job_brings_the_same_trials_from_any_workers(lane, run_files, tmp_path
             False,
             TWO_BLOCKS,
             Workers(count=count),
-            report=lambda *stage: told.append(stage),
+            on_progress=lambda *stage: told.append(stage),
         ).result()
     one, other = (trials_in(tmp_path / str(count)) for count in (1, 2))
     assert one == other
@@ -76,7 +77,7 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(
 ):
     trying = threading.Event()
 
-    def report(_, stage):
+    def on_progress(_, stage):
         if stage == "validating":
             trying.set()
 
@@ -89,7 +90,7 @@ def test_an_aborted_job_ends_its_workers_and_leaves_no_result(
         False,
         endless,
         Workers(count=2),
-        report=report,
+        on_progress=on_progress,
     )
     outcome: list[object] = []
     waiting = threading.Thread(target=lambda: outcome.append(_error_of(job)))

@@ -145,7 +145,7 @@ def test_who_shares_the_work_and_works_ahead_does_not_change_the_answer():
 
 def test_the_share_done_only_grows_and_ends_at_one():
     shares: list[float] = []
-    propagate(blocks(rectangles([9.0])), TrialPlan(), told=shares.append)
+    propagate(blocks(rectangles([9.0])), TrialPlan(), on_progress=shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
 

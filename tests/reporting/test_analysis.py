@@ -26,7 +26,7 @@ def stages() -> list[tuple[float, str]]:
 
 @pytest.fixture(scope="module")
 def analysis(recorded, stages):
-    return analyse(recorded[0], progress=lambda *told: stages.append(told))
+    return analyse(recorded[0], on_progress=lambda *told: stages.append(told))
 
 
 @pytest.fixture
