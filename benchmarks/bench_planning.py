@@ -25,7 +25,7 @@ from recordings import random_air, random_content
 from study import study
 
 from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import usual_precision
+from app.estimation.weak_shapes import usual_precision_matrix
 from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
@@ -44,7 +44,7 @@ from app.planning.next_configuration import (
     search_space,
 )
 from app.planning.outlook import Outlook, inverse
-from app.planning.outlooks import point_outlook, stand_of
+from app.planning.outlooks import choose_station, point_outlook
 from app.planning.plan import PlanRequest, make_plan
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic
@@ -107,7 +107,7 @@ def points_needed(seed: int, *, volumetric: bool) -> int:
         integrated variances, turns at half the diagonal of the travel
     """
     machine = machine_of(seed)
-    outlook = point_outlook(machine, stand_of(machine, Workspace()))
+    outlook = point_outlook(machine, choose_station(machine, Workspace()))
     if not volumetric:
         outlook = replace(outlook, gram=gram_of_motions(outlook))
     # As good as no time to move: points count, not seconds.
@@ -173,7 +173,7 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
     """
     offsets = np.array([target.offset_mm for target in machine.targets])
     model, _ = identifiable_model(machine, offsets, intervals=intervals)
-    known = Belief(inverse(usual_precision(model)), volumetric_gram(model))
+    known = Belief(inverse(usual_precision_matrix(model)), volumetric_gram(model))
     axes, rows = search_space(model), point_rows(model)
     for row in rows(axes.draws(10, seed=1)):
         known = known.after(row, VARIANCE)

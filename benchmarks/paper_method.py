@@ -49,12 +49,12 @@ def _fine_aligned(seen: Observations) -> np.ndarray:
     """Fit points to the closest points of their lines, again and again (1.2.3)."""
     pose = seen.pose
     for _ in range(20):
-        point = pose.inverse().apply(seen.tracker_mm)
+        point = pose.invert().apply(seen.tracker_mm)
         off = point - seen.at.point_mm
         along = np.einsum("ni,ni->n", off, seen.direction)
         closest = seen.at.point_mm + along[:, None] * seen.direction
         pose = fit_rigid(closest, seen.tracker_mm)
-    return pose.inverse().apply(seen.tracker_mm)
+    return pose.invert().apply(seen.tracker_mm)
 
 
 def _table_matrix(seen: Observations, spacing_mm: float):
@@ -90,7 +90,7 @@ def _hats(position_mm: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 def _frames_weights_covariance(seen: Observations):
     n = len(seen)
-    place = seen.pose.inverse().shift_mm
+    place = seen.pose.invert().translation_mm
     beam = seen.at.point_mm - place
     distance = np.linalg.norm(beam, axis=1)
     beam /= distance[:, None]

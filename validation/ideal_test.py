@@ -80,7 +80,7 @@ def signal_to_noise(
 
 
 def _usual_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.ndarray:
-    """Return the prior precision of the strength that is usual for each kind."""
+    """Return the prior precision of the precision that is usual for each kind."""
     motions = [e for e in model.effects if isinstance(e, ErrorMotion)]
     form = {e.name: e.gauge.T @ e.spline.bending() @ e.gauge for e in motions}
     energy: dict[str, list[float]] = {}

@@ -2,7 +2,7 @@
 
 The ideal estimator is ours told two things that no real one knows: the noise (level,
 correlated share, correlation time: the simulator's own figures, and that the feed is
-exact) and how strongly each error motion bends (prior strengths fitted to the true
+exact) and how strongly each error motion bends (prior precisions fitted to the true
 error motions, (K − 2) / ∫ bending). Its posterior covariance is the bound: the root
 mean square, over the volume, of the error that it would leave on average. It can be
 beaten on one machine by luck, not on average by a machine of these errors.
@@ -62,7 +62,7 @@ def true_noise(air: Air) -> NoiseModel:
 
 
 def true_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.ndarray:
-    """Return the prior precision whose strengths fit the true error motions."""
+    """Return the prior precision whose precisions fit the true error motions."""
     total = np.zeros((size, size))
     for effect in model.effects:
         if isinstance(effect, ErrorMotion):

@@ -42,7 +42,7 @@ class Stream:
 
     def points_mm(self, first: int, last: int) -> Float64[np.ndarray, "n 3"]:
         """Return a stretch of the samples in the workpiece frame."""
-        return self.pose.inverse().apply(self.tracker_mm[first:last])
+        return self.pose.invert().apply(self.tracker_mm[first:last])
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,7 @@ def moving_stretch(
     )
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
     share = each.share + rate * (cells.time_s - middle)
-    late, slow = _timing(curve, share, stream.pose.inverse(), cells, line_time)
+    late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
     share, rate = share + late + slow * line_time, rate + slow
     rows = run.commanded.position[each.row - 1 : each.row + 1]
     return Stretch(

@@ -34,7 +34,7 @@ _SPLINE_S = 6.0  # what is slower is structure to be explained, not noise
 class BasePrior(Protocol):
     """What is known of machine and pose before the Run."""
 
-    def precision(self, size: int) -> Float64[np.ndarray, "p p"]:
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the prior precision; what follows the machine has none."""
         ...
 
@@ -49,12 +49,12 @@ class Elastic:
 
     bending: BendingPrior
 
-    def precision(self, size: int) -> Float64[np.ndarray, "p p"]:
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the bending energies."""
-        return self.bending.precision(size)
+        return self.bending.precision_matrix(size)
 
     def fitted(self, data: Information) -> tuple[Elastic, Posterior]:
-        """Return the prior of strengths that fit the data."""
+        """Return the prior of precisions that fit the data."""
         bending, result = fitted(data, self.bending)
         return Elastic(bending), result
 
@@ -65,7 +65,7 @@ class Known:
 
     machine: Float64[np.ndarray, "m m"]
 
-    def precision(self, size: int) -> Float64[np.ndarray, "p p"]:
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the inverse of the model's covariance."""
         total = np.zeros((size, size))
         total[: len(self.machine), : len(self.machine)] = self.machine
@@ -73,7 +73,7 @@ class Known:
 
     def fitted(self, data: Information) -> tuple[Known, Posterior]:
         """Return itself: there is nothing to choose."""
-        return self, posterior(data, self.precision(len(data.vector)))
+        return self, posterior(data, self.precision_matrix(len(data.vector)))
 
 
 @dataclass(frozen=True)

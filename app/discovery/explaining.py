@@ -98,7 +98,7 @@ class Explainer:
 
     def _explain(self, chosen: Sequence[Offer]) -> Explanation:
         size = self._size
-        known = self._prior.precision(size) + self._poses
+        known = self._prior.precision_matrix(size) + self._poses
         chosen = refined(self._lines, self._at, known, chosen)
         columns = np.arange(size + sum(len(o.candidate.usual) for o in chosen))
         sums = self._lines.sums(_effects(chosen))
@@ -157,7 +157,7 @@ class Explainer:
         best = self.ranked(explanation, [offer, *tries])[0].offer
         if not offer.family.happens_once:
             return best
-        known = explanation.prior.precision(self._size) + self._poses
+        known = explanation.prior.precision_matrix(self._size) + self._poses
         return at_its_moment(self._lines, at, known, explanation.chosen, best)
 
     def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:
@@ -183,7 +183,7 @@ class Explainer:
     def _precision(
         self, prior: BasePrior, chosen: Sequence[Offer]
     ) -> Float64[np.ndarray, "p p"]:
-        known = prior.precision(self._size) + self._poses
+        known = prior.precision_matrix(self._size) + self._poses
         return prior_precision(known, _candidates(chosen))
 
 

@@ -173,8 +173,8 @@ class ExtraLines:
     def _expected(self, path: Path) -> Observations:
         """Return what the last line of a path would give, in its surroundings."""
         pose = self.base.pose
-        stand_mm = pose.inverse().apply(np.zeros((1, 3)))[0]
-        seen = rehearsed(self.scene.run.machine, path, stand_mm)
+        station_mm = pose.invert().apply(np.zeros((1, 3)))[0]
+        seen = rehearsed(self.scene.run.machine, path, station_mm)
         seen = seen.taken(np.flatnonzero(seen.row == len(path) - 1))
         seen = replace(seen, tracker_mm=pose.apply(seen.at.point_mm), pose=pose)
         return with_surroundings(seen, path, None, self.questions[0].base.runs - 1)

@@ -1,7 +1,8 @@
 """Look for what is not linear (leads, time constants, moments) in what is left.
 
-The quick gain takes the effect as orthogonal to the base and the slow noise as white:
-good enough to find where a scan peaks. What counts is then computed exactly.
+The quick gain takes the effect as orthogonal to the base and the Ornstein–Uhlenbeck
+noise as white: good enough to find where a scan peaks. What counts is then computed
+exactly.
 """
 
 from __future__ import annotations
@@ -76,8 +77,8 @@ class Residual:
 
     left_mm : (n, 3), phase and speed of each line taken out; weighted : (n, 3)
     precision : (n, 3, 3) of the white noise, in the frame the tracker stands on
-    slow, slow_time_s : density of the slow noise over that of the white at frequency 0,
-        and its correlation time
+    ou, ou_time_s : density of the Ornstein–Uhlenbeck noise over that of the white at
+        frequency 0, and its correlation time
     within : samples within their cells, where fast effects show as well
     """
 
@@ -85,16 +86,16 @@ class Residual:
     left_mm: Float64[np.ndarray, "n 3"]
     weighted: Float64[np.ndarray, "n 3"]
     precision: Float64[np.ndarray, "n 3 3"]
-    slow: float
-    slow_time_s: float
+    ou: float
+    ou_time_s: float
     within: FastSums | None = None
 
-    def slow_power(
+    def ou_power(
         self, frequency_hz: Float64[np.ndarray, " f"]
     ) -> Float64[np.ndarray, " f"]:
-        """Return the density of the slow noise in units of the white noise's."""
-        turn = 2.0 * np.pi * frequency_hz * self.slow_time_s
-        return self.slow / (1.0 + turn**2)
+        """Return the density of the correlated noise in units of the white noise's."""
+        turn = 2.0 * np.pi * frequency_hz * self.ou_time_s
+        return self.ou / (1.0 + turn**2)
 
 
 def weighted_residual(
@@ -128,15 +129,15 @@ def weighted_residual(
         root = np.matmul(whitener.root, frame)
         precision[cells] = np.matmul(np.swapaxes(root, 1, 2), root)
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
-    ratio = np.mean(np.square(noise.slow)) / np.mean(np.square(noise.white))
-    slow = float(ratio) * 2.0 * noise.slow_time_s * rate_hz
+    ratio = np.mean(np.square(noise.ou)) / np.mean(np.square(noise.white))
+    ou = float(ratio) * 2.0 * noise.ou_time_s * rate_hz
     return Residual(
         seen.at,
         left_mm,
         weighted,
         precision,
-        slow,
-        noise.slow_time_s,
+        ou,
+        noise.ou_time_s,
         view.within,
     )
 
@@ -245,7 +246,7 @@ def _wave_sums(
     """Return what a Run holds of each wave, and with which weight.
 
     Cells of like rate average a wave alike, and see it at a like frequency in time,
-    where the slow noise has its share.
+    where the Ornstein–Uhlenbeck noise has its share.
     """
     data = np.einsum("ni,ni->n", wave.arm, left.weighted)
     weight = np.einsum("ni,nij,nj->n", wave.arm, left.precision, wave.arm)
@@ -257,7 +258,7 @@ def _wave_sums(
         turn = 2.0 * np.pi * wave.waves * rate
         kept = averaged(turn, np.full(len(turn), float(np.mean(span[cells]))))
         total += kept * transform(wave.coordinate[cells], data[cells], wave.waves)
-        share = 1.0 / (1.0 + left.slow_power(wave.waves * rate))
+        share = 1.0 / (1.0 + left.ou_power(wave.waves * rate))
         told += 0.5 * kept**2 * share * float(weight[cells].sum())
     return total, told
 

@@ -111,7 +111,7 @@ def line_rows(
     if line >= 0:
         local[:, :, :TIMING] = TimingLaw((line,)).jacobian(seen.at)
     local[:, :, TIMING:-1] = columns
-    local[:, :, -1] = base.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    local[:, :, -1] = base.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
     machine = slice(TIMING, TIMING + base.model.size)
     local[:, :, -1] -= local[:, :, machine] @ base.theta
     frame = beam_frame(seen.tracker_mm) @ base.pose.rotation

@@ -4,8 +4,8 @@ With columns a, b on a line, V its noise and T its phase and speed,
 
     aᵀ V⁻¹ b − aᵀ V⁻¹ T (Tᵀ V⁻¹ T)⁻¹ Tᵀ V⁻¹ b = a₊ᵀ b₊ − a₋ᵀ b₋ :
 
-what white noise alone would tell, less what slow noise and timing take away. Made once,
-the halves of a column give its sums with any other by one product.
+what white noise alone would tell, less what Ornstein–Uhlenbeck noise and timing take
+away. Made once, the halves of a column give its sums with any other by one product.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel, floor_mm, whiten
 from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.observability import observability
-from app.estimation.prior import with_unknown_strengths
+from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.problem import Part, Problem, refined_pose
 from app.estimation.runs import Measured, Share
 from app.files.one_machine import one_machine
@@ -64,12 +64,12 @@ def estimate(
     fit = with_ends_free(best_fit(runs, known.beside(model), known))
     on_progress(0.9)
     observable = observability(machine, runs)
-    result = with_unknown_strengths(fit.prior, fit.result)
+    result = widen_by_unknown_precision(fit.prior, fit.result)
     made = Estimate(
         fit.model,
         result.theta,
         result.covariance,
-        fit.prior.strength,
+        fit.prior.precision,
         observable,
         fit.direction,
         perpendicular_only,

@@ -2,7 +2,7 @@
 
 Three models are nested: errors alone; errors and a half width each; errors and tables
 of both directions. A larger one is taken only if its evidence pays for its choice of
-strengths, so that a machine without backlash is not given one.
+precisions, so that a machine without backlash is not given one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from app.kinematics.effects.catalogued import bare
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 
-# A strength fitted to nothing gains a little evidence; not this much, in −2 log.
+# A precision fitted to nothing gains a little evidence; not this much, in −2 log.
 _PRICE = 2.0
 
 
@@ -37,7 +37,7 @@ class Fit:
     shares : what each Run tells of the model
     known : what an earlier measurement has told of effects in it
     result : of the machine's parameters
-    cost : −2 log evidence, with the price of its strengths
+    cost : −2 log evidence, with the price of its precisions
     """
 
     direction: str
@@ -95,8 +95,8 @@ def _fit(
 ) -> Fit:
     data = known.informed(together(shares), model)
     prior, result = fitted(data, first_guess(model))
-    strengths = sum(not isinstance(e, ErrorMotion) for e in model.effects)
-    cost = evidence_cost(data, prior, result) + _PRICE * strengths
+    precisions = sum(not isinstance(e, ErrorMotion) for e in model.effects)
+    cost = evidence_cost(data, prior, result) + _PRICE * precisions
     return Fit(direction, model, shares, known, prior, result, cost)
 
 

@@ -81,7 +81,7 @@ class Estimate:
     model : effects of the machine proper, in the order of theta
     theta : (p,), covariance : (p, p), of those effects alone; poses and timing laws are
         integrated out
-    strength : prior strength of each error motion's bending, found from the data
+    prior_precision : of each error motion's bending, found from the data
     direction : `none`, `constant` or `tables`: what the direction of approach does
     runs : the Runs that it was made from, in the order given
     measured : by axis, lowest and highest position that was measured, mm or deg; what
@@ -95,7 +95,7 @@ class Estimate:
     model: MachineModel
     theta: Float64[np.ndarray, " p"]
     covariance: Float64[np.ndarray, "p p"]
-    strength: dict[str, float]
+    prior_precision: dict[str, float]
     observability: Observability
     direction: str
     perpendicular_only: bool

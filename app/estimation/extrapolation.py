@@ -65,7 +65,7 @@ def measured_ranges(*observed: Observations) -> Ranges:
 def with_ends_free(fit: Fit) -> Fit:
     """Return the fit with the honest uncertainty beyond the measured ranges.
 
-    What was found of strengths and of the noise stays; only ends longer than two
+    What was found of precisions and of the noise stays; only ends longer than two
     intervals of the knots are looked at, and without any the fit is the same.
     """
     ranges = measured_ranges(*(share.problem.seen for share in fit.shares))
@@ -78,7 +78,7 @@ def with_ends_free(fit: Fit) -> Fit:
         for m in motions
     }
     prior = replace(fit.prior, charges={**fit.prior.charges, **charges})
-    result = posterior(fit.data, prior.precision(fit.model.size))
+    result = posterior(fit.data, prior.precision_matrix(fit.model.size))
     return replace(fit, prior=prior, result=result)
 
 
@@ -217,9 +217,9 @@ def _freed(
     measured: tuple[float, float],
 ) -> Charge:
     """Return the charge of a beam that softens beyond the measured range."""
-    strength, charge = prior.strength[motion.name], prior.charges[motion.name]
+    precision, charge = prior.precision[motion.name], prior.charges[motion.name]
     density = _DENSITY * varies.curvature_square * _away(_middles(motion), measured)
-    form = motion.spline.bending(1.0 / np.maximum(1.0, strength * density))
+    form = motion.spline.bending(1.0 / np.maximum(1.0, precision * density))
     inside = _mean_slope(motion, *measured)
     allowed = _STEEPER**2 * varies.slope_square
     for low, high in (
@@ -228,5 +228,5 @@ def _freed(
     ):
         if high - low > _FEWEST_INTERVALS * _interval(motion):
             off = _mean_slope(motion, low, high) - inside
-            form = form + off.T @ off / max(strength * allowed, 1e-300)
+            form = form + off.T @ off / max(precision * allowed, 1e-300)
     return replace(charge, form=motion.gauge.T @ form @ motion.gauge)

@@ -71,14 +71,14 @@ def information(problem: Problem, noise: NoiseModel) -> Information:
 def _with_part(
     part: Part, noise: NoiseModel, tail: Tail | None
 ) -> tuple[Float64[np.ndarray, "q q"], float, Tail | None]:
-    """Return what a part adds to the sums, and what its last cell's slow part takes."""
+    """Return what a part adds to the sums, and its last cell's correlated noise."""
     q, width = part.data + 1, part.rows.shape[2]
     if tail is not None:
         more = np.zeros((3, width - q))
         tail = replace(tail, pulled=np.hstack([tail.pulled, more]))
-    precision, slow = cell_noise(part.seen, noise, part.frame)
+    precision, ou = cell_noise(part.seen, noise, part.frame)
     gain, log_gain, tail = extended(
-        tail, part.seen.at.time_s, precision, slow, noise.slow_time_s, part.rows
+        tail, part.seen.at.time_s, precision, ou, noise.ou_time_s, part.rows
     )
     # A line of one cell says nothing of its speed, which then stays as commanded.
     own = np.diag(gain)[q:]

@@ -74,7 +74,7 @@ class KnownEffects:
         slices = [model.slices[effect.name] for effect in self.effects]
         return slice(slices[0].start, slices[-1].stop)
 
-    def precision(self) -> Float64[np.ndarray, "k k"]:
+    def precision_matrix(self) -> Float64[np.ndarray, "k k"]:
         """Return the inverse of the covariance, of parameters of unlike units."""
         own = np.sqrt(np.maximum(np.diag(self.covariance), 0.0) + _EXACTLY**2)
         correlation = self.covariance / own[:, None] / own
@@ -90,7 +90,7 @@ class KnownEffects:
         """
         if not self.effects:
             return data
-        part, precision = self.part(model), self.precision()
+        part, precision = self.part(model), self.precision_matrix()
         matrix, vector = data.matrix.copy(), data.vector.copy()
         pull = precision @ self.theta
         matrix[part, part] += precision

@@ -31,7 +31,7 @@ from app.estimation.prior import (
     BendingPrior,
     first_guess,
     fitted,
-    with_unknown_strengths,
+    widen_by_unknown_precision,
 )
 from app.estimation.problem import pose_problem, refined_pose
 from app.estimation.recursive import Linearisation, Recursive, begun
@@ -78,14 +78,14 @@ class Findings:
     """What a measurement under way has told about itself.
 
     rows : whose line or standstill has been recognised
-    stand_mm : (3,) of the tracker, in the frame that it stands on
-    strength : of the prior, by the effect's name
+    station_mm : (3,) of the tracker, in the frame that it stands on
+    prior_precision : by the effect's name
     """
 
     rows: frozenset[int]
-    stand_mm: Float64[np.ndarray, "3"]
+    station_mm: Float64[np.ndarray, "3"]
     noise: NoiseModel
-    strength: Mapping[str, float]
+    prior_precision: Mapping[str, float]
 
 
 class LiveEstimator:
@@ -123,14 +123,14 @@ class LiveEstimator:
     def findings(self) -> Findings | None:
         """Return what a plan of further rows rests on, None before the pose is known.
 
-        After `estimate`, with the strengths of the prior that it has found.
+        After `estimate`, with the precisions of the prior that it has found.
         """
         if self._sums is None:
             return None
         about = self._sums.about
-        stand_mm = about.pose.inverse().shift_mm
+        station_mm = about.pose.invert().translation_mm
         rows = frozenset(part.row for part in self._parts)
-        return Findings(rows, stand_mm, about.noise, self._prior.strength)
+        return Findings(rows, station_mm, about.noise, self._prior.precision)
 
     def take(self, block: TrackerSamples) -> bool:
         """Take the next samples; tell whether they have finished anything."""
@@ -151,7 +151,7 @@ class LiveEstimator:
         size = self._model.size
         data = self._informed(self._sums.information(), _pose_parameters(self._model))
         self._prior, result = fitted(data, self._prior)
-        widened = with_unknown_strengths(self._prior, result)
+        widened = widen_by_unknown_precision(self._prior, result)
         covariance = widened.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))
         return LiveEstimate(
@@ -198,7 +198,7 @@ class LiveEstimator:
             problem = pose_problem(seen, self._model, pose)
             told, every = information(problem, noise), problem.model.parameters
             data = self._informed(told, every)
-            strong = self._prior.precision(len(data.vector))
+            strong = self._prior.precision_matrix(len(data.vector))
             theta = posterior(data, strong).theta
             pose = refined_pose(problem, theta)
             noise = residual_noise(problem, theta, noise)

@@ -1,11 +1,11 @@
 """Trials of the measurement: what it could have been, solved again (GUM Supplement 1).
 
-A trial draws white and slow noise of every cell, jitter along the travel, how strongly
-the prior charges each error motion, and the shapes that only the prior knows. It solves
-again, and keeps what the outputs do. The noise is made from its description alone, cell
-by cell in time, and not by the algebra that weighs it; strengths act in full, where the
-linear law takes them to second order: so trials and linear law can contradict each
-other.
+A trial draws white and Ornstein–Uhlenbeck noise of every cell, jitter along the travel,
+how strongly the prior charges each error motion, and the shapes that only the prior
+knows. It solves again, and keeps what the outputs do. The noise is made from its
+description alone, cell by cell in time, and not by the algebra that weighs it;
+precisions act in full, where the linear law takes them to second order: so trials and
+linear law can contradict each other.
 
 With H = D + Σ λₖKₖ, D the data's information on the machine's parameters, a trial is
 
@@ -28,13 +28,13 @@ from scipy.linalg import cho_factor, cho_solve
 from app.alignment.observations import Observations
 from app.estimation.direction import Fit
 from app.estimation.noise import NoiseModel, whiten
-from app.estimation.prior import strength_variance
+from app.estimation.prior import log_precision_variance
 from app.estimation.problem import Part
 from app.estimation.runs import Share, together
 from app.numerics.adaptive_trials import BLOCK, Interval, TrialBlock, TrialPlan, kept
 
 _AT_ONCE = 500  # trials drawn together: their noise fits the memory of any computer
-_SAME_STRENGTH = 10  # trials that share a draw of strengths, and so one factorisation
+_SAME_PRECISION = 10  # trials that share a draw of precisions, and so one factorisation
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +138,14 @@ def drawn(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]
 
 def _charged(fit: Fit) -> tuple[Charged, ...]:
     prior, charged = fit.prior, list[Charged]()
-    for name, variance in strength_variance(prior, fit.result).items():
-        precision = prior.strength[name] * prior.charges[name].form
+    for name, variance in log_precision_variance(prior, fit.result).items():
+        precision = prior.precision[name] * prior.charges[name].form
         value, vector = np.linalg.eigh(precision)
         root = vector * np.sqrt(np.maximum(value, 0.0))
         first = prior.model.slices[name].start
         charged.append(Charged(first, precision, root, float(np.sqrt(variance))))
     if fit.known.effects:
-        precision = fit.known.precision()
+        precision = fit.known.precision_matrix()
         root = np.linalg.cholesky(precision)
         first = fit.known.part(fit.model).start
         charged.append(Charged(first, precision, root, 0.0))
@@ -158,8 +158,8 @@ def _some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"
         noise = _white(run, rng) + _slow(run, rng)
         pulled += np.tensordot(run.weighted, noise, axes=((0, 1), (0, 1)))
     moved = np.empty_like(pulled)
-    for first in range(0, _AT_ONCE, _SAME_STRENGTH):
-        same = slice(first, first + _SAME_STRENGTH)
+    for first in range(0, _AT_ONCE, _SAME_PRECISION):
+        same = slice(first, first + _SAME_PRECISION)
         moved[:, same] = _solved(trials, pulled[:, same], rng)
     return trials.outputs @ moved
 
@@ -167,7 +167,7 @@ def _some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"
 def _solved(
     trials: Trials, pulled: Float64[np.ndarray, "m t"], rng: np.random.Generator
 ) -> Float64[np.ndarray, "m t"]:
-    """Solve trials again under strengths drawn for them."""
+    """Solve trials again under precisions drawn for them."""
     H, right = trials.data.copy(order="F"), pulled.copy(order="F")
     for one in trials.charged:
         part = one.part
@@ -197,10 +197,10 @@ def _white(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 
 
 
 def _slow(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
-    """Draw the slow noise as it runs: each cell remembers the one before."""
+    """Draw the Ornstein–Uhlenbeck noise step by step, from cell to cell."""
     seen, noise = run.seen, run.noise
-    sigma = _stated_mm(seen) * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
-    keep = np.exp(-np.diff(seen.at.time_s, prepend=-np.inf) / noise.slow_time_s)
+    sigma = _stated_mm(seen) * np.array([noise.ou[0], noise.ou[1], noise.ou[1]])
+    keep = np.exp(-np.diff(seen.at.time_s, prepend=-np.inf) / noise.ou_time_s)
     fresh = np.sqrt(1.0 - keep**2)
     state = _normal(rng, len(seen), 3, _AT_ONCE)
     state[1:] *= fresh[1:, None, None].astype(np.float32)

@@ -13,19 +13,19 @@ from app.numerics.correlated_noise import Whitener, whitener
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """White and slow noise along and across the beam, and the feed's own jitter.
+    """White and Ornstein–Uhlenbeck noise along and across the beam, and feed jitter.
 
     white : (2,) standard deviation of a sample, in units of the tracker's stated one
-    slow : (2,) standard deviation of the slow part, in the same units
-    slow_time_s : correlation time of the slow part
+    ou : (2,) standard deviation of the Ornstein–Uhlenbeck part, in the same units
+    ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
     speed;
         infinite where only deviations across the path are used
     """
 
     white: tuple[float, float]
-    slow: tuple[float, float]
-    slow_time_s: float
+    ou: tuple[float, float]
+    ou_time_s: float
     along_sigma_mm: float
 
 
@@ -38,8 +38,8 @@ def whiten(
 
     frame : (n, 3, 3) workpiece to beam frame, rows beam, azimuth, elevation
     """
-    precision, slow = cell_noise(seen, noise, frame)
-    return whitener(seen.at.time_s, precision, slow, noise.slow_time_s)
+    precision, ou = cell_noise(seen, noise, frame)
+    return whitener(seen.at.time_s, precision, ou, noise.ou_time_s)
 
 
 def cell_noise(
@@ -47,17 +47,17 @@ def cell_noise(
     noise: NoiseModel,
     frame: Float64[np.ndarray, "n 3 3"],
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Float64[np.ndarray, "n 3"]]:
-    """Return precision of the cells' white noise and standard deviation of the slow.
+    """Return precision of the cells' white noise and standard deviation of the other.
 
     frame : (n, 3, 3) workpiece to beam frame, rows beam, azimuth, elevation
     """
     tracker = seen.at.machine.tracker
     stated = tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[:, [0, 1, 1]]
     white = stated * np.array([noise.white[0], noise.white[1], noise.white[1]])
-    slow = stated * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
+    ou = stated * np.array([noise.ou[0], noise.ou[1], noise.ou[1]])
     precision = seen.count[:, None] / white**2
     along = np.einsum("nij,nj->ni", frame, seen.direction)
-    return _with_jitter(precision, along, noise.along_sigma_mm), slow
+    return _with_jitter(precision, along, noise.along_sigma_mm), ou
 
 
 def _with_jitter(
@@ -86,8 +86,8 @@ def floor_mm(
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
     stated = seen.at.machine.tracker.sigma_mm(distance)[:, [0, 1, 1]]
     white = stated * np.array([noise.white[0], noise.white[1], noise.white[1]])
-    slow = stated * np.array([noise.slow[0], noise.slow[1], noise.slow[1]])
-    variance = white**2 / seen.count[:, None] + slow**2
+    ou = stated * np.array([noise.ou[0], noise.ou[1], noise.ou[1]])
+    variance = white**2 / seen.count[:, None] + ou**2
     if noise.along_sigma_mm == np.inf:
         variance = variance * (1.0 - along**2)
     else:

@@ -8,7 +8,8 @@ the data, H = AᵀV⁻¹A + prior and P = V⁻¹ − V⁻¹A H⁻¹AᵀV⁻¹,
 
 and its curvature is that of the average information, yᵀP ∂V P ∂V Py, which needs no
 trace (Gilmour, Thompson & Cullis 1995). The traces that the slope needs are second
-moments of the slow part given the data, from neighbour to neighbour in time only.
+moments of the Ornstein–Uhlenbeck part given the data, from neighbour to neighbour in
+time only.
 """
 
 from __future__ import annotations
@@ -24,7 +25,11 @@ from app.errors import Unidentifiable
 from app.estimation.information import Information
 from app.estimation.noise import NoiseModel, cell_noise
 from app.estimation.problem import Part
-from app.numerics.correlated_noise import SlowPrecision, Whitener, slow_precision
+from app.numerics.correlated_noise import (
+    OrnsteinUhlenbeckPrecision,
+    Whitener,
+    ou_precision,
+)
 from app.numerics.correlated_noise import whitener as whitener_of
 
 _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
@@ -34,8 +39,8 @@ _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
 class Slope:
     """Cost (−2 log evidence) with gradient and curvature.
 
-    By the logarithms of the slow part's size along and across the beam, its time and,
-    where it counts, the jitter along the travel.
+    By the logarithms of the Ornstein–Uhlenbeck part's size along and across the beam,
+    its time and, where it counts, the jitter along the travel.
     """
 
     cost: float
@@ -66,14 +71,14 @@ class NoiseEvidence:
     def covariance(self, noise: NoiseModel) -> Whitener:
         """Return V⁻¹."""
         seen = self.part.seen
-        white, slow = cell_noise(seen, noise, self.part.frame)
-        return whitener_of(seen.at.time_s, white, slow, noise.slow_time_s)
+        white, ou = cell_noise(seen, noise, self.part.frame)
+        return whitener_of(seen.at.time_s, white, ou, noise.ou_time_s)
 
-    def slow(self, noise: NoiseModel) -> SlowPrecision:
+    def ou(self, noise: NoiseModel) -> OrnsteinUhlenbeckPrecision:
         """Return C⁻¹."""
         seen = self.part.seen
         _, sigma = cell_noise(seen, noise, self.part.frame)
-        return slow_precision(seen.at.time_s, sigma, noise.slow_time_s)
+        return ou_precision(seen.at.time_s, sigma, noise.ou_time_s)
 
     @cached_property
     def along(self) -> Float64[np.ndarray, "n 3"]:
@@ -91,12 +96,12 @@ class _Solved:
         rows = np.concatenate([of.columns, of.off[:, :, None]], axis=2)
         precision = np.swapaxes(self.inverse.root, 1, 2) @ self.inverse.root
         weighted = precision @ rows
-        slow = cho_solve_banded(
+        ou = cho_solve_banded(
             (self.inverse.factor, True),
             weighted.reshape(3 * n, p + 1),
             check_finite=False,
         )
-        applied = weighted - precision @ slow.reshape(n, 3, p + 1)
+        applied = weighted - precision @ ou.reshape(n, 3, p + 1)
         flat = applied.reshape(3 * n, p + 1)
         total = rows.reshape(3 * n, p + 1).T @ flat
         k = len(of.known.vector)
@@ -107,11 +112,11 @@ class _Solved:
         self.square = float(total[p, p] + of.known.square - (half.T @ half)[0, 0])
         theta = solve_triangular(self.factor, half, lower=True, trans="T")
         theta *= self.scale[:, None]
-        # V⁻¹A; what it leaves of the data, and the slow part of that.
+        # V⁻¹A; what it leaves of the data, and the Ornstein–Uhlenbeck part of that.
         self.told = flat[:, :p]
         self.left = (flat[:, p:] - flat[:, :p] @ theta).reshape(n, 3)
-        self.slow = slow[:, :p]
-        self.slow_left = slow[:, p] - slow[:, :p] @ theta[:, 0]
+        self.ou = ou[:, :p]
+        self.ou_residual = ou[:, p] - ou[:, :p] @ theta[:, 0]
 
     def slope(self) -> Slope:
         """Return cost, gradient and curvature."""
@@ -137,11 +142,11 @@ class _Solved:
 
     def _moments(self) -> Float64[np.ndarray, " k"]:
         """Return tr(∂V V⁻¹A H⁻¹AᵀV⁻¹) + yᵀP ∂V Py."""
-        spread = self._halved(self.slow.T)
-        now = (spread**2).sum(axis=0) + self.slow_left**2
+        spread = self._halved(self.ou.T)
+        now = (spread**2).sum(axis=0) + self.ou_residual**2
         next_ = (spread[:, 3:] * spread[:, :-3]).sum(axis=0)
-        next_ += self.slow_left[3:] * self.slow_left[:-3]
-        here, longer = self.of.slow(self.noise), self.of.slow(_longer(self.noise))
+        next_ += self.ou_residual[3:] * self.ou_residual[:-3]
+        here, longer = self.of.ou(self.noise), self.of.ou(_longer(self.noise))
         size = 2.0 * _by_coordinate(here, now, next_)
         time = (_by_coordinate(longer, now, next_).sum() - 0.5 * size.sum()) / _STEP
         found = [size[0], size[1] + size[2], -time]
@@ -162,11 +167,11 @@ class _Solved:
     def _moved_data(self) -> Float64[np.ndarray, "n 3 k"]:
         """Return ∂V P y for each parameter."""
         n = len(self.of.off)
-        slow = self.slow_left.reshape(n, 3)
-        here, longer = self.of.slow(self.noise), self.of.slow(_longer(self.noise))
-        change = (longer.times(slow) - here.times(slow)) / _STEP
-        beam = 2.0 * slow * np.array([1.0, 0.0, 0.0])
-        columns = [beam, 2.0 * slow - beam, -here.solved(change)]
+        ou = self.ou_residual.reshape(n, 3)
+        here, longer = self.of.ou(self.noise), self.of.ou(_longer(self.noise))
+        change = (longer.times(ou) - here.times(ou)) / _STEP
+        beam = 2.0 * ou * np.array([1.0, 0.0, 0.0])
+        columns = [beam, 2.0 * ou - beam, -here.solved(change)]
         if np.isfinite(self.noise.along_sigma_mm):
             along = self.of.along
             left = np.einsum("ni,ni->n", along, self.left)[:, None]
@@ -191,25 +196,25 @@ def _factored(
 
 
 def _by_coordinate(
-    slow: SlowPrecision,
+    ou: OrnsteinUhlenbeckPrecision,
     now: Float64[np.ndarray, " m"],
     next_: Float64[np.ndarray, " l"],
 ) -> Float64[np.ndarray, "3"]:
     """Return tr(C⁻¹M) for each coordinate from M's entries beside the diagonal."""
-    square = (slow.diagonal * now.reshape(-1, 3)).sum(axis=0)
-    return square + 2.0 * (slow.below[:-1] * next_.reshape(-1, 3)).sum(axis=0)
+    square = (ou.diagonal * now.reshape(-1, 3)).sum(axis=0)
+    return square + 2.0 * (ou.below[:-1] * next_.reshape(-1, 3)).sum(axis=0)
 
 
 def _longer(noise: NoiseModel) -> NoiseModel:
-    return replace(noise, slow_time_s=noise.slow_time_s * float(np.exp(_STEP)))
+    return replace(noise, ou_time_s=noise.ou_time_s * float(np.exp(_STEP)))
 
 
 def _moved(noise: NoiseModel) -> list[NoiseModel]:
     """Return the noise with one parameter a little larger each."""
-    (beam, across), factor = noise.slow, float(np.exp(_STEP))
+    (beam, across), factor = noise.ou, float(np.exp(_STEP))
     moved = [
-        replace(noise, slow=(beam * factor, across)),
-        replace(noise, slow=(beam, across * factor)),
+        replace(noise, ou=(beam * factor, across)),
+        replace(noise, ou=(beam, across * factor)),
         _longer(noise),
     ]
     if np.isfinite(noise.along_sigma_mm):

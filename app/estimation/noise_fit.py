@@ -2,8 +2,9 @@
 
 500 Hz samples are correlated in time; who counts them as independent states intervals
 that hold the truth far too seldom. The white part is what samples scatter about their
-cell. The slow part, its correlation time and the jitter of the feed maximise the
-evidence of the whole problem, so that what the error motions take up is accounted for.
+cell. The Ornstein–Uhlenbeck part, its correlation time and the jitter of the feed
+maximise the evidence of the whole problem, so that what the error motions take up is
+accounted for.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ from app.kinematics.effects.base import Effect
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 
-_MERGED_S = 0.25  # longer than this the slow part changes within a merged cell
+_MERGED_S = (
+    0.25  # longer than this the Ornstein–Uhlenbeck part changes within a merged cell
+)
 # Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
 _COARSE_MM = 35.0
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
@@ -35,7 +38,8 @@ _FEWEST_ROWS = 24
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
 _SWEEPS = 2  # over several Runs
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
-# Few data say little of the slow part; most trackers in most halls are like this.
+# Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
+# like this.
 _USUAL = np.log([0.15, 0.15, 1.0])  # beam, across (of the stated noise), time in s
 _USUAL_SPREAD = 1.2
 _STEPS = 12
@@ -47,7 +51,7 @@ _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, LONGEST_S], [_JITTER_FLOOR_MM
 
 
 def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
-    """Return the tracker's noise with the scatter of this Run and a usual slow part."""
+    """Return the tracker's noise: this Run's scatter, a usual correlated part."""
     white = (float(seen.scatter[0]), float(seen.scatter[1]))
     along = np.inf if perpendicular_only or not seen.passes else 2e-4
     return NoiseModel(white, (0.1, 0.1), 1.0, along)
@@ -63,7 +67,7 @@ def looked_at(
 ) -> tuple[Measured, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
 
-    beside : further effects that must not pass for slow noise
+    beside : further effects that must not pass for Ornstein–Uhlenbeck noise
     known : effects of the machine that an earlier measurement has told
     longest_s : correlation time; what is slower is structure, not noise
 
@@ -75,7 +79,7 @@ def looked_at(
     known = known or KnownEffects()
     offsets_mm = [run.seen.at.offset_mm for run in runs]
     model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
-    # Lost motion must not pass for slow noise.
+    # Lost motion must not pass for Ornstein–Uhlenbeck noise.
     model = with_half_widths(known.beside(model))
     model = model.with_effects(*(e for e in beside if e.name not in model.slices))
     few = [replace(run, seen=_some_lines(run.seen)) for run in runs]
@@ -107,11 +111,11 @@ def _fitted_noise(
     effects: KnownEffects,
     longest_s: float,
 ) -> NoiseModel:
-    """Return the likeliest noise of a Run, strengths and the others' noise held."""
+    """Return the likeliest noise of a Run, precisions and the others' noise held."""
     seen = share.problem.seen
     part = share.problem.part(seen, merge=_merge(seen))
     columns = _columns(part)
-    precision = prior.precision(prior.model.size)
+    precision = prior.precision_matrix(prior.model.size)
     charged = Information(precision, np.zeros(len(precision)), 0.0, 0.0)
     known = added(
         [
@@ -162,7 +166,7 @@ def _some_lines(seen: Observations) -> Observations:
 
 
 def _merge(seen: Observations) -> int:
-    """Return how many cells make a stretch that is still short for the slow part."""
+    """Return how many cells are still short against the correlation time."""
     length = float(np.median(seen.count)) / seen.at.machine.tracker.rate_hz
     return max(1, round(_MERGED_S / length))
 
@@ -194,7 +198,7 @@ def _likeliest(
 def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
-    """Return the slope of the evidence, with how usual the slow part is."""
+    """Return the slope of the evidence, with the prior on the correlated part."""
     found = evidence.at(_unpacked(x, noise))
     off = (x[:3] - _USUAL) / _USUAL_SPREAD**2
     gradient, curvature = found.gradient.copy(), found.curvature.copy()
@@ -204,7 +208,7 @@ def _slope(
 
 
 def _packed(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
-    known = [*noise.slow, noise.slow_time_s]
+    known = [*noise.ou, noise.ou_time_s]
     if np.isfinite(noise.along_sigma_mm):
         known.append(max(noise.along_sigma_mm, _JITTER_FLOOR_MM))
     return np.log(known)

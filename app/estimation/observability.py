@@ -11,7 +11,7 @@ from app.estimation.estimate import Observability
 from app.estimation.runs import Measured, shares_of, together
 from app.estimation.separation import statements
 from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import usual_precision, weak_shapes
+from app.estimation.weak_shapes import usual_precision_matrix, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -31,7 +31,7 @@ def observability(machine: Machine, runs: Sequence[Measured]) -> Observability:
     scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
     value, vector = np.linalg.eigh(told * scale[:, None] * scale)
     blind = value < _UNSEEN**2 * value[-1] + 1e-13
-    covariance = np.linalg.inv(told + usual_precision(model))
+    covariance = np.linalg.inv(told + usual_precision_matrix(model))
     every = np.concatenate(offsets_mm)
     said = statements(machine, every, merged, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])

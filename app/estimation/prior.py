@@ -1,13 +1,13 @@
-"""The prior, its strengths found from the data.
+"""The prior, its precisions found from the data.
 
 Each error motion is charged for its bending energy, as the elastic beam of
-brunn-hanebeck-2005 (eq. 12–13) would charge it; straight lines are free. The strengths
-maximise the evidence: MacKay's fixed point, strength = γ / (θᵀKθ), where γ counts the
+brunn-hanebeck-2005 (eq. 12–13) would charge it; straight lines are free. The precisions
+maximise the evidence: MacKay's fixed point, precision = γ / (θᵀKθ), where γ counts the
 shapes that the data rather than the prior determine.
 
 Few data would let a motion pass for perfectly straight, with far too small an
-uncertainty. The log strengths of motions of a kind therefore scatter about a common
-centre, as guides of one machine are alike, and what the strengths themselves are not
+uncertainty. The log precisions of motions of a kind therefore scatter about a common
+centre, as guides of one machine are alike, and what the precisions themselves are not
 known to widens the covariance (Kass & Steffey 1989).
 """
 
@@ -28,8 +28,8 @@ from app.kinematics.effects.base import Charge
 from app.kinematics.model import MachineModel
 
 _ROUNDS = 40  # at most
-_SETTLED = 0.15  # change of a log strength that no table shows
-_SPREAD = 1.2  # τ: standard deviation of log strength within a kind
+_SETTLED = 0.15  # change of a log precision that no table shows
+_SPREAD = 1.2  # τ: standard deviation of log precision within a kind
 _STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
 
 
@@ -37,26 +37,26 @@ _STRAIGHT = 1e-5  # of the usual size, squared: below it an error counts as none
 class BendingPrior:
     """What each effect of the machine proper is charged for, and how strongly.
 
-    log_forms : log determinant at strengths 1, over the shapes that are charged
+    log_forms : log determinant at precisions 1, over the shapes that are charged
     """
 
     model: MachineModel
     charges: dict[str, Charge]
-    strength: dict[str, float]
+    precision: dict[str, float]
     log_forms: float
 
-    def precision(self, size: int) -> Float64[np.ndarray, "p p"]:
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the prior precision of θ; what follows the machine's has none."""
         total = np.zeros((size, size))
         for name, charge in self.charges.items():
             part = self.model.slices[name]
-            total[part, part] = self.strength[name] * charge.form
+            total[part, part] = self.precision[name] * charge.form
         return total
 
     def log_determinant(self) -> float:
         """Return the log determinant over the shapes that are charged."""
         return self.log_forms + sum(
-            charge.rank * float(np.log(self.strength[name]))
+            charge.rank * float(np.log(self.precision[name]))
             for name, charge in self.charges.items()
         )
 
@@ -65,9 +65,9 @@ def first_guess(model: MachineModel) -> BendingPrior:
     """Return a prior for effects of usual size."""
     asked = {effect.name: effect.charge() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
-    strength = {name: 8.0 / charge.usual for name, charge in charges.items()}
+    precision = {name: 8.0 / charge.usual for name, charge in charges.items()}
     log_forms = sum(_log_determinant(charge) for charge in charges.values())
-    return BendingPrior(model, charges, strength, log_forms)
+    return BendingPrior(model, charges, precision, log_forms)
 
 
 def _log_determinant(charge: Charge) -> float:
@@ -76,20 +76,20 @@ def _log_determinant(charge: Charge) -> float:
 
 
 def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
-    """Return the prior whose strengths fit the data, and the posterior under it."""
+    """Return the prior whose precisions fit the data, and the posterior under it."""
     size = prior.model.size
     machine = without_rest(data, size)
     for _ in range(_ROUNDS):
-        result = posterior(machine, prior.precision(size))
-        strength = _next_strength(prior, result)
+        result = posterior(machine, prior.precision_matrix(size))
+        precision = _next_precision(prior, result)
         change = max(
-            abs(float(np.log(strength[name] / old)))
-            for name, old in prior.strength.items()
+            abs(float(np.log(precision[name] / old)))
+            for name, old in prior.precision.items()
         )
-        prior = replace(prior, strength=strength)
+        prior = replace(prior, precision=precision)
         if change < _SETTLED:
             break
-    return prior, posterior(data, prior.precision(len(data.vector)))
+    return prior, posterior(data, prior.precision_matrix(len(data.vector)))
 
 
 def evidence_cost(data: Information, prior: BendingPrior, result: Posterior) -> float:
@@ -102,17 +102,17 @@ def evidence_cost(data: Information, prior: BendingPrior, result: Posterior) -> 
     )
 
 
-def with_unknown_strengths(prior: BendingPrior, result: Posterior) -> Posterior:
-    """Return the posterior with what is not known of the strengths themselves.
+def widen_by_unknown_precision(prior: BendingPrior, result: Posterior) -> Posterior:
+    """Return the posterior with what is not known of the precisions themselves.
 
-    Over log strengths of variance v the mean moves by ∂θ/∂l = −C P θ, and the expected
+    Over log precisions of variance v the mean moves by ∂θ/∂l = −C P θ, and the expected
     covariance is C + v/2 ∂²C/∂l² = C + v (C P C P C − C P C / 2), to second order.
     """
     C = result.covariance
     total = C.copy()
-    for name, variance in strength_variance(prior, result).items():
+    for name, variance in log_precision_variance(prior, result).items():
         part = prior.model.slices[name]
-        P = prior.strength[name] * prior.charges[name].form
+        P = prior.precision[name] * prior.charges[name].form
         pull = C[:, part] @ P
         moved = pull @ result.theta[part]
         bent = P @ C[part, part] @ P - 0.5 * P
@@ -120,8 +120,8 @@ def with_unknown_strengths(prior: BendingPrior, result: Posterior) -> Posterior:
     return replace(result, covariance=total)
 
 
-def strength_variance(prior: BendingPrior, result: Posterior) -> dict[str, float]:
-    """Return the variance that is left of the log of each strength.
+def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, float]:
+    """Return the variance that is left of the log of each precision.
 
     Half the shapes that the data determine count as measurements of it, and its kind as
     one more.
@@ -129,41 +129,41 @@ def strength_variance(prior: BendingPrior, result: Posterior) -> dict[str, float
     variance: dict[str, float] = {}
     for name, charge in prior.charges.items():
         part = prior.model.slices[name]
-        P = prior.strength[name] * charge.form
+        P = prior.precision[name] * charge.form
         free = charge.rank - float(np.sum(P * result.covariance[part, part]))
         variance[name] = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
     return variance
 
 
-def _next_strength(prior: BendingPrior, result: Posterior) -> dict[str, float]:
-    usual = _usual_strength(prior)
-    strength: dict[str, float] = {}
+def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
+    usual = _usual_precision(prior)
+    precision: dict[str, float] = {}
     for name, charge in prior.charges.items():
-        part, old = prior.model.slices[name], prior.strength[name]
+        part, old = prior.model.slices[name], prior.precision[name]
         theta, spread = result.theta[part], result.covariance[part, part]
         free = charge.rank - old * float(np.sum(spread * charge.form))
         # An effect that is nothing within the noise, or not seen yet, keeps a finite
-        # strength.
+        # precision.
         energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:
             centre = usual[charge.kind] / charge.usual
-            strength[name] = _pooled_strength(free, energy, centre)
+            precision[name] = _pooled_precision(free, energy, centre)
         else:
-            strength[name] = max(free, 0.05) / energy
-    return strength
+            precision[name] = max(free, 0.05) / energy
+    return precision
 
 
-def _usual_strength(prior: BendingPrior) -> dict[str, float]:
-    """Return the geometric mean strength of a kind, for an effect of usual 1."""
+def _usual_precision(prior: BendingPrior) -> dict[str, float]:
+    """Return the geometric mean precision of a kind, for an effect of usual 1."""
     found: dict[str, list[float]] = {}
     for name, charge in prior.charges.items():
-        relative = np.log(prior.strength[name] * charge.usual)
+        relative = np.log(prior.precision[name] * charge.usual)
         found.setdefault(charge.kind, []).append(float(relative))
     return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
 
 
-def _pooled_strength(free: float, energy: float, centre: float) -> float:
-    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the strength λ.
+def _pooled_precision(free: float, energy: float, centre: float) -> float:
+    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ.
 
     Increasing and convex in log λ: Newton's steps from above go straight to the root.
     """

@@ -91,7 +91,7 @@ class Problem:
         local = np.empty((len(seen), 3, p + 1 + len(timing.parameters)))
         for effect in self.model.effects:
             local[:, :, self.model.slices[effect.name]] = effect.jacobian(seen.at)
-        off = self.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+        off = self.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
         local[:, :, p] = off
         if timing.lines:
             local[:, :, p + 1 :] = timing.jacobian(seen.at)
@@ -135,9 +135,11 @@ def columns_with(problem: Problem, effects: Sequence[Effect]) -> Bool[np.ndarray
 def refined_pose(problem: Problem, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
     """Return the pose with its correction: shift + turn × (p − centre)."""
     part = problem.model.slices["tracker-pose"]
-    shift, turn = theta[part][:3], theta[part][3:]
+    translation, rotation = theta[part][:3], theta[part][3:]
     centre = problem.seen.at.point_mm.mean(axis=0)
-    return problem.pose.after_small(turn, shift - np.cross(turn, centre))
+    return problem.pose.precede_small(
+        rotation, translation - np.cross(rotation, centre)
+    )
 
 
 def _coarser(

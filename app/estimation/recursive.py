@@ -1,12 +1,13 @@
 """The live estimator's sums: information of finished cells, added while more come.
 
 Information adds (brunn-hanebeck-2005, eq. 31–33 in information form), but two things
-reach beyond a cell. The slow part of the noise ties every cell to the next: the last
-cell's slow part therefore stays in the sums as three unknowns until the next cell has
-told about it. The timing of a line belongs to its cells alone: once the line is
-finished, phase and speed are integrated out, given that slow part. Both are exact, in
-any order of elimination, so the sums equal those of the batch to rounding however the
-cells were split, and their size does not grow with the number of lines.
+reach beyond a cell. The Ornstein–Uhlenbeck part of the noise ties every cell to the
+next: the last cell's Ornstein–Uhlenbeck part therefore stays in the sums as three
+unknowns until the next cell has told about it. The timing of a line belongs to its
+cells alone: once the line is finished, phase and speed are integrated out, given that
+part. Both are exact, in any order of elimination, so the sums equal those of the batch
+to rounding however the cells were split, and their size does not grow with the number
+of lines.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Recursive:
     """Sums over all cells so far.
 
     total : (p + 3, p + 3) over machine, pose, timing of the line under way, and data
-    tail : what the last cell's slow noise will still take from them
+    tail : what the last cell's Ornstein–Uhlenbeck noise will still take from them
     line : pass under way, -1 for none; time_s : of the last cell
     """
 
@@ -102,13 +103,13 @@ class Recursive:
         new_line = self.line not in (_STANDING, line)
         before = self._line_finished() if new_line else self
         rows, frame = _rows(self.about, seen)
-        precision, slow = cell_noise(seen, self.about.noise, frame)
+        precision, ou = cell_noise(seen, self.about.noise, frame)
         gain, log_gain, tail = extended(
             before.tail,
             seen.at.time_s,
             precision,
-            slow,
-            self.about.noise.slow_time_s,
+            ou,
+            self.about.noise.ou_time_s,
             rows,
         )
         return replace(
@@ -166,6 +167,6 @@ def _rows(
     model = about.machine_model.with_effects(*effects)
     local = np.zeros((len(seen), 3, about.size + _TIMING + 1))
     local[:, :, : model.size] = model.jacobian(seen.at)
-    local[:, :, -1] = about.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    local[:, :, -1] = about.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
     frame = beam_frame(seen.tracker_mm) @ about.pose.rotation
     return np.matmul(frame, local), frame

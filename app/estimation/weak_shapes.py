@@ -62,17 +62,19 @@ class WeakShape:
         )
 
 
-def usual_precision(
-    model: MachineModel, strength: Mapping[str, float] | None = None
+def usual_precision_matrix(
+    model: MachineModel, prior_precision: Mapping[str, float] | None = None
 ) -> Float64[np.ndarray, "p p"]:
     """Return the prior precision of a usual machine, proper in every direction.
 
-    strength : of effects, by name, where it is known better
+    prior_precision : of effects, by name, where it is known better
     """
     prior = first_guess(model)
-    known = {n: s for n, s in (strength or {}).items() if n in prior.strength}
-    prior = replace(prior, strength={**prior.strength, **known})
-    precision = prior.precision(model.size)
+    known = {
+        n: s for n, s in (prior_precision or {}).items() if n in prior.prior_precision
+    }
+    prior = replace(prior, prior_precision={**prior.prior_precision, **known})
+    precision = prior.precision_matrix(model.size)
     slack = [USUAL.get(p.unit, 1.0) ** -2 for p in model.parameters]
     return precision + np.diag(slack)
 
@@ -90,7 +92,7 @@ def weak_shapes(
     gram : θᵀ G θ is the mean square of the volumetric error over the travel
     blind : those of which nothing is told as well
     """
-    prior = usual_precision(model)
+    prior = usual_precision_matrix(model)
     # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
     value, vector = eigh(told, prior)
     left = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))

@@ -67,7 +67,7 @@ def plan_measurement(
     grade = graded(
         machine,
         planned.commanded,
-        tracker_mm=planned.stand_mm.tolist(),
+        tracker_mm=planned.station_mm.tolist(),
         perpendicular_only=planned.request.perpendicular_only,
     )
     return {

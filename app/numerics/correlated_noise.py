@@ -1,8 +1,9 @@
-"""Noise with a white and a slow part: exact generalised least squares in linear time.
+"""White plus Ornstein–Uhlenbeck noise: exact generalised least squares in linear time.
 
 Every observation k is a point in space. Its noise is white with a 3×3 precision D_k⁻¹,
-plus three slow processes c_k (Ornstein–Uhlenbeck: air, mount, electronics), one a
-coordinate. The slow part's precision is tridiagonal in time, so with V = D + C,
+plus three Ornstein–Uhlenbeck processes c_k (air, mount, electronics), one a
+coordinate. The Ornstein–Uhlenbeck part's precision is tridiagonal in time, so with V =
+D + C,
 
     V⁻¹ = D⁻¹ − D⁻¹ (D⁻¹ + C⁻¹)⁻¹ D⁻¹,
 
@@ -64,32 +65,33 @@ class Whitener:
         if not self.factor.size:
             return weighted
         flat = weighted.reshape(-1, rows.shape[2])
-        slow = cho_solve_banded((self.factor, True), flat).reshape(rows.shape)
-        return weighted - precision @ slow
+        ou = cho_solve_banded((self.factor, True), flat).reshape(rows.shape)
+        return weighted - precision @ ou
 
 
 def whitener(
     time_s: Float64[np.ndarray, " n"],
     white_precision: Float64[np.ndarray, "n 3 3"],
-    slow_sigma: Float64[np.ndarray, "n 3"],
-    slow_time_s: float,
+    ou_sigma: Float64[np.ndarray, "n 3"],
+    ou_time_s: float,
 ) -> Whitener:
-    """Return V⁻¹ for white noise of the given precision and a slow part.
+    """Return V⁻¹ for white noise of the given precision and an Ornstein–Uhlenbeck part.
 
-    time_s : increasing; slow_sigma : standard deviation of the slow part, 0 for none
+    time_s : increasing; ou_sigma : standard deviation of the Ornstein–Uhlenbeck part, 0
+        for none
     """
     root, log_white = _white_root(white_precision)
-    if not slow_sigma.any():
+    if not ou_sigma.any():
         return Whitener(root, np.empty((0, 0)), log_white)
-    slow = slow_precision(time_s, slow_sigma, slow_time_s)
-    band = _interleaved(white_precision, slow.diagonal, slow.below)
+    ou = ou_precision(time_s, ou_sigma, ou_time_s)
+    band = _interleaved(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     log_sum = 2.0 * float(np.log(factor[0]).sum())
-    return Whitener(root, factor, log_white + slow.log_determinant + log_sum)
+    return Whitener(root, factor, log_white + ou.log_determinant + log_sum)
 
 
 @dataclass(frozen=True, slots=True)
-class SlowPrecision:
+class OrnsteinUhlenbeckPrecision:
     """C⁻¹, tridiagonal in time for each coordinate.
 
     diagonal : (n, 3); below : (n, 3), from each point to the next, the last one 0
@@ -100,11 +102,11 @@ class SlowPrecision:
     below: Float64[np.ndarray, "n 3"]
     log_determinant: float
 
-    def times(self, slow: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def times(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Return C⁻¹ times a vector."""
-        product = self.diagonal * slow
-        product[:-1] += self.below[:-1] * slow[1:]
-        product[1:] += self.below[:-1] * slow[:-1]
+        product = self.diagonal * ou
+        product[:-1] += self.below[:-1] * ou[1:]
+        product[1:] += self.below[:-1] * ou[:-1]
         return product
 
     def solved(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -115,16 +117,16 @@ class SlowPrecision:
         return solved.reshape(right.shape)
 
 
-def slow_precision(
+def ou_precision(
     time_s: Float64[np.ndarray, " n"],
     sigma: Float64[np.ndarray, "n 3"],
-    slow_time_s: float,
-) -> SlowPrecision:
-    """Return C⁻¹ of a slow part of given standard deviation and correlation time."""
+    ou_time_s: float,
+) -> OrnsteinUhlenbeckPrecision:
+    """Return C⁻¹ for a given standard deviation and correlation time."""
     step = np.diff(time_s)
-    keep = np.exp(-step / slow_time_s)
+    keep = np.exp(-step / ou_time_s)
     # −expm1 keeps its digits where steps are far shorter than the correlation time.
-    fresh = np.maximum(-np.expm1(-2.0 * step / slow_time_s), 1e-12)
+    fresh = np.maximum(-np.expm1(-2.0 * step / ou_time_s), 1e-12)
     unit = np.ones(len(time_s))
     unit[:-1] += keep**2 / fresh
     unit[1:] += 1.0 / fresh - 1.0
@@ -132,16 +134,17 @@ def slow_precision(
     below[:-1] = -keep / fresh
     scaled_below = below[:, None] / (sigma * np.roll(sigma, -1, axis=0))
     log_c = 2.0 * float(np.log(sigma).sum()) + 3.0 * float(np.log(fresh).sum())
-    return SlowPrecision(unit[:, None] / sigma**2, scaled_below, log_c)
+    return OrnsteinUhlenbeckPrecision(unit[:, None] / sigma**2, scaled_below, log_c)
 
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """The last point so far: its slow part given all points, itself included.
+    """The last point so far: its correlated noise given all points, itself included.
 
-    sigma : (3,) of the slow part
-    precision : (3, 3) of the slow part, what follows not yet counted
-    pulled : (3, p), precision times the slow part's mean, as a function of the columns
+    sigma : (3,) of the Ornstein–Uhlenbeck part
+    precision : (3, 3) of the Ornstein–Uhlenbeck part, what follows not yet counted
+    pulled : (3, p), precision times the Ornstein–Uhlenbeck part's mean, as a function
+        of the columns
     """
 
     time_s: float
@@ -167,10 +170,10 @@ def without_columns(
 ) -> tuple[Float64[np.ndarray, "k k"], float, Tail | None]:
     """Integrate columns out that no later point has; exact, whatever follows.
 
-    With the slow part c of the last point, sums so far are the quadratic form
-    wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and tail over the columns
-    kept, and what is added to the log determinant.
-    Raises LinAlgError if the points do not determine the rest.
+    With the Ornstein–Uhlenbeck part c of the last point, sums so far are the quadratic
+    form wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and tail over the
+    columns kept, and what is added to the log determinant. Raises LinAlgError if the
+    points do not determine the rest.
     """
     square = total[np.ix_(kept, kept)]
     if not len(rest):
@@ -194,8 +197,8 @@ def extended(
     tail: Tail | None,
     time_s: Float64[np.ndarray, " n"],
     white_precision: Float64[np.ndarray, "n 3 3"],
-    slow_sigma: Float64[np.ndarray, "n 3"],
-    slow_time_s: float,
+    ou_sigma: Float64[np.ndarray, "n 3"],
+    ou_time_s: float,
     rows: Float64[np.ndarray, "n 3 p"],
 ) -> tuple[Float64[np.ndarray, "p p"], float, Tail | None]:
     """Return what further points add to rowsᵀ V⁻¹ rows and log det V, and their tail.
@@ -206,26 +209,26 @@ def extended(
     root, log_white = _white_root(white_precision)
     white = root @ rows
     flat = white.reshape(-1, rows.shape[2])
-    if not slow_sigma.any():
+    if not ou_sigma.any():
         return flat.T @ flat, log_white, None
     pulled = (np.swapaxes(root, 1, 2) @ white).reshape(flat.shape)
     if tail is not None:
         time_s = np.concatenate([[tail.time_s], time_s])
-        slow_sigma = np.concatenate([tail.sigma[None], slow_sigma])
+        ou_sigma = np.concatenate([tail.sigma[None], ou_sigma])
         white_precision = np.concatenate([tail.precision[None], white_precision])
         pulled = np.concatenate([tail.pulled, pulled])
-    slow = slow_precision(time_s, slow_sigma, slow_time_s)
-    log_slow = slow.log_determinant
+    ou = ou_precision(time_s, ou_sigma, ou_time_s)
+    log_slow = ou.log_determinant
     if tail is not None:  # counted when the tail was the newest point
-        slow.diagonal[0] -= 1.0 / tail.sigma**2
+        ou.diagonal[0] -= 1.0 / tail.sigma**2
         log_slow -= 2.0 * float(np.log(tail.sigma).sum())
-    band = _interleaved(white_precision, slow.diagonal, slow.below)
+    band = _interleaved(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     solved = _solved(factor, pulled)
     settled = solved[:-3]
     log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
     last = _last_block(factor)
-    left = Tail(float(time_s[-1]), slow_sigma[-1], last @ last.T, last @ solved[-3:])
+    left = Tail(float(time_s[-1]), ou_sigma[-1], last @ last.T, last @ solved[-3:])
     gain = flat.T @ flat - settled.T @ settled
     return gain, log_white + log_slow + log_sum, left
 

@@ -13,32 +13,36 @@ class RigidTransform:
     """p ↦ rotation · p + shift."""
 
     rotation: Float64[np.ndarray, "3 3"]
-    shift_mm: Float64[np.ndarray, "3"]
+    translation_mm: Float64[np.ndarray, "3"]
 
     def apply(
         self, points_mm: Float64[np.ndarray, "n 3"]
     ) -> Float64[np.ndarray, "n 3"]:
         """Move the points."""
-        return points_mm @ self.rotation.T + self.shift_mm
+        return points_mm @ self.rotation.T + self.translation_mm
 
-    def inverse(self) -> RigidTransform:
+    def invert(self) -> RigidTransform:
         """Return the motion that undoes this one."""
-        return RigidTransform(self.rotation.T, -self.rotation.T @ self.shift_mm)
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation_mm)
 
-    def after_small(
-        self, turn_rad: Float64[np.ndarray, "3"], shift_mm: Float64[np.ndarray, "3"]
+    def precede_small(
+        self,
+        rotation_rad: Float64[np.ndarray, "3"],
+        translation_mm: Float64[np.ndarray, "3"],
     ) -> RigidTransform:
-        """Return this motion preceded by a small turn about the origin and a shift."""
-        step = turned(turn_rad)
+        """Return this motion after a small rotation and translation."""
+        step = build_rotation(rotation_rad)
         return RigidTransform(
-            self.rotation @ step, self.rotation @ shift_mm + self.shift_mm
+            self.rotation @ step, self.rotation @ translation_mm + self.translation_mm
         )
 
 
-def turned(turn_rad: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+def build_rotation(
+    rotation_rad: Float64[np.ndarray, "3"],
+) -> Float64[np.ndarray, "3 3"]:
     """Return the rotation about the direction of a vector by its length (Rodrigues)."""
-    angle = float(np.linalg.norm(turn_rad))
-    K = cross_matrix(-turn_rad[None])[0]
+    angle = float(np.linalg.norm(rotation_rad))
+    K = cross_matrix(-rotation_rad[None])[0]
     # sinc keeps its digits for the smallest turns.
     sine, half = np.sinc(angle / np.pi), np.sinc(0.5 * angle / np.pi)
     return np.eye(3) + sine * K + 0.5 * half**2 * (K @ K)

@@ -2,8 +2,8 @@
 
 The cells that the plan would give, the noise and the prior of the estimator, and its
 posterior: nothing is estimated, so the covariance is all there is. The prior's
-strengths, which an estimate finds from its data, are those of machines of usual errors,
-or those that a live estimate has found.
+precisions, which an estimate finds from its data, are those of machines of usual
+errors, or those that a live estimate has found.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from app.estimation.prior import first_guess
 from app.estimation.recursive import Linearisation, Recursive, begun
 from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import usual_precision
+from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
@@ -87,27 +87,29 @@ class Forecast:
 def forecast(
     machine: Machine,
     commanded: Path | Configurations,
-    stand_mm: Float64[np.ndarray, "3"],
+    station_mm: Float64[np.ndarray, "3"],
     *,
     known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
-    strength: Mapping[str, float] | None = None,
+    prior_precision: Mapping[str, float] | None = None,
 ) -> Forecast:
     """Return what is to be expected of a plan, the tracker standing at a place.
 
-    stand_mm : in the frame that the tracker stands on
+    station_mm : in the frame that the tracker stands on
     known : effects beside the error motions, before the plan
-    strength : of the prior, by the effect's name; usual ones where left out
+    prior_precision : by the effect's name; usual ones where left out
     """
-    seen = rehearsed(machine, commanded, stand_mm)
+    seen = rehearsed(machine, commanded, station_mm)
     offsets = np.unique(seen.at.offset_mm, axis=0)
     known = known or KnownEffects()
     model = known.beside(identifiable_model(machine, offsets)[0])
     if perpendicular_only:
         noise = replace(noise, along_sigma_mm=np.inf)
-    prior = usual_precision(model, strength or usual_strength(model))
-    prior[known.part(model), known.part(model)] += known.precision()
+    prior = usual_precision_matrix(
+        model, prior_precision or usual_prior_precision(model)
+    )
+    prior[known.part(model), known.part(model)] += known.precision_matrix()
     judge = _Judge(model, prior, volumetric_gram(model))
     sums = _begun(model, seen, noise)
     rows: list[int] = []
@@ -133,10 +135,12 @@ def forecast(
     )
 
 
-def usual_strength(model: MachineModel) -> dict[str, float]:
-    """Return the strengths that estimates of usual machines come to, by effect."""
-    found = first_guess(model).strength
-    return {name: _SMOOTHER * strength for name, strength in found.items()}
+def usual_prior_precision(model: MachineModel) -> dict[str, float]:
+    """Return the precisions that estimates of usual machines come to, by effect."""
+    found = first_guess(model).prior_precision
+    return {
+        name: _SMOOTHER * prior_precision for name, prior_precision in found.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from app.alignment.observations import Observations
 from app.estimation.information import Information, posterior
 from app.estimation.separation import statements
 from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import WeakShape, usual_precision, weak_shapes
+from app.estimation.weak_shapes import WeakShape, usual_precision_matrix, weak_shapes
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -36,7 +36,7 @@ from app.motion.configurations import Configurations
 from app.planning.rehearsal import (
     expected_information,
     rehearsed,
-    usual_stands_mm,
+    usual_stations_mm,
 )
 from app.planning.remedies import Remedy, best_line, with_line
 from drivers.interfaces.records import Path
@@ -68,12 +68,12 @@ class WeakMotion:
 class Grade:
     """What a set-up is worth.
 
-    number : expected sigma_mm over sample_sigma_mm; the worst of the stands
+    number : expected sigma_mm over sample_sigma_mm; the worst of the stations
     verdict : `good`, `usable` or `poor`
     sigma_mm : expected standard uncertainty of the volumetric error vector
     sample_sigma_mm : standard deviation of one tracker sample as a vector
-    stand_mm : where the tracker stands for this number; assumed : nobody said so
-    best : number of the best of the stands
+    station_mm : where the tracker stands for this number; assumed : nobody said so
+    best : number of the best of the stations
     improved : number with the line that the weakest motion asks for, None where the
         set-up is good
     """
@@ -82,7 +82,7 @@ class Grade:
     verdict: str
     sigma_mm: float
     sample_sigma_mm: float
-    stand_mm: Float64[np.ndarray, "3"]
+    station_mm: Float64[np.ndarray, "3"]
     assumed: bool
     best: float
     improved: float | None
@@ -95,12 +95,12 @@ class Grade:
 class SetUp:
     """One Run of a set-up: its machine (with its targets), what it commands, the stand.
 
-    stand_mm : place of the tracker in the frame that it stands on
+    station_mm : place of the tracker in the frame that it stands on
     """
 
     machine: Machine
     commanded: Path | Configurations
-    stand_mm: Float64[np.ndarray, "3"]
+    station_mm: Float64[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +130,10 @@ class _Judge:
     perpendicular_only: bool
 
     def judged(self, set_ups: tuple[SetUp, ...]) -> _Judged:
-        seen = [rehearsed(s.machine, s.commanded, s.stand_mm) for s in set_ups]
+        seen = [rehearsed(s.machine, s.commanded, s.station_mm) for s in set_ups]
         told = np.sum([self._told(one) for one in seen], axis=0)
         nothing = Information(told, np.zeros(len(told)), 0.0, 0.0)
-        covariance = posterior(nothing, usual_precision(self.model)).covariance
+        covariance = posterior(nothing, usual_precision_matrix(self.model)).covariance
         sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
         return _Judged(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
 
@@ -151,21 +151,21 @@ def grade(
     machine: Machine,
     commanded: Path | Configurations,
     *,
-    stand_mm: Float64[np.ndarray, "3"] | None = None,
+    station_mm: Float64[np.ndarray, "3"] | None = None,
     perpendicular_only: bool = False,
 ) -> Grade:
     """Grade what would be measured.
 
-    stand_mm : place of the tracker in the frame that it stands on. If left out, four
+    station_mm : place of the tracker in the frame that it stands on. If left out, four
         usual places a metre off each side of the travel are tried; the worst counts
     perpendicular_only : what lies along the lines will be left out
 
     Raises PlanningError if nothing would be measured at all.
     """
-    stands = usual_stands_mm(machine) if stand_mm is None else stand_mm[None, :]
-    tried = [(SetUp(machine, commanded, stand),) for stand in stands]
+    stations = usual_stations_mm(machine) if station_mm is None else station_mm[None, :]
+    tried = [(SetUp(machine, commanded, station),) for station in stations]
     found = _graded(machine, tried, perpendicular_only)
-    return replace(found, assumed=stand_mm is None)
+    return replace(found, assumed=station_mm is None)
 
 
 def grade_together(
@@ -183,7 +183,7 @@ def _graded(
 ) -> Grade:
     offsets_mm = np.concatenate(
         [
-            rehearsed(one.machine, one.commanded, one.stand_mm).at.offset_mm
+            rehearsed(one.machine, one.commanded, one.station_mm).at.offset_mm
             for one in tried[0]
         ]
     )
@@ -198,7 +198,7 @@ def _graded(
         verdict(worst.number),
         worst.sigma_mm,
         worst.sample_sigma_mm,
-        worst.set_ups[-1].stand_mm,
+        worst.set_ups[-1].station_mm,
         False,
         min(one.number for one in every),
         _improved(worst, weakest[0].remedy, judge),
@@ -269,7 +269,7 @@ def _weakest(one: _Judged, judge: _Judge) -> tuple[WeakMotion, ...]:
     if one.number <= GOOD:
         return tuple(WeakMotion(name, share[name], None) for name in names)
     last = one.set_ups[-1]
-    seen = rehearsed(last.machine, last.commanded, last.stand_mm)
+    seen = rehearsed(last.machine, last.commanded, last.station_mm)
     return tuple(
         WeakMotion(
             name, share[name], best_line(name, seen, model, one.covariance, gram)

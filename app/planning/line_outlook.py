@@ -106,7 +106,7 @@ class LineOutlook(Outlook):
             rate,
             np.full(len(at), 1.0 / _PLACES),
             np.abs(at.position_mm - first),
-            at.point_mm - self.stand_mm,
+            at.point_mm - self.station_mm,
             np.eye(3),
         )
 

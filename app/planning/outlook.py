@@ -46,14 +46,14 @@ class Outlook(ABC):
     model : effects of the machine, then the tracker's pose
     precision : (p, p) information so far, prior included
     gram : (p, p), θᵀ G θ is the mean square of the volumetric error, mm²
-    stand_mm : (3,) of the tracker, in the frame that it stands on
+    station_mm : (3,) of the tracker, in the frame that it stands on
     """
 
     model: MachineModel
     target: Target
     precision: Float64[np.ndarray, "p p"]
     gram: Float64[np.ndarray, "p p"]
-    stand_mm: Float64[np.ndarray, "3"]
+    station_mm: Float64[np.ndarray, "3"]
     noise: ExpectedNoise
 
     @abstractmethod
@@ -134,7 +134,7 @@ class Outlook(ABC):
 
         direction : of travel, in which the jitter of the feed counts
         """
-        beam = at.point_mm - self.stand_mm
+        beam = at.point_mm - self.station_mm
         distance = np.linalg.norm(beam, axis=1)
         beam = beam / distance[:, None]
         stated = at.machine.tracker.sigma_mm(distance) ** 2 * self.noise.density_s

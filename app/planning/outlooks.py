@@ -19,7 +19,7 @@ from app.estimation.direction import with_half_widths
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import usual_precision
+from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.effects.base import standstill
 from app.kinematics.effects.catalogued import bare
 from app.kinematics.effects.servo_mismatch import ServoMismatch
@@ -30,11 +30,11 @@ from app.kinematics.model import MachineModel
 from app.motion.corner_path import corner_path
 from app.motion.paths import DEFAULT_FEED_MM_MIN
 from app.motion.workspace import Workspace
-from app.planning.forecast import usual_strength
+from app.planning.forecast import usual_prior_precision
 from app.planning.line_outlook import LineOutlook
 from app.planning.outlook import ExpectedNoise, Outlook, inverse
 from app.planning.point_outlook import PointOutlook
-from app.planning.rehearsal import EXPECTED_NOISE, rehearsed, usual_stands_mm
+from app.planning.rehearsal import EXPECTED_NOISE, rehearsed, usual_stations_mm
 
 INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
 _ANY_POSE = (1e2, 1e-1)  # mm and rad: nobody knows where the tracker stands
@@ -65,33 +65,34 @@ class _Believed(TypedDict):
     target: Target
     precision: NDArray[np.float64]
     gram: NDArray[np.float64]
-    stand_mm: NDArray[np.float64]
+    station_mm: NDArray[np.float64]
     noise: ExpectedNoise
 
 
-def stand_of(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
+def choose_station(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
     """Return where the tracker stands: as stated, or a usual place."""
     if workspace.tracker_mm is not None:
         return np.array(workspace.tracker_mm, np.float64)
-    return usual_stands_mm(machine)[2]
+    return usual_stations_mm(machine)[2]
 
 
 def line_outlook(
     machine: Machine,
-    stand_mm: NDArray[np.float64],
+    station_mm: NDArray[np.float64],
     *,
     known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     dynamic: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
-    strength: Mapping[str, float] | None = None,
+    prior_precision: Mapping[str, float] | None = None,
 ) -> LineOutlook:
     """Return what is believed before the first line of a machine's straight axes.
 
     known : effects that an earlier measurement has told, to be told apart as well
     dynamic : each axis may lag behind its command by more than the others, which lines
         of several feeds tell from errors that do not depend on the feed
-    strength : of the prior, by the effect's name, where a live estimate has found it
+    prior_precision : of the prior, by the effect's name, where a live estimate has
+        found it
     """
     part = linear_part(machine)
     if perpendicular_only:
@@ -100,7 +101,9 @@ def line_outlook(
     offset = np.array([target.offset_mm], np.float64)
     known = known or KnownEffects()
     lags = tuple(_lags(part, known)) if dynamic else ()
-    believed = _believed(part, offset, target, stand_mm, noise, strength, known, lags)
+    believed = _believed(
+        part, offset, target, station_mm, noise, prior_precision, known, lags
+    )
     return LineOutlook(**believed)
 
 
@@ -112,12 +115,12 @@ def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
 
 def point_outlook(
     machine: Machine,
-    stand_mm: NDArray[np.float64],
+    station_mm: NDArray[np.float64],
     target: str = "",
     *,
     known: KnownEffects | None = None,
     noise: NoiseModel = EXPECTED_NOISE,
-    strength: Mapping[str, float] | None = None,
+    prior_precision: Mapping[str, float] | None = None,
 ) -> PointOutlook:
     """Return what is believed before the first standstill of a target.
 
@@ -126,7 +129,7 @@ def point_outlook(
     offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
     one, known = machine.target(target), known or KnownEffects()
     return PointOutlook(
-        **_believed(machine, offsets, one, stand_mm, noise, strength, known)
+        **_believed(machine, offsets, one, station_mm, noise, prior_precision, known)
     )
 
 
@@ -134,9 +137,9 @@ def _believed(
     machine: Machine,
     offsets_mm: NDArray[np.float64],
     target: Target,
-    stand_mm: NDArray[np.float64],
+    station_mm: NDArray[np.float64],
     noise: NoiseModel,
-    strength: Mapping[str, float] | None,
+    prior_precision: Mapping[str, float] | None,
     known: KnownEffects,
     lags: tuple[ServoMismatch, ...] = (),
 ) -> _Believed:
@@ -145,8 +148,10 @@ def _believed(
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
     pose = np.diag(np.repeat(np.array(_ANY_POSE) ** -2.0, 3))
-    prior = usual_precision(motions, strength or usual_strength(motions))
-    prior[known.part(motions), known.part(motions)] += known.precision()
+    prior = usual_precision_matrix(
+        motions, prior_precision or usual_prior_precision(motions)
+    )
+    prior[known.part(motions), known.part(motions)] += known.precision_matrix()
     gram = np.zeros((model.size, model.size))
     gram[:size, :size] = volumetric_gram(motions) + _in_motion(motions, known)
     return _Believed(
@@ -154,7 +159,7 @@ def _believed(
         target=target,
         precision=block_diag(prior, np.eye(len(lags)) / _ANY_LAG_S**2, pose),
         gram=gram,
-        stand_mm=stand_mm,
+        station_mm=station_mm,
         noise=_expected(noise, machine.tracker.rate_hz),
     )
 
@@ -170,7 +175,7 @@ def _in_motion(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
         return gram
     machine = model.machine
     path = corner_path(machine, DEFAULT_FEED_MM_MIN, 0.0)
-    at = rehearsed(machine, path, usual_stands_mm(machine)[0]).at
+    at = rehearsed(machine, path, usual_stations_mm(machine)[0]).at
     still = standstill(machine, at.position_mm, at.offset_mm)
     for effect in known.effects:
         if not effect.jacobian(still).any():
@@ -188,9 +193,9 @@ def _pose_of(machine: Machine) -> TrackerPose:
 
 
 def _expected(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
-    """Return white and slow noise as white: over seconds the slow part averages too."""
+    """Return all noise as white: over seconds the correlated part averages too."""
     beam, across = (
-        white**2 / rate_hz + 2.0 * noise.slow_time_s * slow**2
-        for white, slow in zip(noise.white, noise.slow, strict=True)
+        white**2 / rate_hz + 2.0 * noise.ou_time_s * ou**2
+        for white, ou in zip(noise.white, noise.ou, strict=True)
     )
     return ExpectedNoise((beam, across), noise.along_sigma_mm**2 * _JITTER_CELL_S)

@@ -117,19 +117,19 @@ class PartChoice:
         if self._on_the_fly:
             return line_outlook(
                 self._machine,
-                found.stand_mm,
+                found.station_mm,
                 known=self._known,
                 perpendicular_only=self._request.perpendicular_only,
                 noise=noise,
-                strength=found.strength,
+                prior_precision=found.prior_precision,
             )
         return point_outlook(
             self._machine,
-            found.stand_mm,
+            found.station_mm,
             self.commanded.target[-1] if self.commanded.target else "",
             known=self._known,
             noise=noise,
-            strength=found.strength,
+            prior_precision=found.prior_precision,
         )
 
     @property

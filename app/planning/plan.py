@@ -22,10 +22,10 @@ from app.motion.turning_points import moves_where_seen
 from app.motion.workspace import Workspace
 from app.planning.forecast import Forecast, forecast
 from app.planning.outlooks import (
+    choose_station,
     line_outlook,
     mismatch_sigma_s,
     point_outlook,
-    stand_of,
 )
 from app.planning.planner import Planner
 from app.progress import Progress, ignore_progress
@@ -89,14 +89,14 @@ class PlanRequest:
 class Planned:
     """A plan and what it will leave unknown.
 
-    stand_mm : of the tracker; time_s : (rows,) at which each row is done
+    station_mm : of the tracker; time_s : (rows,) at which each row is done
     lag_sigma_s : of each axis behind the others, where there are several feeds
     """
 
     machine: Machine
     request: PlanRequest
     commanded: Path | Configurations
-    stand_mm: NDArray[np.float64]
+    station_mm: NDArray[np.float64]
     time_s: NDArray[np.float64]
     forecast: Forecast
     lag_sigma_s: dict[str, float]
@@ -131,8 +131,8 @@ def make_plan(
     """
     request.refuse_nonsense()
     on_progress(0.0, "planning")
-    stand_mm = stand_of(machine, request.workspace)
-    attempt = _Attempt(machine, request, request.known(machine), stand_mm)
+    station_mm = choose_station(machine, request.workspace)
+    attempt = _Attempt(machine, request, request.known(machine), station_mm)
     if request.corner_path:
         return attempt.of_corners()
     minutes = request.minutes
@@ -178,7 +178,7 @@ class _Attempt:
     machine: Machine
     request: PlanRequest
     known: KnownEffects
-    stand_mm: NDArray[np.float64]
+    station_mm: NDArray[np.float64]
 
     @property
     def drive(self) -> Drive:
@@ -218,7 +218,7 @@ class _Attempt:
         request = self.request
         outlook = line_outlook(
             self.machine,
-            self.stand_mm,
+            self.station_mm,
             known=self.known,
             perpendicular_only=request.perpendicular_only,
             dynamic=len(request.feeds_mm_min) > 1,
@@ -239,7 +239,9 @@ class _Attempt:
         blocks: list[Path | Configurations] = []
         precision, start = None, None
         for name in names:
-            outlook = point_outlook(self.machine, self.stand_mm, name, known=self.known)
+            outlook = point_outlook(
+                self.machine, self.station_mm, name, known=self.known
+            )
             if precision is not None:
                 outlook = replace(outlook, precision=precision)
             planner = Planner(
@@ -262,7 +264,7 @@ class _Attempt:
         found = forecast(
             self._moving,
             commanded,
-            self.stand_mm,
+            self.station_mm,
             known=self.known,
             perpendicular_only=self.request.perpendicular_only,
         )
@@ -270,7 +272,7 @@ class _Attempt:
             self.machine,
             self.request,
             commanded,
-            self.stand_mm,
+            self.station_mm,
             self._times_s(commanded),
             found,
             self._lags(commanded),

@@ -54,13 +54,13 @@ class _Stretch:
 def rehearsed(
     machine: Machine,
     commanded: Path | Configurations,
-    stand_mm: Float64[np.ndarray, "3"],
+    station_mm: Float64[np.ndarray, "3"],
 ) -> Observations:
     """Return the cells of a measurement with the tracker at a place.
 
     They know their surroundings, temperatures left out.
 
-    stand_mm : in the frame that the tracker stands on (workpiece or base)
+    station_mm : in the frame that the tracker stands on (workpiece or base)
 
     Raises PlanningError if nothing moves and nothing dwells.
     """
@@ -75,12 +75,12 @@ def rehearsed(
     count = np.maximum(machine.tracker.rate_hz * seconds, 1.0)
     seen = Observations(
         at,
-        at.point_mm - stand_mm,
+        at.point_mm - station_mm,
         count,
         at.velocity_mm_s / np.maximum(speed, 1e-12),
         np.concatenate([np.full(len(p.share), p.row) for p in parts]),
         np.ones(2),
-        RigidTransform(np.eye(3), -stand_mm),
+        RigidTransform(np.eye(3), -station_mm),
         (),
         int(count.sum()),
         int(count.sum()),
@@ -94,7 +94,7 @@ def expected_information(
     """Return what the cells would tell of model and tracker pose, timing left out."""
     along = np.inf if perpendicular_only else EXPECTED_NOISE.along_sigma_mm
     noise = NoiseModel(
-        EXPECTED_NOISE.white, EXPECTED_NOISE.slow, EXPECTED_NOISE.slow_time_s, along
+        EXPECTED_NOISE.white, EXPECTED_NOISE.ou, EXPECTED_NOISE.ou_time_s, along
     )
     problem = pose_problem(seen, model, seen.pose, timing=bool(np.isfinite(along)))
     return information(problem, noise)
@@ -173,7 +173,7 @@ def _conditions(
     )
 
 
-def usual_stands_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
+def usual_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
     """Return four usual places of a tracker: a metre off each side, at middle height.
 
     For when nobody has said where it will stand.

@@ -153,6 +153,6 @@ def _sigma_mm(seen: Observations) -> float:
     """Return the standard deviation of one component of a cell."""
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
     stated = seen.at.machine.tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
-    white, slow = EXPECTED_NOISE.white[1], EXPECTED_NOISE.slow[1]
-    scale = np.sqrt(white**2 / _SAMPLES + slow**2)
+    white, ou = EXPECTED_NOISE.white[1], EXPECTED_NOISE.ou[1]
+    scale = np.sqrt(white**2 / _SAMPLES + ou**2)
     return float(scale * np.sqrt((stated[0] ** 2 + 2.0 * stated[1] ** 2) / 3.0))

@@ -198,7 +198,7 @@ def _aligned(run: Run, name: str, count: int) -> Observations:
 def _graded(machine: Machine, runs: Sequence[Run], estimated: Estimate) -> Grade:
     """Grade the set-up of all Runs together, from where the trackers stood."""
     set_ups = [
-        SetUp(run.machine, run.commanded, found.pose.inverse().shift_mm)
+        SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
         for run, found in zip(runs, estimated.runs, strict=True)
     ]
     return grade_together(

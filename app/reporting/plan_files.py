@@ -41,7 +41,7 @@ def plan_document(planned: Planned) -> dict[str, Any]:
         "feeds_mm_min": list(request.feeds_mm_min),
         "model": None if request.model is None else _model_json(request.model),
         "tracker": {
-            "position_mm": [round(float(v), 3) for v in planned.stand_mm],
+            "position_mm": [round(float(v), 3) for v in planned.station_mm],
             "assumed": request.workspace.tracker_mm is None,
         },
         "predicted": {

@@ -114,7 +114,7 @@ def documentation(number: int, found: Findings) -> str:
         (
             "Model",
             f"{found.estimate.model.size} parameters: natural cubic splines with the "
-            "bending energy as prior, its strength found from the data; tracker pose "
+            "bending energy as prior, its precision found from the data; tracker pose "
             f"{'and timing of each line ' if timing else ''}solved jointly",
         ),
         ("Uncertainty", "GUM propagation of the full covariance, correlated noise"),

@@ -64,7 +64,7 @@ def residuals(run: RunFindings) -> str:
         for name, values in (
             ("One sample, as the tracker states", noise.stated_um),
             ("One sample, white part found", noise.white_um),
-            ("Correlated part found", noise.slow_um),
+            ("Correlated part found", noise.ou_um),
         )
     ]
     return (
@@ -136,7 +136,9 @@ def _pose(run: RunFindings) -> str:
     sigma = _K * np.sqrt(np.maximum(np.diag(run.estimate.pose_covariance), 0.0))
     shift = ", ".join(f"{v:.2g}" for v in MILLI * sigma[:3])
     turn = ", ".join(f"{v:.2g}" for v in MICRO * sigma[3:])
-    place = ", ".join(plain(v) for v in run.estimate.pose.inverse().shift_mm.tolist())
+    place = ", ".join(
+        plain(v) for v in run.estimate.pose.invert().translation_mm.tolist()
+    )
     return (
         f"tracker at ({place}) mm in the workpiece frame; U (k = 2) of the pose "
         f"({shift}) µm and ({turn}) µrad"

@@ -54,8 +54,8 @@ class NoiseFound:
     distance_mm: float
     stated_um: Float64[np.ndarray, "2"]
     white_um: Float64[np.ndarray, "2"]
-    slow_um: Float64[np.ndarray, "2"]
-    slow_time_s: float
+    ou_um: Float64[np.ndarray, "2"]
+    ou_time_s: float
     along_travel_um: float | None
 
 
@@ -152,7 +152,7 @@ def noise_found(run: RunEstimate) -> NoiseFound:
         run.distance_mm,
         stated,
         stated * np.array(noise.white),
-        stated * np.array(noise.slow),
-        noise.slow_time_s,
+        stated * np.array(noise.ou),
+        noise.ou_time_s,
         along if np.isfinite(along) else None,
     )

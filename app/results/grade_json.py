@@ -26,7 +26,7 @@ def grade_json(found: Grade) -> dict[str, Any]:
         "expected_uncertainty_um": MILLI * found.sigma_mm,
         "sample_sigma_um": MILLI * found.sample_sigma_mm,
         "tracker": {
-            "position_mm": found.stand_mm.tolist(),
+            "position_mm": found.station_mm.tolist(),
             "assumed": found.assumed,
             "best_number": found.best,
         },

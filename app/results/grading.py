@@ -33,7 +33,7 @@ def graded(
 
     stand = None if tracker_mm is None else np.array(tracker_mm, np.float64)
     found = grade(
-        machine, commanded, stand_mm=stand, perpendicular_only=perpendicular_only
+        machine, commanded, station_mm=stand, perpendicular_only=perpendicular_only
     )
     return grade_json(found)
 

@@ -104,7 +104,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "volumetric_error": _volumetric_json(found),
         "alignment": alignment_json(found.main),
         "residuals": _residuals_json(found),
-        "noise": {**noise_json(found.main), "prior_strength": estimate.strength},
+        "noise": {**noise_json(found.main), "prior_strength": estimate.prior_precision},
         "runs": [run_json(run) for run in found.runs],
         "observability": {
             "rank": estimate.observability.rank,

@@ -45,7 +45,7 @@ def alignment_json(run: RunFindings) -> dict[str, Any]:
             "from": "workpiece",
             "to": "tracker",
             "rotation": estimate.pose.rotation.tolist(),
-            "shift_mm": estimate.pose.shift_mm.tolist(),
+            "shift_mm": estimate.pose.translation_mm.tolist(),
         },
         "pose_uncertainty": {
             "about_mm": estimate.centre_mm.tolist(),
@@ -83,7 +83,7 @@ def noise_json(run: RunFindings) -> dict[str, Any]:
         "distance_mm": noise.distance_mm,
         "stated_um": dict(zip(known, noise.stated_um.tolist(), strict=True)),
         "white_um": dict(zip(known, noise.white_um.tolist(), strict=True)),
-        "slow_um": dict(zip(known, noise.slow_um.tolist(), strict=True)),
-        "slow_time_s": noise.slow_time_s,
+        "slow_um": dict(zip(known, noise.ou_um.tolist(), strict=True)),
+        "slow_time_s": noise.ou_time_s,
         "along_travel_um": noise.along_travel_um,
     }

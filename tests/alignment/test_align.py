@@ -14,7 +14,7 @@ from simulators.synthetic import ROUGH, Defects, Setting
 
 def nominal_error_mm(seen):
     """How far cells lie from their nominal place, in the workpiece frame."""
-    return seen.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    return seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
 
 
 def with_stream(run, keep=slice(None), **changes):

@@ -59,7 +59,7 @@ def rows_of(*rows, target="W1", feed_s=30.0, dwell_s=0.4):
 
 def off_mm(seen):
     """How far cells lie from their nominal place, where the tracker stands."""
-    return seen.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    return seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
 
 
 def commanded_at(made, time_s):

@@ -117,5 +117,5 @@ def test_two_rows_that_were_swapped_cost_only_their_own_lines(record):
     found = set(rows(replace(run, commanded=wrong)))
     assert found >= set(rows(run)) - {10, 11, 12}
     seen = align(replace(run, commanded=wrong))
-    left = seen.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    left = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
     assert np.abs(left).max() < 0.2

@@ -60,8 +60,8 @@ def test_stated_uncertainty_covers_the_truth_at_the_stated_rate(record, judge):
 def test_the_slow_part_of_the_noise_is_found_in_the_data(record, judge):
     air = Setting(air=Air(share=0.25, tau_s=0.8))
     _, _, result = judge(*record(23, rows=40, setting=air))
-    assert result.runs[0].noise.slow == pytest.approx((0.25, 0.25), rel=0.35)
-    assert 0.4 < result.runs[0].noise.slow_time_s < 1.6
+    assert result.runs[0].noise.ou == pytest.approx((0.25, 0.25), rel=0.35)
+    assert 0.4 < result.runs[0].noise.ou_time_s < 1.6
 
 
 def test_twice_the_noise_is_twice_the_uncertainty(record, judge):

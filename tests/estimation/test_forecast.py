@@ -28,7 +28,7 @@ def outcomes(record, request):
                 **known,
             )
 
-        known = {"strength": made.strength, "noise": made.runs[0].noise}
+        known = {"prior_precision": made.prior_precision, "noise": made.runs[0].noise}
         found.append((np.sqrt(variance), foretold(), foretold(**known)))
     return found
 

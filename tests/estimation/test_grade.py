@@ -15,7 +15,7 @@ from app.planning.default_path import default_path
 from app.planning.grade import SetUp, grade, grade_together, verdict
 from drivers.interfaces.records import Path
 
-STAND = np.array([-900.0, 200.0, 100.0])
+STATION_MM = np.array([-900.0, 200.0, 100.0])
 
 
 @pytest.fixture(scope="module")
@@ -38,25 +38,25 @@ def test_what_is_expected_before_motion_is_what_the_estimate_achieves(
 ):
     run, _ = record(51, mode, rows=rows)
     found = estimate(align(run))
-    stand = found.runs[0].pose.inverse().shift_mm
-    expected = grade(run.machine, run.commanded, stand_mm=stand).sigma_mm
+    stand = found.runs[0].pose.invert().translation_mm
+    expected = grade(run.machine, run.commanded, station_mm=stand).sigma_mm
     achieved = np.sqrt(np.sum(volumetric_gram(found.model) * found.covariance))
     assert 0.6 < achieved / expected < 1.6
 
 
 def test_more_lines_and_a_nearer_tracker_are_graded_better(demo):
     few, many = (default_path(demo, lines=n) for n in (8, 24))
-    near = grade(demo, many, stand_mm=STAND)
-    assert grade(demo, few, stand_mm=STAND).number > 1.5 * near.number
-    assert near.sigma_mm < grade(demo, many, stand_mm=4.0 * STAND).sigma_mm
+    near = grade(demo, many, station_mm=STATION_MM)
+    assert grade(demo, few, station_mm=STATION_MM).number > 1.5 * near.number
+    assert near.sigma_mm < grade(demo, many, station_mm=4.0 * STATION_MM).sigma_mm
 
 
 def test_a_well_told_set_up_keeps_its_number_with_a_better_tracker(demo):
     """Geometry decides; the noise is in the unit of the number."""
     fine = TrackerNoise(0.5, 0.15, 1.5, 2.0)
     path = default_path(demo)
-    number = grade(demo, path, stand_mm=STAND).number
-    finer = grade(replace(demo, tracker=fine), path, stand_mm=STAND).number
+    number = grade(demo, path, station_mm=STATION_MM).number
+    finer = grade(replace(demo, tracker=fine), path, station_mm=STATION_MM).number
     assert finer == pytest.approx(number, rel=0.15)
 
 
@@ -65,7 +65,7 @@ def test_an_unknown_stand_counts_as_the_worst_of_usual_ones(demo):
     found = grade(demo, path)
     assert found.assumed
     assert found.best < found.number
-    known = grade(demo, path, stand_mm=found.stand_mm)
+    known = grade(demo, path, station_mm=found.station_mm)
     assert known.number == pytest.approx(found.number)
     assert not known.assumed
 
@@ -90,7 +90,7 @@ def test_the_blind_spot_of_corner_paths_is_named_before_anything_moves(record):
 def test_a_short_reach_in_z_is_cured_by_lines_that_go_up_z(demo):
     low = default_path(demo)
     flat = replace(low, position=low.position * np.array([1.0, 1.0, 0.3]))
-    found = grade(demo, flat, stand_mm=STAND)
+    found = grade(demo, flat, station_mm=STATION_MM)
     assert found.verdict == "poor"
     assert found.weakest[0].symbol[2] == "Z"
     remedy = found.weakest[0].remedy
@@ -101,10 +101,10 @@ def test_a_short_reach_in_z_is_cured_by_lines_that_go_up_z(demo):
 @pytest.mark.parametrize("number", [5, 6])
 def test_the_line_asked_for_lowers_the_number_it_promises(demo, number):
     path = default_path(demo, lines=number)
-    found = grade(demo, path, stand_mm=STAND)
+    found = grade(demo, path, station_mm=STATION_MM)
     remedy = found.weakest[0].remedy
     longer = np.vstack([path.position, remedy.begin, remedy.end])
-    again = grade(demo, path_of(demo, longer), stand_mm=STAND)
+    again = grade(demo, path_of(demo, longer), station_mm=STATION_MM)
     assert found.improved < found.number
     assert again.number == pytest.approx(found.improved, rel=0.1)
 
@@ -116,9 +116,9 @@ def test_a_path_in_two_runs_is_worth_hardly_less_than_in_one(demo):
         path_of(demo, rows)
         for rows in (path.position[: half + 1], path.position[half:])
     ]
-    together = grade_together(demo, [SetUp(demo, part, STAND) for part in parts])
-    alone = grade(demo, parts[0], stand_mm=STAND)
-    whole = grade(demo, path, stand_mm=STAND)
+    together = grade_together(demo, [SetUp(demo, part, STATION_MM) for part in parts])
+    alone = grade(demo, parts[0], station_mm=STATION_MM)
+    whole = grade(demo, path, station_mm=STATION_MM)
     assert whole.number <= together.number < 1.3 * whole.number
     assert together.number < alone.number
 
@@ -128,7 +128,7 @@ def test_a_run_with_a_longer_tool_tells_what_the_first_could_not(demo):
     longer = replace(demo, targets=(Target("", "tool", second),))
     both = replace(demo, targets=(*demo.targets, Target("long", "tool", second)))
     path = default_path(demo)
-    set_ups = [SetUp(machine, path, STAND) for machine in (demo, longer)]
+    set_ups = [SetUp(machine, path, STATION_MM) for machine in (demo, longer)]
     said = {s[:3] for s in grade_together(both, set_ups).unobservable}
     assert said == {s[:3] for s in grade(demo, path).unobservable} - {"EAZ", "EBZ"}
 
@@ -165,8 +165,8 @@ def test_what_is_left_of_the_error_follows_the_grade(
     for seed, rows in enumerate([6, 7, 9, 11, 13, 16, 20, 26, 34, 45], 400):
         run, truth = record(seed, rows=rows)
         found = estimate(align(run))
-        stand = found.runs[0].pose.inverse().shift_mm
-        graded = grade(run.machine, run.commanded, stand_mm=stand)
+        stand = found.runs[0].pose.invert().translation_mm
+        graded = grade(run.machine, run.commanded, station_mm=stand)
         q = volume(run.machine)
         before = rigid_free(q, truth.deviation_mm(q))
         at = at_rest(run.machine, q)

@@ -62,7 +62,7 @@ def test_the_volumetric_uncertainty_falls_line_by_line(moving):
     sigma = [now.volumetric_sigma_mm for now, _ in on_the_way]
     assert sigma[0] > 5 * sigma[-1]
     assert last.volumetric_sigma_mm < 0.003
-    # It may rise a little where noise or strengths were found larger than guessed.
+    # It may rise a little where noise or precisions were found larger than guessed.
     assert np.mean(np.diff(sigma) < 1e-6) > 0.7
 
 

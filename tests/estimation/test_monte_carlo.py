@@ -11,7 +11,7 @@ from app.alignment.align import align
 from app.estimation.direction import best_fit
 from app.estimation.monte_carlo import block, drawn, prepared
 from app.estimation.noise import NoiseModel
-from app.estimation.prior import with_unknown_strengths
+from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import Measured
 from app.kinematics.identifiable import identifiable_model
 from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
@@ -40,7 +40,7 @@ def squareness(fit):
     outputs = np.array(
         [np.eye(model.size)[model.slices[s].start] for s in ("C0Y", "B0Z", "A0Z")]
     )
-    covariance = with_unknown_strengths(fit.prior, fit.result).covariance
+    covariance = widen_by_unknown_precision(fit.prior, fit.result).covariance
     return outputs, np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
 
 
@@ -87,11 +87,11 @@ def test_more_noise_than_was_weighed_shows_in_the_trials(fit):
 def test_slow_noise_remembers_for_as_long_as_it_is_said_to(fit):
     outputs, _ = squareness(fit)
     trials = prepared(fit, outputs, FEW)
-    slow = NoiseModel((1e-6, 1e-6), (0.25, 0.25), 0.8, 1e-9)
-    forgetful = replace(slow, slow_time_s=1e-3)
+    ou = NoiseModel((1e-6, 1e-6), (0.25, 0.25), 0.8, 1e-9)
+    forgetful = replace(ou, ou_time_s=1e-3)
     remembered, quick = (
         drawn(of_noise_alone(trials, noise), 0, 4000).std(axis=1)
-        for noise in (slow, forgetful)
+        for noise in (ou, forgetful)
     )
     assert (quick < 0.96 * remembered).all()
 

@@ -45,15 +45,15 @@ def judged(request, rough):
 def evidence_of(problem, prior):
     part, size = problem.part(problem.seen), prior.model.size
     columns = np.delete(part.rows, part.data, axis=2)
-    known = Information(prior.precision(size), np.zeros(size), 0.0, 0.0)
+    known = Information(prior.precision_matrix(size), np.zeros(size), 0.0, 0.0)
     return NoiseEvidence(part, columns, part.off, known)
 
 
 def moved(noise, x):
     beam, across, time, *jitter = np.exp(x)
     along = noise.along_sigma_mm * jitter[0] if jitter else noise.along_sigma_mm
-    slow = (noise.slow[0] * beam, noise.slow[1] * across)
-    return NoiseModel(noise.white, slow, noise.slow_time_s * time, along)
+    ou = (noise.ou[0] * beam, noise.ou[1] * across)
+    return NoiseModel(noise.white, ou, noise.ou_time_s * time, along)
 
 
 def test_the_gradient_is_the_slope_of_the_cost(judged):
@@ -78,11 +78,11 @@ def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
     problem, prior = rough
 
     def difference(cost):
-        return cost(NOISE) - cost(replace(NOISE, slow=(0.4, 0.3), slow_time_s=1.5))
+        return cost(NOISE) - cost(replace(NOISE, ou=(0.4, 0.3), ou_time_s=1.5))
 
     def summed(noise):
         data = without_rest(information(problem, noise), problem.machine_model.size)
-        precision = prior.precision(problem.machine_model.size)
+        precision = prior.precision_matrix(problem.machine_model.size)
         return evidence_cost(data, prior, posterior(data, precision))
 
     evidence = evidence_of(problem, prior)
@@ -99,5 +99,5 @@ def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
         looked_at(seen.at.machine, [Measured(seen, seen.pose, noise)])[0].noise
         for noise in (start, other)
     )
-    assert np.log(again.slow) == pytest.approx(np.log(best.slow), abs=0.15)
-    assert np.log(again.slow_time_s) == pytest.approx(np.log(best.slow_time_s), abs=0.3)
+    assert np.log(again.ou) == pytest.approx(np.log(best.ou), abs=0.15)
+    assert np.log(again.ou_time_s) == pytest.approx(np.log(best.ou_time_s), abs=0.3)

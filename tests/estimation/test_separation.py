@@ -8,7 +8,7 @@ import pytest
 
 from app.estimation import separation
 from app.estimation.information import posterior
-from app.estimation.weak_shapes import usual_precision
+from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import (
     LinearAxis,
@@ -21,7 +21,7 @@ from app.planning.default_path import default_path
 from app.planning.grade import grade
 from app.planning.rehearsal import expected_information, rehearsed
 
-STAND = np.array([-900.0, 200.0, 100.0])
+STATION_MM = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")
 
 
@@ -34,16 +34,16 @@ def mill(*offsets):
 
 
 def statements(machine, **options):
-    found = grade(machine, default_path(machine), stand_mm=STAND, **options)
+    found = grade(machine, default_path(machine), station_mm=STATION_MM, **options)
     return {s[:3]: s for s in found.unobservable}
 
 
 def table_sigma(machine, path, symbol):
-    seen = rehearsed(machine, path, STAND)
+    seen = rehearsed(machine, path, STATION_MM)
     model, _ = identifiable_model(machine, seen.at.offset_mm, intervals=10)
     data = expected_information(seen, model)
     prior = np.diag(np.full(model.size + 6, 1e-2))
-    prior[: model.size, : model.size] = usual_precision(model)
+    prior[: model.size, : model.size] = usual_precision_matrix(model)
     part = model.slices[symbol]
     covariance = posterior(data, prior).covariance[part, part]
     motion = next(e for e in model.effects if e.name == symbol)
@@ -92,7 +92,7 @@ def test_a_target_on_the_spindle_axis_is_told_to_move_aside():
 def test_with_two_tool_lengths_only_a_target_aside_is_asked_for():
     machine = mill((0.0, 0.0, -100.0), (0.0, 0.0, -250.0))
     path = driven_with_both(machine, default_path(machine))
-    said = grade(machine, path, stand_mm=STAND).unobservable
+    said = grade(machine, path, station_mm=STATION_MM).unobservable
     assert [s[:3] for s in said] == ["ECY", "ECZ"]
     assert all("to the side" in s for s in said)
 
@@ -103,7 +103,7 @@ def test_three_offsets_leave_nothing_to_separate():
     path = default_path(machine)
     n = len(path)
     path = replace(path, target=tuple(f"T{i % 3}" for i in range(n)))
-    assert grade(machine, path, stand_mm=STAND).unobservable == ()
+    assert grade(machine, path, station_mm=STATION_MM).unobservable == ()
 
 
 def test_longer_tools_are_asked_for_where_less_is_measured():
@@ -112,7 +112,7 @@ def test_longer_tools_are_asked_for_where_less_is_measured():
         float(SAID.search(s)[1]) * float(SAID.search(s)[2])
         for lines in (14, 40)
         for found in [
-            grade(machine, default_path(machine, lines=lines), stand_mm=STAND)
+            grade(machine, default_path(machine, lines=lines), station_mm=STATION_MM)
         ]
         for s in found.unobservable
         if s.startswith("EBZ")
@@ -128,7 +128,7 @@ def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
         axes=(*mill((0.0, 0.0, 0.0)).axes, table),
         tracker=TrackerNoise(stands_on="base"),
     )
-    found = grade(mill_with_table, default_path(mill_with_table), stand_mm=STAND)
+    found = grade(mill_with_table, default_path(mill_with_table), station_mm=STATION_MM)
     said = {s[:3]: s for s in found.unobservable}
     for symbol in ("EXC", "EAC", "ECC", "XOC", "AOC"):
         assert "targets on the workpiece, three off one line" in said[symbol]

@@ -131,7 +131,7 @@ def test_each_run_keeps_a_tracker_pose_and_a_noise_of_its_own():
         assert np.linalg.norm(apart) < 0.2  # the machine's own rigid motion
     quiet, noisy = (run.noise for run in result.runs)
     assert np.divide(noisy.white, quiet.white) == pytest.approx(3.0, rel=0.1)
-    assert noisy.slow == pytest.approx((0.9, 0.9), rel=0.4)
+    assert noisy.ou == pytest.approx((0.9, 0.9), rel=0.4)
 
 
 def test_a_loud_run_does_not_spoil_a_quiet_one(moving, judge):

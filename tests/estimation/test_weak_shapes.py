@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import form_of, usual_precision, weak_shapes
+from app.estimation.weak_shapes import form_of, usual_precision_matrix, weak_shapes
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
@@ -29,7 +29,7 @@ def known():
 
 def told_but(model, shape, left):
     """Return information that leaves a share of the usual deviation of one shape."""
-    root = np.linalg.cholesky(usual_precision(model))
+    root = np.linalg.cholesky(usual_precision_matrix(model))
     direction = root.T @ shape
     direction /= np.linalg.norm(direction)
     size = model.size

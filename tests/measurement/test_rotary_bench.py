@@ -73,7 +73,7 @@ def test_lines_on_which_axes_turn_are_driven_and_recognised(run: Run) -> None:
     # On a busy computer the hastened stream ends a little before the motion.
     assert found == moving[: len(found)]
     assert len(found) > 8
-    off = seen.pose.inverse().apply(seen.tracker_mm) - seen.at.point_mm
+    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
     assert np.abs(off).max() < 0.4
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.numerics.correlated_noise import extended, slow_precision, whitener
+from app.numerics.correlated_noise import extended, ou_precision, whitener
 
 TAU_S = 0.8
 
@@ -70,9 +70,9 @@ def test_a_direction_without_precision_carries_nothing(case, rng):
 
 def test_one_point_in_correlated_noise_tells_less_than_many_white_ones(case):
     time_s, white, sigma, rows = case
-    slow = summed(whitener(time_s, white, sigma, TAU_S), rows)
+    ou = summed(whitener(time_s, white, sigma, TAU_S), rows)
     free = summed(whitener(time_s, white, 0.0 * sigma, TAU_S), rows)
-    gained = free - slow
+    gained = free - ou
     assert np.linalg.eigvalsh(gained).min() > 0.0
 
 
@@ -103,9 +103,9 @@ def test_points_of_white_noise_leave_no_tail(case):
 
 def test_the_slow_covariance_and_its_inverse_undo_each_other(case, rng):
     time_s, _, sigma, _ = case
-    slow = slow_precision(time_s, sigma, TAU_S)
+    ou = ou_precision(time_s, sigma, TAU_S)
     moved = rng.normal(size=sigma.shape)
     fade = np.exp(-np.abs(time_s[:, None] - time_s) / TAU_S)
     expected = np.einsum("kl,kj,lj,lj->kj", fade, sigma, sigma, moved)
-    assert slow.solved(moved) == pytest.approx(expected)
-    assert slow.times(expected) == pytest.approx(moved)
+    assert ou.solved(moved) == pytest.approx(expected)
+    assert ou.times(expected) == pytest.approx(moved)

@@ -9,15 +9,15 @@ from app.numerics.rigid import RigidTransform, cross_matrix, fit_rigid
 
 @pytest.fixture
 def motion(rng):
-    turn = Rotation.random(rng=rng).as_matrix()
-    return RigidTransform(turn, np.array([300.0, -200.0, 50.0]))
+    rotation = Rotation.random(rng=rng).as_matrix()
+    return RigidTransform(rotation, np.array([300.0, -200.0, 50.0]))
 
 
 def test_a_rigid_motion_is_found_from_its_points(rng, motion):
     points = rng.uniform(0, 500, (10, 3))
     found = fit_rigid(points, motion.apply(points))
     assert np.allclose(found.rotation, motion.rotation, atol=1e-12)
-    assert np.allclose(found.shift_mm, motion.shift_mm, atol=1e-9)
+    assert np.allclose(found.translation_mm, motion.translation_mm, atol=1e-9)
 
 
 def test_a_point_of_no_weight_does_not_count(rng, motion):
@@ -42,18 +42,20 @@ def test_a_mirror_image_is_fitted_only_when_asked(rng, motion):
 
 def test_inverse_undoes(rng, motion):
     points = rng.uniform(0, 500, (10, 3))
-    assert np.allclose(motion.inverse().apply(motion.apply(points)), points)
+    assert np.allclose(motion.invert().apply(motion.apply(points)), points)
 
 
 def test_a_small_motion_first_moves_points_before_the_pose(rng, motion):
-    points, turn = rng.uniform(0, 500, (5, 3)), np.array([1e-5, -2e-5, 3e-5])
-    shift = np.array([0.01, -0.02, 0.03])
-    moved = points + np.cross(turn, points) + shift
+    points, rotation = rng.uniform(0, 500, (5, 3)), np.array([1e-5, -2e-5, 3e-5])
+    translation = np.array([0.01, -0.02, 0.03])
+    moved = points + np.cross(rotation, points) + translation
     assert np.allclose(
-        motion.after_small(turn, shift).apply(points), motion.apply(moved), atol=1e-6
+        motion.precede_small(rotation, translation).apply(points),
+        motion.apply(moved),
+        atol=1e-6,
     )
 
 
 def test_cross_matrix_turns_points(rng):
-    points, turn = rng.normal(size=(4, 3)), rng.normal(size=3)
-    assert np.allclose(cross_matrix(points) @ turn, np.cross(turn, points))
+    points, rotation = rng.normal(size=(4, 3)), rng.normal(size=3)
+    assert np.allclose(cross_matrix(points) @ rotation, np.cross(rotation, points))

@@ -75,7 +75,7 @@ def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
     known = model.known(MACHINE)
 
     def left(plan):
-        after = forecast(MACHINE, plan.commanded, plan.stand_mm, known=known)
+        after = forecast(MACHINE, plan.commanded, plan.station_mm, known=known)
         part = known.part(after.model)
         return np.sqrt(np.diag(after.covariance)[part]) / SIGMA
 

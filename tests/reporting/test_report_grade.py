@@ -17,7 +17,7 @@ from app.results.grade_json import grade_json, in_words
 from app.results.prediction import predict
 from app.results.result_json import read_result, result_json
 
-STAND = np.array([900.0, 100.0, -200.0])
+STATION_MM = np.array([900.0, 100.0, -200.0])
 MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
 WEAK = "EZZ together with B0Z: a bow of the error along Z is told only weakly; …"
 
@@ -32,7 +32,7 @@ def partly(estimate):
 @pytest.fixture(scope="module")
 def graded(partly, provenance):
     machine = partly.model.machine
-    poor = grade(machine, default_path(machine, lines=5), stand_mm=STAND)
+    poor = grade(machine, default_path(machine, lines=5), station_mm=STATION_MM)
     return find(partly, provenance, None, poor)
 
 

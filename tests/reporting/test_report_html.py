@@ -226,7 +226,7 @@ def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
     stated = 1e3 * tracker.sigma_mm(np.array([noise.distance_mm]))[0]
     assert 500.0 < noise.distance_mm < 2000.0
     assert noise.white_um == pytest.approx(stated * [1.1, 0.9])
-    assert noise.slow_um == pytest.approx(stated * [0.2, 0.3])
+    assert noise.ou_um == pytest.approx(stated * [0.2, 0.3])
     assert noise.along_travel_um == pytest.approx(0.2)
 
 

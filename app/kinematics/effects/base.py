@@ -192,7 +192,7 @@ class Charge:
 
     form : (p, p) K; rank : shapes that it charges; the others are free
     usual : θᵀKθ of an effect of usual size
-    kind : effects of a kind are of like strength; empty for one on its own
+    kind : effects of a kind are of like precision; empty for one on its own
     """
 
     form: Float64[np.ndarray, "p p"]
