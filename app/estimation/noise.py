@@ -19,8 +19,7 @@ class NoiseModel:
     ou : (2,) standard deviation of the Ornstein–Uhlenbeck part, in the same units
     ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
-    speed;
-        infinite where only deviations across the path are used
+        speed; infinite where only deviations across the path are used
     """
 
     white: tuple[float, float]

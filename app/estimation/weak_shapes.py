@@ -70,10 +70,8 @@ def usual_precision_matrix(
     prior_precision : of effects, by name, where it is known better
     """
     prior = first_guess(model)
-    known = {
-        n: s for n, s in (prior_precision or {}).items() if n in prior.prior_precision
-    }
-    prior = replace(prior, prior_precision={**prior.prior_precision, **known})
+    known = {n: s for n, s in (prior_precision or {}).items() if n in prior.precision}
+    prior = replace(prior, precision={**prior.precision, **known})
     precision = prior.precision_matrix(model.size)
     slack = [USUAL.get(p.unit, 1.0) ** -2 for p in model.parameters]
     return precision + np.diag(slack)

@@ -137,10 +137,8 @@ def forecast(
 
 def usual_prior_precision(model: MachineModel) -> dict[str, float]:
     """Return the precisions that estimates of usual machines come to, by effect."""
-    found = first_guess(model).prior_precision
-    return {
-        name: _SMOOTHER * prior_precision for name, prior_precision in found.items()
-    }
+    found = first_guess(model).precision
+    return {name: _SMOOTHER * precision for name, precision in found.items()}
 
 
 @dataclass(frozen=True)
