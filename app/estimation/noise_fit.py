@@ -28,9 +28,7 @@ from app.kinematics.effects.base import Effect
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 
-_MERGED_S = (
-    0.25  # longer than this the Ornstein–Uhlenbeck part changes within a merged cell
-)
+_MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 # Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
 _COARSE_MM = 35.0
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
