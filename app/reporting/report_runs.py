@@ -75,7 +75,7 @@ def residuals(run: RunFindings) -> str:
         )
         + table(head, rows, numbers=1)
         + f"<p class=note>At the mean distance of {noise.distance_mm / 1000.0:.2f} m. "
-        f"The correlated part fades with {noise.slow_time_s:.2g} s; samples are never "
+        f"The correlated part fades with {noise.ou_time_s:.2g} s; samples are never "
         f"counted as independent within it. {_along(run)}</p>"
     )
 
