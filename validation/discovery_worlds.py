@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -16,8 +17,10 @@ from discovery_score import Outcome, as_row, from_row, outcome
 from discovery_summary import (
     confusion_table,
     marks_table,
+    missed_marks,
     parameter_table,
     size_table,
+    summary,
 )
 from document import write_section
 from hidden_worlds import world
@@ -69,7 +72,7 @@ def told(o: Outcome) -> str:
 
 
 def main() -> None:
-    """Judge the worlds that are missing, then write the tables."""
+    """Judge the missing worlds, write the tables; exit 1 if a mark is missed."""
     options, _ = _parser().parse_known_args()
     counts = {kind: max(1, round(options.share * n)) for kind, n in COUNTS.items()}
     tasks = draw(counts)
@@ -84,7 +87,11 @@ def main() -> None:
             print(told(one), flush=True)
             file.write(json.dumps(as_row(one)) + "\n")
             file.flush()
-    _write([done[task] for task in tasks])
+    found = [done[task] for task in tasks]
+    _write(found)
+    missed = missed_marks(summary(found))
+    print(*missed, sep="\n")
+    sys.exit(bool(missed))
 
 
 def _write(found: Sequence[Outcome]) -> None:
