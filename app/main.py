@@ -1,17 +1,14 @@
 """Constructs the service and runs it; nothing else constructs anything.
 
-Processes: this one (HTTP, jobs, catalogue), the cell process (devices, recording), one
-process a lane of the executor (science), one that estimates during a measurement; with
-`simulated`, the bench's devices.
+Processes: this one (HTTP, jobs, catalogue), the cell process (devices, recording),
+worker processes (science), one that estimates during a measurement; with `simulated`,
+the bench's devices.
 """
 
 from __future__ import annotations
 
 import fcntl
 import json
-import logging
-import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -31,7 +28,7 @@ from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import InUse
-from app.jobs.executor import ProcessLanes, limit_threads
+from app.jobs.executor import ProcessExecutor
 from app.jobs.feed import Feed
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.runs import RunCatalogue
@@ -42,6 +39,7 @@ from app.jobs.workflow import Workshop
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell, CellConfig
 from app.plugins import load
+from app.service_log import configure_log
 from app.settings import Settings
 from app.web import pages
 
@@ -58,7 +56,7 @@ def serve(
     Raises BadInput for settings that cannot work, InUse if another instance runs on the
     same data folder.
     """
-    _configure_logging(settings)
+    configure_log(settings.log_level, settings.log_format)
     with (
         open_service(settings) as service,
         bound_socket(settings.host, settings.port) as listener,
@@ -74,7 +72,6 @@ def serve(
 @contextmanager
 def open_service(settings: Settings) -> Iterator[Service]:
     """Construct everything behind the routes; undone in reverse at the end."""
-    limit_threads()
     with ExitStack() as stack:
         folder = _folder(settings.data_dir)
         stack.enter_context(_only_instance(folder))
@@ -118,7 +115,7 @@ def _workshop(
     feed = Feed()
     workers = workers_of(settings)
     workers.check()
-    executor = ProcessLanes(settings.analysis_workers, prepare)
+    executor = ProcessExecutor(settings.analysis_workers, prepare)
     stack.callback(executor.close)
     executor.warm()
     cell = None
@@ -236,47 +233,3 @@ def _say_where(settings: Settings, address: str) -> None:
     print(f"  page       {address}/", flush=True)
     print(f"  interface  {address}/docs", flush=True)
     print(f"  data       {settings.data_dir}", flush=True)
-
-
-def _configure_logging(settings: Settings) -> None:
-    """Send every line, ours and the libraries', through structlog to standard error."""
-    shared: list[structlog.typing.Processor] = [
-        structlog.contextvars.merge_contextvars,
-        structlog.stdlib.add_log_level,
-        structlog.stdlib.add_logger_name,
-        structlog.processors.TimeStamper(fmt="iso", utc=True),
-        structlog.processors.StackInfoRenderer(),
-    ]
-    structlog.configure(
-        processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
-        logger_factory=structlog.stdlib.LoggerFactory(),
-        wrapper_class=structlog.stdlib.BoundLogger,
-        cache_logger_on_first_use=False,
-    )
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(
-        structlog.stdlib.ProcessorFormatter(
-            foreign_pre_chain=shared, processors=_rendering(settings.log_format)
-        )
-    )
-    root = logging.getLogger()
-    root.handlers = [handler]
-    root.setLevel(settings.log_level.upper())
-    for name in ("uvicorn.error", "uvicorn", "alembic"):
-        quiet = max(logging.WARNING, root.level)
-        logging.getLogger(name).setLevel(quiet)
-
-
-def _rendering(log_format: str) -> list[structlog.typing.Processor]:
-    remove = structlog.stdlib.ProcessorFormatter.remove_processors_meta
-    if log_format == "json":
-        return [
-            remove,
-            structlog.processors.format_exc_info,
-            structlog.processors.JSONRenderer(),
-        ]
-    colors = sys.stderr.isatty() and "NO_COLOR" not in os.environ
-    # The fancy trace of the default takes seconds and thousands of lines.
-    plain = structlog.dev.plain_traceback
-    renderer = structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain)
-    return [remove, renderer]

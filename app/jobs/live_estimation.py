@@ -13,19 +13,24 @@ looks on hears more than twice a second, and knows how old it is what he sees.
 from __future__ import annotations
 
 import queue
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from multiprocessing import get_context
-from multiprocessing.process import BaseProcess
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from app.jobs.executor import limit_threads
-from app.jobs.live_process import Ask, LiveOrder, main
+from app.child_process import BACKGROUND_NICENESS, ChildProcess
+from app.jobs.live_process import (
+    ChoosePart,
+    EndOfStream,
+    Estimated,
+    EstimateFailed,
+    LiveOrder,
+    PartChosen,
+    estimate_live,
+)
 from drivers.interfaces.records import TrackerSamples
 
 if TYPE_CHECKING:
@@ -49,15 +54,10 @@ class LiveEstimation:
     """
 
     def __init__(self, order: LiveOrder, show: Show) -> None:
-        limit_threads()
-        context = get_context("spawn")
-        taken, self._blocks = context.Pipe(duplex=False)
-        self._answers, given = context.Pipe(duplex=False)
-        self._others = (taken, given)
-        self._process: BaseProcess = context.Process(
-            target=main, args=(taken, given, order), name="live-estimate", daemon=True
+        self._process = ChildProcess(
+            "live-estimate", estimate_live, order, niceness=BACKGROUND_NICENESS
         )
-        self._queue: queue.Queue[TrackerSamples | Ask | None]
+        self._queue: queue.Queue[TrackerSamples | ChoosePart | EndOfStream]
         self._queue = queue.Queue(WAITING_BLOCKS)
         self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
         self._shown = _Shown(show, lambda: self.dropped_blocks)
@@ -71,10 +71,7 @@ class LiveEstimation:
 
     def start(self) -> None:
         """Start the process."""
-        with _no_interrupts():
-            self._process.start()
-        for end in self._others:
-            end.close()
+        self._process.start()
         for thread in self._threads:
             thread.start()
 
@@ -93,7 +90,7 @@ class LiveEstimation:
     def ask(self, timeout_s: float = FINISH_S) -> None:
         """Ask what to drive next, once the blocks so far have been looked at."""
         with suppress(queue.Full):
-            self._queue.put(Ask(), timeout=timeout_s)
+            self._queue.put(ChoosePart(), timeout=timeout_s)
 
     def part(self) -> Part | None:
         """Return the answer to `ask` as soon as there is one. Never waits."""
@@ -104,44 +101,42 @@ class LiveEstimation:
     def finish(self, timeout_s: float = FINISH_S) -> None:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
-            self._queue.put(None, timeout=timeout_s)
+            self._queue.put(EndOfStream(), timeout=timeout_s)
             self._shown.ended.wait(timeout_s)
 
     def close(self) -> None:
         """End the process, whatever it does. Idempotent."""
-        if self._process.ident is None:
+        if self._process.process_id is None:
+            self._process.close()
             return
         self._process.kill()
-        self._process.join()
         with suppress(queue.Full):
-            self._queue.put_nowait(None)  # the feeder notices, or finds the pipe broken
+            self._queue.put_nowait(EndOfStream())  # ends the feeder; else its pipe does
         for thread in self._threads:
             thread.join(FINISH_S)
-        for end in (self._blocks, self._answers):
-            end.close()
+        self._process.close()
 
     def _feed(self) -> None:
-        """Body of a thread: what waits goes to the process."""
+        """Send what waits to the process. Body of a thread."""
         with suppress(OSError):
             while True:
-                samples = self._queue.get()
-                self._blocks.send(samples)
-                if samples is None:
+                message = self._queue.get()
+                self._process.link.send(message)
+                if isinstance(message, EndOfStream):
                     return
 
     def _listen(self) -> None:
-        """Body of a thread: what the process says is to be shown."""
+        """Take what the process says. Body of a thread."""
         with suppress(EOFError, OSError):
             while True:
-                body = self._answers.recv()
-                if "error" in body:
-                    log.warning("no live estimate any more", reason=body["error"])
-                    continue
-                if "part" in body:
-                    self._parts.put(body["part"])
-                    continue
-                self.newest = body
-                self._shown.renew(body)
+                match self._process.link.recv():
+                    case Estimated(body):
+                        self.newest = body
+                        self._shown.renew(body)
+                    case PartChosen(part):
+                        self._parts.put(part)
+                    case EstimateFailed(reason):
+                        log.warning("no live estimate any more", reason=reason)
         self._shown.end()
 
 
@@ -183,13 +178,3 @@ class _Shown:
                     {**body, "age_s": round(age_s, 3), "dropped_blocks": dropped}
                 )
         self.ended.set()
-
-
-@contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Let a child inherit that Ctrl+C is not for it, from its first instruction."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -6,8 +6,6 @@ the words of `result.json`, µm, µrad, k = 1.
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -15,7 +13,6 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from app.jobs.executor import BELOW_THE_CELL
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
@@ -45,29 +42,52 @@ class LiveOrder:
     request: Mapping[str, Any] | None = None
 
 
-class Ask:
-    """Comes between blocks: what to drive next, after all that came before it."""
+@dataclass(frozen=True, slots=True)
+class ChoosePart:
+    """To the process, between blocks: choose what to drive next."""
 
 
-def main(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
-    """Estimate until the last block or the end of the parent.
+@dataclass(frozen=True, slots=True)
+class EndOfStream:
+    """To the process: no block follows."""
 
-    blocks : TrackerSamples in order, perhaps an Ask between them, then None
-    answers : gets a dictionary an estimate, the last one with `is_last`; a Part as
-        `part` for each Ask; `error` if the estimate cannot go on
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """From the process: an estimate in the words of `GET /jobs/{id}/estimate`."""
+
+    body: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class PartChosen:
+    """From the process: the answer to `ChoosePart`."""
+
+    part: Part
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateFailed:
+    """From the process: no estimate follows, and why."""
+
+    reason: str
+
+
+def estimate_live(order: LiveOrder, link: Connection) -> None:
+    """Estimate until the last block or the end of the parent. Body of the process.
+
+    link : TrackerSamples come in order, between them ChoosePart, at last EndOfStream
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(BELOW_THE_CELL)
     try:
-        _estimate(blocks, answers, order)
+        _estimate(link, order)
     except (EOFError, OSError):
         return
-    except Exception as error:  # told, and the end of the live estimate alone
+    except Exception as error:  # ends the live estimate alone
         with suppress(OSError):
-            answers.send({"error": f"{type(error).__name__}: {error}"})
+            link.send(EstimateFailed(f"{type(error).__name__}: {error}"))
 
 
-def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None:
+def _estimate(link: Connection, order: LiveOrder) -> None:
     # Imported where it computes: the service itself carries no science.
     from app.estimation.live import LiveEstimator
     from app.jobs.plan_orders import plan_request
@@ -80,10 +100,10 @@ def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None
         known=request.known(order.machine),
     )
     supply = _Supply(order, request, live)
-    stream = _Stream(blocks)
+    stream = _Stream(link)
     while not stream.is_over:
         is_new = False
-        for block in stream.gathered():
+        for block in stream.gather():
             is_new = live.take(block) or is_new
         if stream.is_over:
             is_new = live.finish()
@@ -91,10 +111,10 @@ def _estimate(blocks: Connection, answers: Connection, order: LiveOrder) -> None
         if now is not None:
             elapsed_s = round(now.time_s - (stream.begun_s or 0.0), 4)
             body = estimate_json(now) | {"total": supply.total, "elapsed_s": elapsed_s}
-            answers.send({**body, "is_last": stream.is_over})
+            link.send(Estimated({**body, "is_last": stream.is_over}))
         if stream.is_asked:
             stream.is_asked = False
-            answers.send({"part": supply.next()})
+            link.send(PartChosen(supply.next()))
 
 
 class _Supply:
@@ -129,38 +149,38 @@ class _Stream:
     """The blocks as they come.
 
     begun_s : the tracker's clock at the first sample, None before it
-    is_asked : an Ask has come after the blocks so far
+    is_asked : a part has been asked for after the blocks so far
     """
 
-    def __init__(self, blocks: Connection) -> None:
-        self._blocks = blocks
+    def __init__(self, link: Connection) -> None:
+        self._link = link
         self.is_over = self.is_asked = False
         self.begun_s: float | None = None
 
-    def gathered(self) -> list[TrackerSamples]:
+    def gather(self) -> list[TrackerSamples]:
         """Return the blocks of a moment; waits for the first one."""
-        found = self._received()
+        blocks = self._receive()
         until_s = time.monotonic() + _GATHER_S
         while not self._is_cut and (left_s := until_s - time.monotonic()) > 0:
-            if self._blocks.poll(left_s):
-                found += self._received()
-        return found
+            if self._link.poll(left_s):
+                blocks += self._receive()
+        return blocks
 
     @property
     def _is_cut(self) -> bool:
         return self.is_over or self.is_asked
 
-    def _received(self) -> list[TrackerSamples]:
-        block = self._blocks.recv()
-        if isinstance(block, Ask):
-            self.is_asked = True
-            return []
-        self.is_over = block is None
-        if block is None:
-            return []
-        if self.begun_s is None and len(block):
-            self.begun_s = float(block.device_time_s[0])
-        return [block]
+    def _receive(self) -> list[TrackerSamples]:
+        match self._link.recv():
+            case ChoosePart():
+                self.is_asked = True
+            case EndOfStream():
+                self.is_over = True
+            case block:
+                if self.begun_s is None and len(block):
+                    self.begun_s = float(block.device_time_s[0])
+                return [block]
+        return []
 
 
 def estimate_json(now: Any) -> dict[str, Any]:

@@ -4,16 +4,11 @@ Science that can be cut into blocks asks for no more than that interface. Two ad
 give it: processes on this computer, and Dask for those who outgrow it
 (`truepath[dask]`; imported only where it is chosen). A block depends on its number
 alone, so the answer is the same on either, whatever the number of workers.
-
-Why not the pool of the standard library: an aborted job's process is killed, and such a
-pool would leave its workers waiting for ever and its semaphores behind. Here a worker
-is a process at the end of a pipe: it ends when the pipe does.
 """
 
 from __future__ import annotations
 
 import os
-import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -21,14 +16,10 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from typing import Any, Literal, TypeVar
 
 from app.errors import BadInput
-from app.jobs.errors import WorkerDied
-from app.jobs.executor import limit_threads
+from app.jobs.worker_process import Call, WorkerProcess
 from app.settings import Settings
 
 T = TypeVar("T")
@@ -117,66 +108,29 @@ def in_order(executor: Executor, width: int) -> Ordered[Any]:
 
 
 class ProcessWorkers(Executor):
-    """Spawned processes on this computer, each with a thread here that feeds it."""
+    """Worker processes on this computer, each with a thread here that feeds it."""
 
     def __init__(self, count: int) -> None:
-        limit_threads()
         self._own = threading.local()
-        self._workers: list[tuple[BaseProcess, Connection]] = []
-        self._threads = ThreadPoolExecutor(count, "worker", self._start)
+        self._workers: list[WorkerProcess] = []
+        self._threads = ThreadPoolExecutor(count, "block-worker", self._start)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """Call a function of a module in one of the processes."""
-        return self._threads.submit(self._there, fn, args, kwargs)
+        return self._threads.submit(self._call, Call(fn, args, kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes: after what they do, or now if that is to be dropped."""
         if cancel_futures:
-            for process, _ in self._workers:
-                process.kill()
+            for worker in self._workers:
+                worker.kill()
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
-        for process, link in self._workers:
-            link.close()
-            process.join()
+        for worker in self._workers:
+            worker.close()
 
     def _start(self) -> None:
-        context = get_context("spawn")
-        link, other = context.Pipe()
-        process = context.Process(target=_work, args=(other,), daemon=True)
-        process.start()
-        other.close()
-        self._workers.append((process, link))
-        self._own.link = link
+        self._own.worker = WorkerProcess("block-worker")
+        self._workers.append(self._own.worker)
 
-    def _there(
-        self, fn: Callable[..., T], args: tuple[Any, ...], kwargs: dict[str, Any]
-    ) -> T:
-        try:
-            self._own.link.send((fn, args, kwargs))
-            error, value = self._own.link.recv()
-        except (EOFError, OSError) as gone:
-            raise WorkerDied(
-                "a computing process ended without an answer: killed, or out of "
-                "memory; run it again, or with fewer workers"
-            ) from gone
-        if error is not None:
-            raise error
-        return value
-
-
-def _work(link: Connection) -> None:
-    """Body of a process: call what comes until nobody is there to ask."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    while True:
-        try:
-            fn, args, kwargs = link.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            answer = None, fn(*args, **kwargs)
-        except Exception as error:
-            answer = error, None
-        try:
-            link.send(answer)
-        except OSError:
-            return
+    def _call(self, call: Call) -> Any:
+        return self._own.worker.call(call)

@@ -7,17 +7,12 @@ One thread uses a handle, whichever.
 from __future__ import annotations
 
 import logging
-import os
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from multiprocessing import get_context
-from multiprocessing.process import BaseProcess
 
+from app.child_process import ChildProcess
 from app.errors import MeasurementFailed, TruepathError
 from app.kinematics.machine import Machine
-from app.measurement.cell_process import Command, main
+from app.measurement.cell_process import Command, run_cell
 from app.measurement.orders import CellConfig, CellEvent, CellState, Order
 from app.motion.configurations import Commanded
 from app.motion.paths import check_travel
@@ -32,24 +27,14 @@ log = logging.getLogger(__name__)
 CONNECT_S = 20.0
 CLOSE_S = 30.0
 FORCE_S = 5.0
-# A BLAS that fills the cores would stop the reader of the port.
-_ONE_THREAD: dict[str, str] = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-}
-_ENVIRONMENT = threading.Lock()
 
 
 class Cell:
     """One cell process, from `start` to `close`."""
 
     def __init__(self, config: CellConfig) -> None:
-        context = get_context("spawn")
-        self._link, self._other_end = context.Pipe()
-        self._process: BaseProcess = context.Process(
-            target=main, args=(self._other_end, config), name="cell", daemon=True
-        )
+        # The cell itself ends with its parent, for it has to hold the feed first.
+        self._process = ChildProcess("cell", run_cell, config, ends_with_parent=False)
         self._events: list[CellEvent] = []
         self._machine: Machine | None = None  # of the order under way
         self._started = self._told_death = self._closed = False
@@ -57,18 +42,16 @@ class Cell:
     @property
     def alive(self) -> bool:
         """Whether the process lives."""
-        return self._started and not self._closed and self._process.is_alive()
+        return not self._closed and self._process.alive
 
     @property
     def process_id(self) -> int | None:
         """Identifier of the process, None before `start`."""
-        return self._process.pid
+        return self._process.process_id
 
     def start(self) -> None:
         """Start the process."""
-        with _one_blas_thread():
-            self._process.start()
-        self._other_end.close()
+        self._process.start()
         self._started = True
 
     def connect(self) -> dict[str, Identity]:
@@ -139,38 +122,36 @@ class Cell:
         self._closed = True
         if self._started:
             self._end_process()
-        self._link.close()
+        self._process.close()
 
     def _end_process(self) -> None:
-        if self._process.is_alive():
+        if self._process.alive:
             try:
-                self._link.send(Command("close"))
+                self._process.link.send(Command("close"))
             except OSError:
                 log.warning("the cell does not listen any more")
         deadline_s = time.monotonic() + CLOSE_S
-        while self._process.is_alive() and time.monotonic() < deadline_s:
+        while self._process.alive and time.monotonic() < deadline_s:
             self._events += self._received(0.05)  # it may wait for us to listen
             self._process.join(0.05)
-        for force in (self._process.terminate, self._process.kill):
-            if self._process.is_alive():
-                log.error("the cell process does not end; it is ended by force")
-                force()
-                self._process.join(FORCE_S)
-        self._process.close()
+        if self._process.alive:
+            log.error("the cell process does not end; it is ended by force")
+            self._process.terminate()
+            self._process.join(FORCE_S)
 
     def _send(self, command: Command) -> None:
         if not self.alive:
             raise MeasurementFailed("the cell process is not alive; start another")
         try:
-            self._link.send(command)
+            self._process.link.send(command)
         except OSError as error:
             raise MeasurementFailed("the cell process has died") from error
 
     def _received(self, timeout_s: float) -> list[CellEvent]:
         events: list[CellEvent] = []
         try:
-            while self._link.poll(0.0 if events else timeout_s):
-                events.append(self._link.recv())
+            while self._process.link.poll(0.0 if events else timeout_s):
+                events.append(self._process.link.recv())
         except (EOFError, OSError):
             # The process has gone, or is about to: `alive` will say so.
             self._process.join(timeout_s)
@@ -180,7 +161,7 @@ class Cell:
         if self._told_death:
             return []
         self._told_death = True
-        text = f"the cell process has died (exit code {self._process.exitcode})"
+        text = f"the cell process has died (exit code {self._process.exit_code})"
         action = "the machine's watchdog holds the feed; look at it, then start again"
         fault = {"code": "cell-died", "text": text, "action": action}
         now_ns = time.monotonic_ns()
@@ -188,25 +169,6 @@ class Cell:
             CellEvent("fault", fault, now_ns),
             CellEvent("state", {"state": "faulted", "text": text}, now_ns),
         ]
-
-
-@contextmanager
-def _one_blas_thread() -> Iterator[None]:
-    """Have a process that is spawned meanwhile use one thread for linear algebra.
-
-    The variables are read when NumPy is imported, before any code of ours runs there.
-    """
-    with _ENVIRONMENT:
-        before = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update(_ONE_THREAD)
-        try:
-            yield
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    del os.environ[name]
-                else:
-                    os.environ[name] = value
 
 
 def _refusal(event: CellEvent) -> Exception:

@@ -46,10 +46,8 @@ class Command:
     part: Commanded | None = None
 
 
-def main(link: Connection, config: CellConfig) -> None:
+def run_cell(config: CellConfig, link: Connection) -> None:
     """Run a cell until it is told to close or its parent is gone."""
-    # Ctrl-C goes to every process of the terminal; the parent decides what it means.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     parent = parent_process()
     serve(link, config, () if parent is None else (parent.sentinel,))

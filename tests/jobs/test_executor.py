@@ -15,7 +15,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.jobs.errors import Aborted, TaskFailed, WorkerDied
-from app.jobs.executor import ProcessLanes
+from app.jobs.executor import ProcessExecutor
 from app.progress import ignore_progress
 
 TASKS = """
@@ -65,7 +65,7 @@ def tasks(tmp_path_factory):
 
 @pytest.fixture
 def one_lane(tasks):
-    lanes = ProcessLanes(1, tasks.prepare)
+    lanes = ProcessExecutor(1, tasks.prepare)
     yield lanes
     lanes.close()
 
@@ -153,7 +153,7 @@ def test_a_task_in_line_can_be_cancelled(one_lane, tasks, tmp_path):
 
 
 def test_closing_ends_what_runs_and_refuses_what_comes(tasks, tmp_path):
-    lanes = ProcessLanes(1)
+    lanes = ProcessExecutor(1)
     mark = tmp_path / "mark"
     outcome = in_thread(run(lanes, tasks.sleep, str(mark)).result)
     wait_until(lambda: mark.is_file() and mark.read_text(), "the task")
@@ -164,7 +164,7 @@ def test_closing_ends_what_runs_and_refuses_what_comes(tasks, tmp_path):
 
 
 def test_a_warm_lane_has_its_process_before_the_first_task(tasks):
-    lanes = ProcessLanes(1, tasks.prepare)
+    lanes = ProcessExecutor(1, tasks.prepare)
     lanes.warm()
     about = run(lanes, tasks.about).result()
     assert about["prepared"] == [about["pid"]]
@@ -178,11 +178,11 @@ def test_the_processes_end_with_the_service_even_if_it_is_killed(tasks, tmp_path
         import sys, time
         sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
         import lane_tasks
-        from app.jobs.executor import ProcessLanes
+        from app.jobs.executor import ProcessExecutor
         from app.progress import ignore_progress
 
         if __name__ == "__main__":
-            lanes = ProcessLanes(1)
+            lanes = ProcessExecutor(1)
             task = lanes.submit(
                 lane_tasks.about, on_progress=ignore_progress, started=lambda: None
             )

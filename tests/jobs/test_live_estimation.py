@@ -118,7 +118,7 @@ def test_an_estimate_is_told_again_with_its_age_while_none_is_newer(record, foll
     live = followed(run, shown.append)
     live.start()
     feed_until_shown(live, run, shown)
-    os.kill(live._process.pid, signal.SIGSTOP)
+    os.kill(live._process.process_id, signal.SIGSTOP)
     wait_until(lambda: shown[-1]["age_s"] > 1.0)
     told = [body for body in shown if body["done"] == shown[-1]["done"]]
     ages = [body["age_s"] for body in told]

@@ -10,7 +10,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.jobs.errors import Aborted, TaskFailed
-from app.jobs.executor import ProcessLanes
+from app.jobs.executor import ProcessExecutor
 from app.jobs.science import analyse_recorded
 from app.jobs.workers import Workers
 from app.numerics.adaptive_trials import TrialPlan
@@ -26,7 +26,7 @@ def run_files(small_run):
 
 @pytest.fixture
 def lane():
-    lanes = ProcessLanes(1)
+    lanes = ProcessExecutor(1)
     yield lanes
     lanes.close()
 

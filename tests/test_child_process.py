@@ -1,0 +1,111 @@
+"""Children in real processes. Their bodies live in a module that they can import."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import logging
+import sys
+
+import pytest
+import structlog
+
+from app.child_process import ChildProcess
+from app.service_log import configure_log
+
+BODIES = """
+import logging, os, time
+import structlog
+from app.child_process import ChildProcess
+
+def log_lines(link):
+    logging.getLogger("driver").info("connected to %s", "COM3")
+    structlog.get_logger("job").info("further part", rows=3)
+    try:
+        raise ValueError("a defect")
+    except ValueError:
+        logging.getLogger("driver").exception("it failed")
+
+def have_a_child(link):
+    child = ChildProcess("grandchild", log_lines)
+    child.start()
+    child.join()
+    child.close()
+
+def tell_threads(link):
+    link.send(os.environ["OPENBLAS_NUM_THREADS"])
+
+def sleep(link):
+    link.send(os.getpid())
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bodies")
+    (folder / "child_bodies.py").write_text(BODIES)
+    sys.path.insert(0, str(folder))
+    yield importlib.import_module("child_bodies")
+    sys.path.remove(str(folder))
+
+
+@pytest.fixture
+def service_log(monkeypatch):
+    """The service's log at level info, as JSON lines; put back afterwards."""
+    root = logging.getLogger()
+    handlers, level = root.handlers, root.level
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    configure_log("info", "json")
+    yield lambda: [json.loads(line) for line in stream.getvalue().splitlines()]
+    structlog.reset_defaults()
+    root.handlers = handlers
+    root.setLevel(level)
+
+
+def run_to_its_end(body, name="cell"):
+    child = ChildProcess(name, body)
+    child.start()
+    child.join()
+    child.close()
+
+
+def test_the_info_lines_of_a_child_are_in_the_log_with_its_name(bodies, service_log):
+    run_to_its_end(bodies.log_lines)
+    connected, part, failed = service_log()
+    assert (connected["event"], connected["level"]) == ("connected to COM3", "info")
+    assert (part["event"], part["rows"]) == ("further part", 3)
+    assert "ValueError: a defect" in failed["exception"]
+    assert {line["process"] for line in (connected, part, failed)} == {"cell"}
+
+
+def test_the_lines_of_a_childs_child_are_in_the_log_too(bodies, service_log):
+    run_to_its_end(bodies.have_a_child)
+    assert {line["process"] for line in service_log()} == {"grandchild"}
+    assert len(service_log()) == 3
+
+
+def test_a_child_computes_on_one_thread(bodies, monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "8")
+    child = ChildProcess("worker", bodies.tell_threads)
+    child.start()
+    assert child.link.recv() == "1"
+    child.close()
+
+
+def test_closing_ends_a_child_whatever_it_does(bodies):
+    child = ChildProcess("worker", bodies.sleep)
+    child.start()
+    assert child.link.recv() == child.process_id
+    child.close()
+    child.close()
+    assert not child.alive
+    assert child.exit_code == -9
+
+
+def test_a_child_that_was_never_started_is_closed_without_a_word():
+    child = ChildProcess("worker", print)
+    assert not child.alive
+    child.close()
