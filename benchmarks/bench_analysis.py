@@ -17,7 +17,7 @@ from measure import measure, ratio
 from app.alignment.align import align
 from app.estimation.volumetric_map import volumetric_map
 from app.files.bundle import read_bundle
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import Machine
 from app.reporting.analysis_files import analyse
 from simulators import paths, synthetic

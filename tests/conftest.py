@@ -14,7 +14,7 @@ import structlog
 from app.files.bundle import zip_bundle
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples

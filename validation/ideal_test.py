@@ -21,7 +21,8 @@ from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.estimation.information import information
 from app.estimation.problem import pose_problem
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.model import MachineModel
@@ -87,11 +88,11 @@ def _usual_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.nd
     for motion in motions:
         part = truth[model.slices[motion.name]]
         each = float(part @ form[motion.name] @ part) / (motion.spline.size - 2)
-        energy.setdefault(motion.charge().kind, []).append(each)
+        energy.setdefault(motion.prior().kind, []).append(each)
     total = np.zeros((size, size))
     for motion in motions:
         part = model.slices[motion.name]
-        usual = float(np.mean(energy[motion.charge().kind]))
+        usual = float(np.mean(energy[motion.prior().kind]))
         total[part, part] = form[motion.name] / usual
     return total
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel

@@ -66,7 +66,7 @@ def _motions(model: MachineModel) -> dict[str, ErrorMotion]:
 def _merged_symbols(done: Study) -> dict[str, tuple[str, ...]]:
     """Return what one tool does not tell, with what it merges into."""
     _, merged = identifiable_model(done.within.machine, done.seen.at.offset_mm)
-    return {m.symbol: m.told_with for m in merged}
+    return {m.symbol: m.partners for m in merged}
 
 
 def _scale(symbol: str) -> float:

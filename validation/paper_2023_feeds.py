@@ -25,7 +25,7 @@ from study import Study, study
 from app.alignment.align import align
 from app.estimation.volumetric_map import volumetric_map
 from app.files.machine_file import machine_from_json
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.numerics.rigid import fit_rigid
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine

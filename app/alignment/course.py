@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.bend import NODES, Bend
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import Machine, RotaryAxis
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -157,7 +157,7 @@ def _seen_mm(
     offset = np.array([t.offset_mm for t in targets], np.float64)[which]
     aside = np.array([t.on == "workpiece" for t in targets])[which]
     at = standstill(machine, position, offset)
-    return at.seen_by(machine.tracker.stands_on, aside).point_mm
+    return at.view_from(machine.tracker.stands_on, aside).point_mm
 
 
 def _bends(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.kinematics.effects.base import Conditions
+from app.kinematics.conditions import Conditions
 from app.numerics.rigid import RigidTransform
 
 
@@ -61,7 +61,7 @@ class Observations:
         """Return some of the cells."""
         return replace(
             self,
-            at=self.at.taken(cells),
+            at=self.at.select(cells),
             tracker_mm=self.tracker_mm[cells],
             count=self.count[cells],
             direction=self.direction[cells],

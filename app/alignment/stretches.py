@@ -15,7 +15,7 @@ from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import Stops
 from app.files.run import Run
-from app.kinematics.effects.base import Conditions
+from app.kinematics.conditions import Conditions
 from app.kinematics.machine import Machine
 from app.numerics.rigid import RigidTransform
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
-from app.kinematics.effects.base import Surroundings
+from app.kinematics.conditions import RecordedState
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TemperatureSamples
 
@@ -27,7 +27,7 @@ def with_surroundings(
 
     number : which of several Runs it is
     """
-    around = Surroundings(
+    recorded = RecordedState(
         _rates(seen),
         seen.count / seen.at.machine.tracker.rate_hz,
         _since_reversal(_in_order(commanded, seen), seen),
@@ -35,7 +35,7 @@ def with_surroundings(
         seen.pose.rotation,
         *_temperatures(temperature, seen.at.time_s),
     )
-    return replace(seen, at=replace(seen.at, run=number, around=around))
+    return replace(seen, at=replace(seen.at, run=number, recorded=recorded))
 
 
 def _in_order(

@@ -18,7 +18,6 @@ from app.compensation.format import CompensationFormat, Correction
 from app.compensation.order import CompensationOrder
 from app.compensation.places import positions, without_rigid
 from app.compensation.source import Source
-from app.kinematics.effects.approach import Backlash
 from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.symbols import is_positioning
 from app.results.error_tables import MILLI
@@ -63,9 +62,7 @@ def carried_effects(
     ordered : makes what the format writes; correction : what its files do
     """
     place = positions(source)
-    for effect in source.result.model.effects:
-        if not isinstance(effect, Catalogued):
-            continue
+    for effect in source.result.model.catalogued:
         other = _without(source, effect)
         reread = kind.read(kind.write(ordered(other)), source.machine)
         own = [source.error_mm(place, s) - other.error_mm(place, s) for s in _SIDES]
@@ -90,7 +87,7 @@ def _without(source: Source, effect: Catalogued) -> Source:
     theta = source.result.theta.copy()
     theta[source.result.model.slices[effect.name]] = 0.0
     half = dict(source.half)
-    lost = effect.effect
-    if isinstance(lost, Backlash) and is_positioning(lost.symbol):
+    lost = effect.half_difference
+    if lost and is_positioning(lost.symbol):
         half.pop(lost.axis.name, None)
     return replace(source, result=replace(source.result, theta=theta), half=half)

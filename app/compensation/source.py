@@ -9,11 +9,8 @@ from jaxtyping import Float64
 
 from app.estimation.volumetric_map import VolumetricMap, volumetric_map
 from app.files.json_fields import Field
-from app.kinematics.effects.base import Effect, standstill
-from app.kinematics.effects.catalogued import bare
-from app.kinematics.effects.elastic_sag import ElasticSag
-from app.kinematics.effects.error_motion import ErrorMotion, reference_position_mm
-from app.kinematics.effects.plane_error import PlaneError
+from app.kinematics.conditions import standstill
+from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, is_turn
 from app.results.error_tables import MILLI
@@ -75,8 +72,7 @@ class Source:
         """Return ω of an axis: the turns that the result tells, else 0."""
         omega = np.zeros((len(at_mm), 3))
         model = self.result.model
-        motions = [e for e in model.effects if isinstance(e, ErrorMotion)]
-        for motion in motions:
+        for motion in model.error_motions:
             if motion.symbol[2] == axis and is_turn(motion.symbol):
                 part = model.slices[motion.name]
                 value = motion.rows(at_mm) @ self.result.theta[part]
@@ -85,7 +81,8 @@ class Source:
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return the pairs of axes that the model has effects of, a guide first."""
-        return [pair for pair in map(_pair, self.result.model.effects) if pair]
+        effects = self.result.model.effects
+        return [effect.axis_pair for effect in effects if effect.axis_pair]
 
     def bent_mm(
         self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
@@ -95,7 +92,7 @@ class Source:
         model, theta = self.result.model, self.result.theta
         total = np.zeros((len(position_mm), 3))
         for effect in model.effects:
-            if _pair(effect) == (axis, by):
+            if effect.axis_pair == (axis, by):
                 total += effect.displacement_mm(at, theta[model.slices[effect.name]])
         return total
 
@@ -109,16 +106,6 @@ class Source:
                 for axis in self.machine.axes
             ]
         )
-
-
-def _pair(effect: Effect) -> tuple[str, str] | None:
-    """Return the two axes that an effect depends on at once, the guide first."""
-    own = bare(effect)
-    if isinstance(own, ElasticSag):
-        return own.axis.name, own.by.name
-    if isinstance(own, PlaneError):
-        return own.first.name, own.second.name
-    return None
 
 
 def source_of(result: LoadedResult, direction: Field | None = None) -> Source:

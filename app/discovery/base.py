@@ -21,7 +21,6 @@ from app.estimation.runs import Measured
 from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.of_run import OfRun
 from app.kinematics.effects.time_spline import time_splines
 from app.kinematics.identifiable import identifiable_model
@@ -151,15 +150,13 @@ def renoised(
         for number, ground in enumerate(grounds)
         for spline in time_splines(ground.coarse.at, _spacing_s(ground.coarse))
     ]
-    known = [e for e in model.effects if isinstance(e, Catalogued)]
     runs = [
         Measured(g.coarse, g.base.pose, first_noise(g.coarse, perpendicular_only=False))
         for g in grounds
     ]
     try:
-        better = looked_at(
-            model.machine, runs, (*slow, *known, *effects), longest_s=_SPLINE_S
-        )
+        beside = (*slow, *model.catalogued, *effects)
+        better = looked_at(model.machine, runs, beside, longest_s=_SPLINE_S)
     except Unidentifiable:
         if not effects:
             raise

@@ -24,7 +24,7 @@ from app.discovery.where import Shown, shown
 from app.discovery.within import within_cells
 from app.estimation.noise import floor_mm
 from app.files.run import Run
-from app.kinematics.effects.base import Conditions
+from app.kinematics.conditions import Conditions
 from app.kinematics.effects.catalogue import Candidate, Described, Family, Measured
 from app.progress import ShareProgress, ignore_progress
 

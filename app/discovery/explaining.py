@@ -16,7 +16,8 @@ from app.discovery.scan import Offer, Residual, scanned, weighted_residual
 from app.discovery.sums import Lines
 from app.discovery.view import View
 from app.estimation.information import Posterior
-from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Candidate, Described, Family
 
 FOLDS = 8
@@ -26,7 +27,10 @@ _SHARPENED = 4  # offers whose scans are tried exactly
 _POSE = np.repeat([1.0, 1e6], 3)
 
 
-@dataclass(frozen=True)
+_Key = tuple[Candidate, int | None]  # an effect, and the Run that it is looked for in
+
+
+@dataclass(frozen=True, eq=False)
 class Explanation:
     """The Runs explained by base and chosen effects."""
 
@@ -71,12 +75,10 @@ class Explainer:
         self._prior = prior
         self._lines = Lines(views, FOLDS)
         self._offers = tuple(_offered(families, self._at))
-        # What was tried once is not computed again; the objects named by id stay alive.
-        self._explained: dict[
-            tuple[int, ...], tuple[tuple[Offer, ...], Explanation]
-        ] = {}
-        self._looked_in: dict[int, tuple[Explanation, dict[str, Offer]]] = {}
-        self._sharp: dict[tuple[int, int], Offer] = {}
+        # What was tried once is not computed again.
+        self._explained: dict[tuple[_Key, ...], Explanation] = {}
+        self._looked_in: dict[Explanation, dict[str, Offer]] = {}
+        self._sharp: dict[tuple[Explanation, _Key], Offer] = {}
         self._listed = float(np.log(len(self._offers)))
 
     @property
@@ -91,10 +93,10 @@ class Explainer:
 
     def explained(self, chosen: Sequence[Offer]) -> Explanation:
         """Return the Run explained by base and given effects, their values refined."""
-        key = tuple(id(o.candidate) for o in chosen)
+        key = tuple(_key(o) for o in chosen)
         if key not in self._explained:
-            self._explained[key] = tuple(chosen), self._explain(chosen)
-        return self._explained[key][1]
+            self._explained[key] = self._explain(chosen)
+        return self._explained[key]
 
     def _explain(self, chosen: Sequence[Offer]) -> Explanation:
         size = self._size
@@ -141,10 +143,10 @@ class Explainer:
 
     def _sharpened(self, explanation: Explanation, offer: Offer) -> Offer:
         """Return the offer at the best value of its scan, the base integrated out."""
-        key = id(explanation), id(offer.candidate)
+        key = explanation, _key(offer)
         if key not in self._sharp:
             best = self._sharpen(explanation, offer)
-            self._sharp |= {key: best, (key[0], id(best.candidate)): best}
+            self._sharp |= {key: best, (explanation, _key(best)): best}
         return self._sharp[key]
 
     def _sharpen(self, explanation: Explanation, offer: Offer) -> Offer:
@@ -162,11 +164,11 @@ class Explainer:
 
     def _scanned(self, explanation: Explanation, among: Sequence[Offer]) -> list[Offer]:
         """Return offers, but the chosen ones, at their best values."""
-        of, known = self._looked_in.setdefault(id(explanation), (explanation, {}))
-        taken = {o.label for o in of.chosen}
+        known = self._looked_in.setdefault(explanation, {})
+        taken = {o.label for o in explanation.chosen}
         wanted = [o for o in among if o.label not in taken]
         if any(o.label not in known for o in wanted):
-            left = self.residuals(of)
+            left = self.residuals(explanation)
             new = [o for o in wanted if o.label not in known]
             known |= {o.label: scanned(o, left) for o in new}
         return [known[o.label] for o in wanted]
@@ -185,6 +187,10 @@ class Explainer:
     ) -> Float64[np.ndarray, "p p"]:
         known = prior.precision_matrix(self._size) + self._poses
         return prior_precision(known, _candidates(chosen))
+
+
+def _key(offer: Offer) -> _Key:
+    return offer.candidate, offer.run
 
 
 def _by_evidence(ranked: Ranked) -> float:

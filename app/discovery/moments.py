@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from app.discovery.evidence import prior_precision, rest
 from app.discovery.scan import Offer
 from app.discovery.sums import Lines
-from app.kinematics.effects.base import Conditions
+from app.kinematics.conditions import Conditions
 
 _ROUNDS = 4  # the best moment moves into a line, and to its end, and beyond
 

@@ -14,7 +14,8 @@ from app.discovery.scan import Offer
 from app.discovery.spread import spread
 from app.discovery.sums import Lines
 from app.estimation.information import Posterior, posterior
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty
@@ -41,7 +42,7 @@ class ByValue(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The change of the value."""
-        return (Parameter(self.name, "1", nuisance=True),)
+        return (Parameter(self.name, "1"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the central difference of the displacement."""

@@ -20,7 +20,8 @@ from app.discovery.evidence import log_bayes
 from app.discovery.spectrum import transform
 from app.discovery.view import TIMING, FastSums, View
 from app.discovery.whitened import Line
-from app.kinematics.effects.base import Conditions, Effect, in_run
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, in_run
 from app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave, averaged
 from app.kinematics.effects.of_run import OfRun
 
@@ -250,7 +251,7 @@ def _wave_sums(
     """
     data = np.einsum("ni,ni->n", wave.arm, left.weighted)
     weight = np.einsum("ni,nij,nj->n", wave.arm, left.precision, wave.arm)
-    around = left.at.around
+    around = left.at.recorded
     span = np.zeros(len(data)) if around is None else around.span_s
     total, told = np.zeros(len(wave.waves), complex), np.zeros(len(wave.waves))
     for cells in _of_like_rate(wave.rate):

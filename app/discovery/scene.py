@@ -10,7 +10,7 @@ from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.alignment.surroundings import with_surroundings
 from app.files.run import Run
-from app.kinematics.effects.base import Conditions
+from app.kinematics.conditions import Conditions
 from app.numerics.rigid import RigidTransform
 
 CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
@@ -52,7 +52,7 @@ def in_surroundings(run: Run, seen: Observations, number: int) -> Observations:
 
 def at_pose(seen: Observations, pose: RigidTransform) -> Observations:
     """Return the observations with another pose."""
-    around = seen.at.around
+    around = seen.at.recorded
     if around is not None:
         around = replace(around, rotation=pose.rotation)
-    return replace(seen, pose=pose, at=replace(seen.at, around=around))
+    return replace(seen, pose=pose, at=replace(seen.at, recorded=around))

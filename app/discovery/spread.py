@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from app.discovery.evidence import prior_precision, rest
 from app.discovery.scan import Offer
 from app.discovery.sums import Lines
-from app.kinematics.effects.base import Conditions
+from app.kinematics.conditions import Conditions
 
 _BELOW, _ABOVE = -4, 10  # standard uncertainties by the slope, in whole steps
 _FEWEST = 3  # values, for any to lie between others

@@ -17,7 +17,6 @@ from app.discovery.view import FastSums, View, stretches
 from app.discovery.whitened import Halves, Line, line_of
 from app.estimation.information import Information
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.of_run import identity
 
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 _KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
@@ -119,7 +118,7 @@ class Lines:
         self._log_determinant = float(sum(line.log_determinant for line in self._lines))
         self._base = Halves.joined([line.base for line in self._lines])
         self._ground = self._products(self._base, self._base)
-        self._known: dict[tuple[int, int], _Term] = {}
+        self._known: dict[Effect, _Term] = {}
 
     def of(self, run: int) -> list[Line]:
         """Return the lines of one Run."""
@@ -163,7 +162,7 @@ class Lines:
         old = first.halves.between(*here)
         cross, own = cross - _crossed(fixed, old), own - old.times(old)
         seen = self._views[line.run].seen
-        at = seen.at.taken(np.arange(int(line.cells.start), int(line.cells.stop)))
+        at = seen.at.select(np.arange(int(line.cells.start), int(line.cells.stop)))
         rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
         new, width = line.whitened(rows), first.halves.width
         crossed = _crossed(fixed, new)
@@ -242,16 +241,14 @@ class Lines:
 
     def _terms_of(self, effects: Sequence[Effect]) -> list[_Term]:
         """Return the effects' columns, each made once."""
-        keys = [identity(effect) for effect in effects]
-        found = {key: self._known.pop(key) for key in set(keys) & set(self._known)}
-        new = {k: e for k, e in zip(keys, effects, strict=True) if k not in found}
+        found = {e: self._known.pop(e) for e in set(effects) & set(self._known)}
+        new = [e for e in dict.fromkeys(effects) if e not in found]
         if new:
-            made = self._made(list(new.values()))
-            found |= dict(zip(new, made, strict=True))
-        self._known |= {key: found[key] for key in keys}  # the newest are last
+            found |= dict(zip(new, self._made(new), strict=True))
+        self._known |= {e: found[e] for e in effects}  # the newest are last
         for key in list(self._known)[: max(len(self._known) - _KEPT, 0)]:
             del self._known[key]
-        return [found[key] for key in keys]
+        return [found[e] for e in effects]
 
     def _made(self, effects: Sequence[Effect]) -> Iterator[_Term]:
         """Yield the columns of effects, whitened and multiplied together."""

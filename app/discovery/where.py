@@ -84,8 +84,8 @@ def _segment(
     weight = seen.count[part] / seen.count[part].sum()
     square = float(weight @ np.sum(left_mm[part] ** 2, axis=1))
     rate = np.zeros(len(seen.at.machine.axes))
-    if seen.at.around is not None:
-        rate = seen.at.around.rate[first]
+    if seen.at.recorded is not None:
+        rate = seen.at.recorded.rate[first]
     names, main = seen.at.machine.axis_names, int(np.argmax(np.abs(rate)))
     moves = bool(rate.any())
     return Segment(
@@ -123,11 +123,11 @@ def _groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
     for one, two in combinations(at.machine.linear_axes, 2):
         row, column = (_binned(at.axis_mm(a.name), _SIDE) for a in (one, two))
         groups[f"region of {one.name} and {two.name}"] = _SIDE * row + column
-    if at.around is not None:
-        groups["moving axis"] = _moving(at.around.rate)
-    if at.around is not None and at.around.temperature_degc is not None:
-        celsius = at.around.temperature_degc.T
-        for name, column in zip(at.around.sensors, celsius, strict=True):
+    if at.recorded is not None:
+        groups["moving axis"] = _moving(at.recorded.rate)
+    if at.recorded is not None and at.recorded.temperature_degc is not None:
+        celsius = at.recorded.temperature_degc.T
+        for name, column in zip(at.recorded.sensors, celsius, strict=True):
             groups[f"temperature of {name}"] = _binned(column)
     return groups
 

@@ -23,7 +23,6 @@ from app.discovery.view import Base, stretches
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
-from app.kinematics.effects.of_run import OfRun, identity
 
 _OUTLIER = 5.0
 _KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial
@@ -97,16 +96,15 @@ class Within:
         return [(int(line[a]), int(a), int(b)) for a, b in zip(begin, end, strict=True)]
 
     @cached_property
-    def _known(self) -> dict[tuple[int, int], _Fast]:
+    def _known(self) -> dict[Effect, _Fast]:
         """Return the effects looked at of late."""
         return {}
 
     def _of(self, effect: Effect) -> _Fast | None:
         """Return a fast effect's columns, made once while it is looked at."""
-        key = identity(effect)
-        found = self._known.pop(key, None) or self._made(effect)
+        found = self._known.pop(effect, None) or self._made(effect)
         if found is not None:
-            self._known[key] = found  # the newest is last
+            self._known[effect] = found  # the newest is last
         if len(self._known) > _KEPT:
             del self._known[next(iter(self._known))]
         return found
@@ -126,7 +124,7 @@ class Within:
         return self._is_here(effect) and effect.in_time(self.time_s[:1]) is not None
 
     def _is_here(self, effect: Effect) -> bool:
-        return not isinstance(effect, OfRun) or effect.run == self.run
+        return effect.own_run in (None, self.run)
 
     def wave(
         self, wave: Wave
@@ -176,7 +174,7 @@ def within_cells(run: Run, seen: Observations, base: Base) -> Within | None:
 
 def _bends(seen: Observations, cell: int) -> bool:
     """Tell whether a line is an arc, which is straight in no cell."""
-    around, machine = seen.at.around, seen.at.machine
+    around, machine = seen.at.recorded, seen.at.machine
     turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]
     return around is not None and bool(around.rate[cell, turning].any())
 

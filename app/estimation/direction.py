@@ -20,8 +20,7 @@ from app.estimation.runs import (
     together,
     with_effects_only,
 )
-from app.kinematics.effects.approach import Backlash, half_shape, half_width
-from app.kinematics.effects.catalogued import bare
+from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 
@@ -59,7 +58,7 @@ def with_half_widths(model: MachineModel) -> MachineModel:
 
     None for a motion whose lost motion is an effect of the model already.
     """
-    lost = {e.symbol for e in map(bare, model.effects) if isinstance(e, Backlash)}
+    lost = {e.half_difference.symbol for e in model.effects if e.half_difference}
     motions = [m for m in _motions(model) if m.symbol not in lost]
     return model.with_effects(*(half_width(m.symbol, m.axis) for m in motions))
 
@@ -95,10 +94,10 @@ def _fit(
 ) -> Fit:
     data = known.informed(together(shares), model)
     prior, result = fitted(data, first_guess(model))
-    precisions = sum(not isinstance(e, ErrorMotion) for e in model.effects)
+    precisions = len(model.effects) - len(model.error_motions)
     cost = evidence_cost(data, prior, result) + _PRICE * precisions
     return Fit(direction, model, shares, known, prior, result, cost)
 
 
 def _motions(model: MachineModel) -> list[ErrorMotion]:
-    return [e for e in model.effects if isinstance(e, ErrorMotion)]
+    return list(model.error_motions)

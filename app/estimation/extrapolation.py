@@ -25,7 +25,8 @@ from app.alignment.observations import Observations
 from app.estimation.direction import Fit
 from app.estimation.information import posterior
 from app.estimation.prior import BendingPrior
-from app.kinematics.effects.base import Charge, Conditions
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import QuadraticPrior
 from app.kinematics.effects.error_motion import ErrorMotion, arm_of
 from app.kinematics.machine import Machine, RotaryAxis
 from app.kinematics.model import MachineModel
@@ -131,7 +132,7 @@ def whole_travel(machine: Machine) -> Ranges:
 
 
 def _motions(model: MachineModel) -> list[ErrorMotion]:
-    return [e for e in model.effects if isinstance(e, ErrorMotion)]
+    return list(model.error_motions)
 
 
 def _has_ends(motion: ErrorMotion, ranges: Ranges) -> bool:
@@ -215,7 +216,7 @@ def _freed(
     prior: BendingPrior,
     varies: Variation,
     measured: tuple[float, float],
-) -> Charge:
+) -> QuadraticPrior:
     """Return the charge of a beam that softens beyond the measured range."""
     precision, charge = prior.precision[motion.name], prior.charges[motion.name]
     density = _DENSITY * varies.curvature_square * _away(_middles(motion), measured)

@@ -145,7 +145,7 @@ def known_effects(
     covariance: Float64[np.ndarray, "p p"],
 ) -> KnownEffects:
     """Return the effects of the catalogue that a model has, all else integrated out."""
-    effects = tuple(e for e in model.effects if isinstance(e, Catalogued))
+    effects = model.catalogued
     numbers = np.arange(model.size)
     kept = np.concatenate(
         [np.zeros(0, np.int64), *(numbers[model.slices[e.name]] for e in effects)]

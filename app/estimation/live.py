@@ -11,7 +11,7 @@ millimetre and a milliradian, a hundred times what they are known to at the end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +37,7 @@ from app.estimation.problem import pose_problem, refined_pose
 from app.estimation.recursive import Linearisation, Recursive, begun
 from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
-from app.kinematics.effects.base import Parameter
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -149,7 +149,7 @@ class LiveEstimator:
         if self._sums is None:
             return None
         size = self._model.size
-        data = self._informed(self._sums.information(), _pose_parameters(self._model))
+        data = self._informed(self._sums.information(), _with_pose(self._model))
         self._prior, result = fitted(data, self._prior)
         widened = widen_by_unknown_precision(self._prior, result)
         covariance = widened.covariance[:size, :size]
@@ -177,11 +177,9 @@ class LiveEstimator:
     def _observations(self, parts: list[Stretch]) -> Observations:
         return with_surroundings(self._alignment.observations(parts), self._commanded)
 
-    def _informed(
-        self, data: Information, parameters: tuple[Parameter, ...]
-    ) -> Information:
+    def _informed(self, data: Information, effects: Sequence[Effect]) -> Information:
         """Return data with the weak prior, and what was known before, in them."""
-        return self._known.informed(_weakened(data, parameters), self._model)
+        return self._known.informed(_weakened(data, effects), self._model)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
         """Take the newest pose and noise, and add all cells anew.
@@ -196,8 +194,7 @@ class LiveEstimator:
             if self._sums is not None:
                 noise = replace(self._sums.about.noise, white=noise.white)
             problem = pose_problem(seen, self._model, pose)
-            told, every = information(problem, noise), problem.model.parameters
-            data = self._informed(told, every)
+            data = self._informed(information(problem, noise), problem.model.effects)
             strong = self._prior.precision_matrix(len(data.vector))
             theta = posterior(data, strong).theta
             pose = refined_pose(problem, theta)
@@ -226,17 +223,17 @@ def _about(
     return Linearisation(model, pose, (x, y, z), noise)
 
 
-def _weakened(data: Information, parameters: tuple[Parameter, ...]) -> Information:
+def _weakened(data: Information, effects: Sequence[Effect]) -> Information:
     """Return the information with the weak prior in it."""
-    sigma = np.array([_weak_sigma(p) for p in parameters])
+    sigma = np.array([_weak_sigma(e, p) for e in effects for p in e.parameters])
     return replace(data, matrix=data.matrix + np.diag(sigma**-2))
 
 
-def _weak_sigma(parameter: Parameter) -> float:
-    if parameter.nuisance:
+def _weak_sigma(effect: Effect, parameter: Parameter) -> float:
+    if effect.role is Role.NUISANCE:
         return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
     return _WEAK.get(parameter.unit, 1.0)
 
 
-def _pose_parameters(model: MachineModel) -> tuple[Parameter, ...]:
-    return (*model.parameters, *TrackerPose((0.0, 0.0, 0.0)).parameters)
+def _with_pose(model: MachineModel) -> tuple[Effect, ...]:
+    return (*model.effects, TrackerPose((0.0, 0.0, 0.0)))

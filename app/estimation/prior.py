@@ -24,7 +24,7 @@ from app.estimation.information import (
     posterior,
     without_rest,
 )
-from app.kinematics.effects.base import Charge
+from app.kinematics.effects.base import QuadraticPrior
 from app.kinematics.model import MachineModel
 
 _ROUNDS = 40  # at most
@@ -41,7 +41,7 @@ class BendingPrior:
     """
 
     model: MachineModel
-    charges: dict[str, Charge]
+    charges: dict[str, QuadraticPrior]
     precision: dict[str, float]
     log_forms: float
 
@@ -63,14 +63,14 @@ class BendingPrior:
 
 def first_guess(model: MachineModel) -> BendingPrior:
     """Return a prior for effects of usual size."""
-    asked = {effect.name: effect.charge() for effect in model.effects}
+    asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
     precision = {name: 8.0 / charge.usual for name, charge in charges.items()}
     log_forms = sum(_log_determinant(charge) for charge in charges.values())
     return BendingPrior(model, charges, precision, log_forms)
 
 
-def _log_determinant(charge: Charge) -> float:
+def _log_determinant(charge: QuadraticPrior) -> float:
     eigenvalue = np.linalg.eigvalsh(charge.form)[-charge.rank :]
     return float(np.log(eigenvalue).sum())
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.effects.error_motion import ErrorMotion, usual_size
-from app.kinematics.identifiable import Merged, identifiable_model
+from app.kinematics.identifiable import Confounded, identifiable_model
 from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import DIRECTION, is_turn, meaning
@@ -38,7 +38,7 @@ _LONGEST_MM = 500.0  # that is asked for
 def statements(
     machine: Machine,
     offsets_mm: Float64[np.ndarray, "n 3"],
-    merged: Sequence[Merged],
+    merged: Sequence[Confounded],
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[str, ...]:
@@ -74,18 +74,16 @@ def _still_merged(
 
 
 def _statement(
-    merged: Merged,
+    merged: Confounded,
     tools: int,
     left: dict[str, set[str]],
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> str:
     said = f"{merged.symbol} ({meaning(merged.symbol)})"
-    if merged.told_with:
+    if merged.partners:
         with_what = "one tool length" if tools == 1 else "the measured tool offsets"
-        said += (
-            f" cannot be told from {' and '.join(merged.told_with)} with {with_what}"
-        )
+        said += f" cannot be told from {' and '.join(merged.partners)} with {with_what}"
     else:
         said += " does not move the target"
     if _asks_for_the_table(merged.symbol, model.machine):
@@ -97,7 +95,7 @@ def _statement(
     for wanted in (min(_usual_turn(model, covariance), _ENOUGH_RAD), _ENOUGH_RAD):
         length_mm = _length_mm(merged.symbol, way, wanted, model, covariance)
         if length_mm <= _LONGEST_MM:
-            does = "separates them" if merged.told_with else "shows it"
+            does = "separates them" if merged.partners else "shows it"
             return (
                 f"{said}; {cure.format(f'{length_mm:.0f}')} {does} "
                 f"(to {2e6 * wanted:.1f} µrad, k = 2, on the same path)"
@@ -117,9 +115,7 @@ def _asks_for_the_table(symbol: str, machine: Machine) -> bool:
 
 def _usual_turn(model: MachineModel, covariance: Float64[np.ndarray, "p p"]) -> float:
     """Return the median standard uncertainty of the turns that are told, in rad."""
-    turns = [
-        e for e in model.effects if isinstance(e, ErrorMotion) and is_turn(e.symbol)
-    ]
+    turns = [motion for motion in model.error_motions if is_turn(motion.symbol)]
     return float(np.median([_sigma(m, model, covariance) for m in turns] or [np.inf]))
 
 
@@ -147,9 +143,9 @@ def _length_mm(
 
 def _displacements(model: MachineModel, axis: str) -> list[ErrorMotion]:
     return [
-        e
-        for e in model.effects
-        if isinstance(e, ErrorMotion) and e.axis.name == axis and not is_turn(e.symbol)
+        motion
+        for motion in model.error_motions
+        if motion.axis.name == axis and not is_turn(motion.symbol)
     ]
 
 

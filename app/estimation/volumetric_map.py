@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import cross_matrix

@@ -17,10 +17,9 @@ from jaxtyping import Float64
 from scipy.linalg import eigh
 
 from app.estimation.prior import first_guess
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.effects.squareness import Squareness
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn
+from app.kinematics.symbols import SQUARENESS, is_turn
 
 USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
 _LEFT = 0.5  # standard deviation left, of a usual machine's, from which a shape is weak
@@ -114,15 +113,15 @@ def _named(
     part = {
         e.name: _at_tool(gram, shape, model.slices[e.name])
         for e in model.effects
-        if isinstance(e, ErrorMotion | Squareness)
+        if e.motion or e.iso_symbol in SQUARENESS
     }
     largest = max(part.values())
     names = sorted(part, key=lambda name: -part[name])
     taking = tuple(n for n in names if part[n] > _TAKES_PART * largest)
     first = next(e for e in model.effects if e.name == taking[0])
     form = "the angle"
-    if isinstance(first, ErrorMotion):
-        form = form_of(first, shape[model.slices[first.name]])
+    if first.motion:
+        form = form_of(first.motion, shape[model.slices[first.name]])
     return WeakShape(taking, left, sigma_mm, form)
 
 
@@ -132,7 +131,7 @@ def _at_tool(
     return float(np.sqrt(max(shape[part] @ gram[part, part] @ shape[part], 0.0)))
 
 
-def form_of(motion: ErrorMotion, theta: Float64[np.ndarray, " p"]) -> str:
+def form_of(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
     """Say what a motion looks like along its axis: a slope, a bow, an S, a wave."""
     axis = motion.axis
     at = np.linspace(axis.low, axis.high, _GRID)

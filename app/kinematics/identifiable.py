@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.effects.error_motion import arm_of, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tool_orientation import tool_orientation
@@ -35,17 +35,17 @@ _NEW_SHAPE = 1e-6  # relative size of a new singular value
 
 
 @dataclass(frozen=True, slots=True)
-class Merged:
+class Confounded:
     """An error motion that no data of these targets tell from others."""
 
     symbol: str
-    told_with: tuple[str, ...]
+    partners: tuple[str, ...]
 
     def __str__(self) -> str:
         """Return the statement for reports."""
-        if not self.told_with:
+        if not self.partners:
             return f"{self.symbol} ({meaning(self.symbol)}) does not move the target"
-        others = ", ".join(self.told_with)
+        others = ", ".join(self.partners)
         return (
             f"{self.symbol} ({meaning(self.symbol)}) cannot be told from {others} with "
             "the measured tool offsets; another tool length or offset separates them"
@@ -57,7 +57,7 @@ def identifiable_model(
     *offsets_mm: Float64[np.ndarray, "_ 3"],
     knot_spacing_mm: float = KNOT_SPACING_MM,
     intervals: int | None = None,
-) -> tuple[MachineModel, tuple[Merged, ...]]:
+) -> tuple[MachineModel, tuple[Confounded, ...]]:
     """Return the model of what these targets can tell, and what merged.
 
     offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
@@ -73,13 +73,13 @@ def identifiable_model(
     probe = _probe(machine, np.unique(np.concatenate(each_run), axis=0))
     columns = {s: _columns(s, travels[s[2]], probe) for s in symbols}
     kept: list[str] = []
-    merged: list[Merged] = []
+    merged: list[Confounded] = []
     for symbol in symbols:
         partners = _absorbed_by(symbol, kept, columns)
         if partners is None:
             kept.append(symbol)
         else:
-            merged.append(Merged(symbol, partners))
+            merged.append(Confounded(symbol, partners))
     ordered = [
         s for axis in machine.linear_axes for s in error_motions(axis.name) if s in kept
     ]
@@ -110,7 +110,7 @@ def _chain_model(
     each_run: list[Float64[np.ndarray, "_ 3"]],
     knot_spacing_mm: float,
     intervals: int | None,
-) -> tuple[MachineModel, tuple[Merged, ...]]:
+) -> tuple[MachineModel, tuple[Confounded, ...]]:
     told = told_by(
         machine,
         tuple(
@@ -125,7 +125,7 @@ def _chain_model(
         )
         for s in told.motions
     ]
-    merged = tuple(Merged(symbol, mates) for symbol, mates in told.merged)
+    merged = tuple(Confounded(symbol, mates) for symbol, mates in told.merged)
     return MachineModel(machine, (*motions, *told.others)), merged
 
 

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.effects.axis_location import axis_locations
-from app.kinematics.effects.base import Conditions, Effect, standstill
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import arm_of, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tool_orientation import tool_orientation
@@ -110,7 +111,7 @@ def _probe(
     offset = np.tile([t.offset_mm for t in targets], (count, 1)).astype(np.float64)
     on_workpiece = np.tile([t.on == "workpiece" for t in targets], count)
     at = standstill(machine, position, offset)
-    return at.seen_by(machine.tracker.stands_on, on_workpiece)
+    return at.view_from(machine.tracker.stands_on, on_workpiece)
 
 
 def _single_numbers(
@@ -135,7 +136,7 @@ def _single_numbers(
             added, _ = np.linalg.qr(new)
             basis = np.hstack([basis, added])
             taken.append(effect)
-        elif not effect.parameters[0].nuisance:
+        elif effect.role is Role.MACHINE:
             mates = _nearest(own, [*known, *taken], each_run) if size > 0.0 else ()
             merged.append((effect.name, mates))
     return taken, merged
@@ -189,5 +190,5 @@ def _nearest(
     return tuple(
         e.name
         for e, p in zip(known, part, strict=True)
-        if p > 0.2 * max(part) and not e.parameters[0].nuisance
+        if p > 0.2 * max(part) and e.role is Role.MACHINE
     )

@@ -8,7 +8,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
+from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 
 
@@ -39,6 +42,16 @@ class MachineModel:
     def size(self) -> int:
         """Length of θ."""
         return len(self.parameters)
+
+    @cached_property
+    def error_motions(self) -> tuple[ErrorMotion, ...]:
+        """The error motions, in the order of θ."""
+        return tuple(e for e in self.effects if isinstance(e, ErrorMotion))
+
+    @cached_property
+    def catalogued(self) -> tuple[Catalogued, ...]:
+        """The effects of the catalogue, in the order of θ."""
+        return tuple(e for e in self.effects if isinstance(e, Catalogued))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return ∂(displacement in the workpiece frame, mm)/∂θ."""

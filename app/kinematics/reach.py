@@ -51,12 +51,12 @@ class NominalChain:
     position: Float64[np.ndarray, "n a"]
     offset_mm: Float64[np.ndarray, "n 3"]
     on_workpiece: Bool[np.ndarray, " n"]
-    seen_from: str
+    observer: str
 
     @property
     def point_mm(self) -> Float64[np.ndarray, "n 3"]:
         """Where the target is."""
-        if self.seen_from == "base":
+        if self.observer == "base":
             return self._base_mm
         seen = self._through(self.machine.workpiece_side, self._base_mm)
         return np.where(self.on_workpiece[:, None], self.offset_mm, seen)
@@ -78,9 +78,9 @@ class NominalChain:
             behind = side[side.index(name) + 1 :]
             lever = self._through(behind, self._base_mm) - _origin(axis)
             frame = self._turned(side[: side.index(name) + 1])
-            if self.seen_from == "base":
+            if self.observer == "base":
                 frame = -np.swapaxes(self._turned(behind), 1, 2)
-            return Reach(lever, self._where(frame, self.seen_from == "base"))
+            return Reach(lever, self._where(frame, self.observer == "base"))
         side = self.machine.tool_side
         behind = side[side.index(name) + (0 if isinstance(axis, RotaryAxis) else 1) :]
         lever = self._through(behind, self.offset_mm) - _origin(axis)
@@ -96,7 +96,7 @@ class NominalChain:
     @cached_property
     def workpiece_frame(self) -> Float64[np.ndarray, "n 3 3"]:
         """Turn of the workpiece seen from the base; 0 where the target is not on it."""
-        if self.seen_from != "base":
+        if self.observer != "base":
             return np.zeros((len(self.position), 3, 3))
         turned = np.swapaxes(self._turned(self.machine.workpiece_side), 1, 2)
         return self._where(turned, True)
@@ -117,7 +117,7 @@ class NominalChain:
     def _to_observer(
         self, frame: Float64[np.ndarray, "n 3 3"]
     ) -> Float64[np.ndarray, "n 3 3"]:
-        if self.seen_from == "base":
+        if self.observer == "base":
             return frame
         return self._turned(self.machine.workpiece_side) @ frame
 

@@ -26,8 +26,6 @@ from app.estimation.recursive import Linearisation, Recursive, begun
 from app.estimation.runs import Measured
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision_matrix
-from app.kinematics.effects.catalogued import Catalogued
-from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -71,14 +69,14 @@ class Forecast:
         """
         found: dict[str, float] = {}
         for effect in self.model.effects:
-            if isinstance(effect, Catalogued) or effect.parameters[0].nuisance:
+            if not effect.iso_symbol:
                 continue
             part = self.model.slices[effect.name]
             C = self.covariance[part, part]
             mean_square = float(np.trace(C))
-            if isinstance(effect, ErrorMotion):
-                low, high = effect.axis.low, effect.axis.high
-                rows = effect.rows(np.linspace(low, high, _POSITIONS))
+            if motion := effect.motion:
+                low, high = motion.axis.low, motion.axis.high
+                rows = motion.rows(np.linspace(low, high, _POSITIONS))
                 mean_square = float(np.sum((rows @ C) * rows)) / _POSITIONS
             found[effect.name] = mean_square**0.5
         return found

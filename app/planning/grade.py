@@ -28,7 +28,6 @@ from app.estimation.information import Information, posterior
 from app.estimation.separation import statements
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import WeakShape, usual_precision_matrix, weak_shapes
-from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -241,17 +240,15 @@ def _coarser(
 
     Every second knot of a spline makes a spline of the same space, so nothing is lost.
     """
-    effects = tuple(
-        error_motion(e.symbol, e.axis, _SHAPES) if isinstance(e, ErrorMotion) else e
-        for e in model.effects
-    )
+    effects = tuple(effect.coarsen(_SHAPES) for effect in model.effects)
     coarse = MachineModel(model.machine, effects)
     refined = np.zeros((model.size, coarse.size))
     for fine, rough in zip(model.effects, effects, strict=True):
         part = (model.slices[fine.name], coarse.slices[rough.name])
-        if isinstance(fine, ErrorMotion) and isinstance(rough, ErrorMotion):
+        if fine.motion and rough.motion:
             # The gauge's columns are orthonormal.
-            refined[part] = fine.gauge.T @ rough.rows(fine.spline.knots)
+            knots = fine.motion.spline.knots
+            refined[part] = fine.motion.gauge.T @ rough.motion.rows(knots)
         else:
             refined[part] = np.eye(len(fine.parameters))
     return coarse, refined
@@ -260,10 +257,9 @@ def _coarser(
 def _weakest(one: _Judged, judge: _Judge) -> tuple[WeakMotion, ...]:
     model, gram = judge.model, judge.gram
     share = {
-        e.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
-        for e in model.effects
-        if isinstance(e, ErrorMotion)
-        for p in (model.slices[e.name],)
+        m.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
+        for m in model.error_motions
+        for p in (model.slices[m.name],)
     }
     names = sorted(share, key=lambda name: -share[name])[:_NAMED]
     if one.number <= GOOD:

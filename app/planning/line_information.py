@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
+from app.kinematics.effects.base import Role
 from app.kinematics.effects.error_motion import error_motion, usual_size
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tracker_pose import TrackerPose
@@ -103,12 +104,13 @@ def prior_covariance(model: MachineModel) -> Float64[np.ndarray, "p p"]:
     scale = [
         EXPECTED_ERROR_MM
         / (size_mm if p.unit == "rad" else 1.0)
-        * (1e3 if p.nuisance else 1.0)
-        for p in model.parameters
+        * (1e3 if effect.role is Role.NUISANCE else 1.0)
+        for effect in model.effects
+        for p in effect.parameters
     ]
     precision = np.diag(np.array(scale) ** -2)
     for effect in model.effects:
-        charge = effect.charge()
+        charge = effect.prior()
         if charge is not None:
             at = model.slices[effect.name]
             larger = EXPECTED_ERROR_MM / usual_size("EXX")

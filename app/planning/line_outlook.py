@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.effects.base import Conditions, Surroundings
+from app.kinematics.conditions import Conditions, RecordedState
 from app.motion.motion_times import Drive
 from app.planning.outlook import Outlook
 from drivers.interfaces.records import Path
@@ -40,7 +40,7 @@ class LineOutlook(Outlook):
             -1, begin.shape[1]
         )
         at = self.conditions(places, np.repeat(np.sign(step), _PLACES, axis=0))
-        at = replace(at, around=self._around(at, begin, end, feed_mm_min, drive))
+        at = replace(at, recorded=self._around(at, begin, end, feed_mm_min, drive))
         direction = np.repeat(self._directions(begin, end), _PLACES, axis=0)
         weight = np.sqrt(np.repeat(seconds, _PLACES) / _PLACES)
         root = weight[:, None, None] * self.roots(at, direction)
@@ -94,7 +94,7 @@ class LineOutlook(Outlook):
         end: Float64[np.ndarray, "n a"],
         feed_mm_min: Float64[np.ndarray, " n"],
         drive: Drive,
-    ) -> Surroundings:
+    ) -> RecordedState:
         """Return how fast each axis moves, for effects that depend on it.
 
         Every axis is taken to have reversed where its line begins.
@@ -102,7 +102,7 @@ class LineOutlook(Outlook):
         length = np.maximum(drive.length(begin, end), 1e-9)
         rate = (end - begin) / length[:, None] * (feed_mm_min / 60.0)[:, None]
         rate, first = (np.repeat(v, _PLACES, axis=0) for v in (rate, begin))
-        return Surroundings(
+        return RecordedState(
             rate,
             np.full(len(at), 1.0 / _PLACES),
             np.abs(at.position_mm - first),

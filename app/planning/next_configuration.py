@@ -16,8 +16,7 @@ from math import ceil
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import standstill
-from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import LinearAxis
 from app.kinematics.model import MachineModel
 from app.numerics.design_criteria import Belief, best_place
@@ -124,9 +123,9 @@ def search_space(model: MachineModel) -> SearchSpace:
     borders: list[Float64[np.ndarray, " b"]] = []
     for axis in model.machine.axes:
         knots = [
-            effect.spline.knots
-            for effect in model.effects
-            if isinstance(effect, ErrorMotion) and effect.axis.name == axis.name
+            motion.spline.knots
+            for motion in model.error_motions
+            if motion.axis.name == axis.name
         ]
         ends = np.array([axis.low, axis.high])
         borders.append(np.unique(np.concatenate([ends, *knots])))

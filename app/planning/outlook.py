@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.linalg import cho_factor, cho_solve
 
-from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.machine import Target
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -124,7 +124,7 @@ class Outlook(ABC):
         offset = np.tile(np.array(self.target.offset_mm, np.float64), (n, 1))
         at = standstill(machine, position, offset)
         aside = np.full(n, self.target.on == "workpiece")
-        at = at.seen_by(machine.tracker.stands_on, aside)
+        at = at.view_from(machine.tracker.stands_on, aside)
         return replace(at, approach=approach)
 
     def roots(

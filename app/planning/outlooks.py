@@ -20,8 +20,7 @@ from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.volumetric_map import volumetric_gram
 from app.estimation.weak_shapes import usual_precision_matrix
-from app.kinematics.effects.base import standstill
-from app.kinematics.effects.catalogued import bare
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import identifiable_model
@@ -49,15 +48,14 @@ def mismatch_sigma_s(outlook: Outlook) -> dict[str, float]:
     takes up. Nothing where the outlook has no lags.
     """
     model = outlook.model
-    lags = {e.name: bare(e) for e in model.effects}
-    lags = {name: e for name, e in lags.items() if isinstance(e, ServoMismatch)}
+    lags = {e.lag_axis: e.name for e in model.effects if e.lag_axis}
     if not lags:
         return {}
-    at = [model.slices[name].start for name in lags]
+    at = [model.slices[name].start for name in lags.values()]
     own = inverse(outlook.precision)[np.ix_(at, at)]
     against_mean = np.eye(len(at)) - 1.0 / len(at)
     sigma = np.sqrt(np.diag(against_mean @ own @ against_mean.T))
-    return {e.axis.name: float(v) for e, v in zip(lags.values(), sigma, strict=True)}
+    return {axis: float(v) for axis, v in zip(lags, sigma, strict=True)}
 
 
 class _Believed(TypedDict):
@@ -109,8 +107,9 @@ def line_outlook(
 
 def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
     """Yield a lag an axis, but for those that are known effects already."""
-    has = {e.axis for e in map(bare, known.effects) if isinstance(e, ServoMismatch)}
-    yield from (ServoMismatch(axis) for axis in machine.linear_axes if axis not in has)
+    has = {effect.lag_axis for effect in known.effects}
+    missing = (axis for axis in machine.linear_axes if axis.name not in has)
+    yield from map(ServoMismatch, missing)
 
 
 def point_outlook(

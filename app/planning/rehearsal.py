@@ -20,7 +20,7 @@ from app.errors import PlanningError
 from app.estimation.information import Information, information
 from app.estimation.noise import NoiseModel
 from app.estimation.problem import pose_problem
-from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -154,7 +154,7 @@ def _conditions(
     names = [commanded.target[int(r)] for r in row if commanded.target]
     at = standstill(
         machine, begin + share[:, None] * step, offsets_mm(machine, names, len(row))
-    ).seen_by(machine.tracker.stands_on, on_workpiece(machine, names, len(row)))
+    ).view_from(machine.tracker.stands_on, on_workpiece(machine, names, len(row)))
     ahead, behind = (
         replace(at, position_mm=at.position_mm + sign * _AHEAD * step).point_mm
         for sign in (1.0, -1.0)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -136,7 +136,7 @@ def _rows(
     at = standstill(model.machine, position, offset)
     aside = seen.at.on_workpiece
     if aside is not None:
-        at = at.seen_by(seen.at.seen_from, np.tile(aside[:1], _POINTS))
+        at = at.view_from(seen.at.observer, np.tile(aside[:1], _POINTS))
     columns = model.jacobian(at)
     direction = at.point_mm[-1] - at.point_mm[0]
     length = float(np.linalg.norm(direction))

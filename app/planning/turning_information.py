@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.effects.axis_location import axis_locations
-from app.kinematics.effects.base import Conditions, Effect, standstill
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tool_orientation import tool_orientation
@@ -55,7 +56,7 @@ def turning_conditions(
     offset = np.tile(np.array(target.offset_mm, np.float64), (len(position), 1))
     aside = np.full(len(position), target.on == "workpiece")
     still = standstill(machine, position, offset)
-    return still.seen_by(machine.tracker.stands_on, aside)
+    return still.view_from(machine.tracker.stands_on, aside)
 
 
 def turning_rows(

@@ -42,7 +42,7 @@ class Covariate:
 
 def covariates(seen: Observations) -> dict[str, Covariate]:
     """Return what the disagreement is located by, under the names of its shares."""
-    at, around = seen.at, seen.at.around
+    at, around = seen.at, seen.at.recorded
     begin = float(at.time_s.min())
     found = [
         Covariate("line", "row of the path", seen.row.astype(np.float64)),

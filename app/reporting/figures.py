@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Axis
 from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, axis_panels
 from app.reporting.chart import Frame, Scale
@@ -60,8 +59,9 @@ def _fine_table(found: Findings, symbol: str) -> ErrorTable | None:
     """Return an error motion as densely as it is drawn."""
     estimate = found.estimate
     part = estimate.model.slices.get(symbol)
-    motion = next((e for e in estimate.model.effects if e.name == symbol), None)
-    if part is None or not isinstance(motion, ErrorMotion):
+    motions = {m.symbol: m for m in estimate.model.error_motions}
+    motion = motions.get(symbol)
+    if part is None or motion is None:
         return None
     at_mm = np.linspace(motion.axis.low, motion.axis.high, _DRAWN)
     theta, covariance = estimate.theta[part], estimate.covariance[part, part]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import LinearAxis
 from app.reporting.chart import Frame, Scale, round_down
 from app.reporting.figures import legend

@@ -14,7 +14,8 @@ from jaxtyping import Float64
 
 from app.errors import BadInput
 from app.files.json_fields import Field, Fields
-from app.kinematics.effects.base import Effect, Parameter, standstill
+from app.kinematics.conditions import standstill
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.catalogue import Family, Measured
 from app.kinematics.effects.catalogued import Catalogued, catalogued
 from app.kinematics.machine import Machine
@@ -36,11 +37,6 @@ _KEYS = ("axis", "by", "direction", "motion", "plane", "symbol", "circle")
 def unit_of(parameter: Parameter) -> tuple[str, float]:
     """Return the unit that files state, and how many of it are one inside."""
     return _UNITS.get(parameter.unit, (parameter.unit, 1.0))
-
-
-def catalogued_rows(effect: Catalogued) -> Float64[np.ndarray, "p p"]:
-    """Return the stated values per parameter."""
-    return np.diag([unit_of(p)[1] for p in effect.parameters])
 
 
 def catalogued_json(

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion, arm_of
 from app.kinematics.machine import Axis, LinearAxis
 from app.kinematics.symbols import error_motions, is_straightness, is_turn
@@ -26,7 +26,7 @@ _MERGES = 1e-6  # of a merged motion: left over by those it merges into
 
 def motions_of(result: LoadedResult) -> dict[str, ErrorMotion]:
     """Return the error motions that a result tells, by symbol."""
-    return {e.symbol: e for e in result.model.effects if isinstance(e, ErrorMotion)}
+    return {motion.symbol: motion for motion in result.model.error_motions}
 
 
 def convention(

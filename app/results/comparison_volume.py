@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import arm_of, reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import is_turn

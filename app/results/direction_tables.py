@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.approach import Backlash
-from app.kinematics.effects.catalogued import bare
+from app.kinematics.effects.base import Role
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import is_turn
 from app.results.error_tables import MICRO, MILLI, table_positions_mm
@@ -46,14 +46,13 @@ def half_differences(
     parts = [
         (effect.name, lost)
         for effect in model.effects
-        if isinstance(lost := bare(effect), Backlash)
+        if (lost := effect.half_difference)
     ]
     return tuple(
         _half_difference(
-            [p for p in parts if p[1].symbol == width.symbol], model, theta, covariance
+            [p for p in parts if p[1].symbol == symbol], model, theta, covariance
         )
-        for _, width in parts
-        if not width.varies
+        for symbol in dict.fromkeys(lost.symbol for _, lost in parts)
     )
 
 
@@ -62,11 +61,11 @@ def directional(model: MachineModel) -> tuple[str, ...]:
 
     Lost motion with a name of its own is part of the machine's model.
     """
-    return tuple(e.name for e in model.effects if isinstance(e, Backlash))
+    return tuple(e.name for e in model.effects if e.role is Role.DIRECTION)
 
 
 def _half_difference(
-    parts: list[tuple[str, Backlash]],
+    parts: list[tuple[str, ErrorCurve]],
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],

@@ -8,12 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.estimation.extrapolation import Ranges
-from app.kinematics.effects.axis_location import AxisLocation
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.effects.squareness import Squareness
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis, Target
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn, unit
+from app.kinematics.symbols import SQUARENESS, is_turn, unit
 
 STEP_MM = 25.0
 STEP_DEG = 10.0
@@ -106,19 +104,18 @@ def error_tables(
     locations: list[LocationError] = []
     for effect in model.effects:
         part = model.slices[effect.name]
-        if isinstance(effect, ErrorMotion):
-            at_mm = table_positions_mm(effect.axis)
-            table = error_table(effect, theta[part], covariance[part, part], at_mm)
-            tables.append(replace(table, measured=ranges.get(effect.axis.name)))
-        elif isinstance(effect, Squareness):
+        symbol = effect.iso_symbol
+        if motion := effect.motion:
+            at_mm = table_positions_mm(motion.axis)
+            table = error_table(motion, theta[part], covariance[part, part], at_mm)
+            tables.append(replace(table, measured=ranges.get(motion.axis.name)))
+        elif symbol in SQUARENESS:
             value, variance = float(theta[part][0]), float(covariance[part, part][0, 0])
             sigma = float(np.sqrt(variance))
-            squareness.append(
-                SquarenessError(effect.symbol, MICRO * value, MICRO * sigma)
-            )
-        elif isinstance(effect, AxisLocation):
+            squareness.append(SquarenessError(symbol, MICRO * value, MICRO * sigma))
+        elif symbol:
             sigma = float(np.sqrt(covariance[part, part][0, 0]))
-            locations.append(_location(effect.symbol, float(theta[part][0]), sigma))
+            locations.append(_location(symbol, float(theta[part][0]), sigma))
     complete = len(tables) == 6 * len(model.machine.axes)
     return ErrorTables(
         tuple(tables),
@@ -143,7 +140,7 @@ def table_positions_mm(axis: Axis) -> Float64[np.ndarray, " n"]:
 
 
 def error_table(
-    motion: ErrorMotion,
+    motion: ErrorCurve,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
     position_mm: Float64[np.ndarray, " n"],

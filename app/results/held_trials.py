@@ -16,10 +16,7 @@ from jaxtyping import Bool, Float64
 from app.estimation.estimate import Estimate
 from app.estimation.monte_carlo import block, prepared
 from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.axis_location import AxisLocation
-from app.kinematics.effects.base import standstill
-from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.effects.squareness import Squareness
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import RotaryAxis
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import unit
@@ -152,21 +149,19 @@ def held_against_trials(
 def _asked(model: MachineModel) -> list[_Asked]:
     asked: list[_Asked] = []
     for effect in model.effects:
-        rows = np.zeros((0, 0))
         at, position_unit = np.zeros((1, 0)), ""
-        if isinstance(effect, ErrorMotion):
-            at = table_positions_mm(effect.axis)[:, None]
-            position_unit = "deg" if isinstance(effect.axis, RotaryAxis) else "mm"
-            rows = effect.rows(at[:, 0])
-        elif isinstance(effect, Squareness | AxisLocation):
-            rows = np.eye(1)
-        else:
+        if not effect.iso_symbol:
             continue
+        rows = np.eye(1)
+        if motion := effect.motion:
+            at = table_positions_mm(motion.axis)[:, None]
+            position_unit = "deg" if isinstance(motion.axis, RotaryAxis) else "mm"
+            rows = motion.rows(at[:, 0])
         whole = np.zeros((len(rows), model.size))
-        stated = unit(effect.symbol)
+        stated = unit(effect.iso_symbol)
         scale = MICRO if stated == "urad" else MILLI
         whole[:, model.slices[effect.name]] = scale * rows
-        asked.append(_Asked(effect.symbol, stated, at, position_unit, whole))
+        asked.append(_Asked(effect.iso_symbol, stated, at, position_unit, whole))
     return [*asked, _map(model)]
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogued import Catalogued, measured
-from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.effects.base import Effect, Role
+from app.kinematics.effects.catalogued import measured
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
 from app.plugins import load
 from app.results.catalogued_json import unit_of
@@ -60,7 +60,7 @@ class ModelState:
         return {
             e.name: e
             for e in self.model.effects
-            if not all(p.nuisance for p in e.parameters)
+            if e.role in (Role.MACHINE, Role.DIRECTION)
         }
 
 
@@ -101,9 +101,10 @@ def _stem(name: str) -> str:
 
 def _of(state: ModelState, effect: Effect, kind: str) -> Change:
     theta, covariance = state.part(effect.name)
-    if isinstance(effect, Catalogued):
-        family = load("truepath.effects", effect.family)()
-        found = measured(family, effect, theta, covariance)
+    catalogued = {e.name: e for e in state.model.catalogued}
+    if known := catalogued.get(effect.name):
+        family = load("truepath.effects", known.family)()
+        found = measured(family, known, theta, covariance)
         numbers = [in_words(n, m.value, m.uncertainty) for n, m in found.items()]
         return Change(kind, effect.name, f"{effect.name}: {', '.join(numbers)}")
     size = f"{len(theta)} parameters"
@@ -118,8 +119,8 @@ def _of(state: ModelState, effect: Effect, kind: str) -> Change:
 def _changed(
     before: ModelState, after: ModelState, old: Effect, new: Effect
 ) -> Iterator[Change]:
-    if isinstance(old, ErrorMotion) and isinstance(new, ErrorMotion):
-        yield from _motion_changed(before, after, old, new)
+    if old.motion and new.motion:
+        yield from _motion_changed(before, after, old.motion, new.motion)
         return
     (was, _), (now, covariance) = before.part(old.name), after.part(new.name)
     sigma = np.sqrt(np.diag(covariance))
@@ -132,11 +133,11 @@ def _changed(
 
 
 def _motion_changed(
-    before: ModelState, after: ModelState, old: ErrorMotion, new: ErrorMotion
+    before: ModelState, after: ModelState, old: ErrorCurve, new: ErrorCurve
 ) -> Iterator[Change]:
     at_mm = table_positions_mm(new.axis)
-    was = error_table(old, *before.part(old.name), at_mm)
-    now = error_table(new, *after.part(new.name), at_mm)
+    was = error_table(old, *before.part(old.symbol), at_mm)
+    now = error_table(new, *after.part(new.symbol), at_mm)
     moved = now.value - was.value
     excess = np.abs(moved) / np.maximum(now.uncertainty, 1e-9)
     worst = int(np.argmax(excess))

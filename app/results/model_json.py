@@ -17,20 +17,19 @@ from jaxtyping import Float64
 
 from app.files.json_fields import Field, Fields
 from app.kinematics.effects.axis_location import AxisLocation, axis_locations
-from app.kinematics.effects.base import Effect
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion_over
-from app.kinematics.effects.squareness import Squareness, squareness_between
+from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.machine import Axis, Machine, RotaryAxis
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import error_motions, is_turn, unit
+from app.kinematics.symbols import SQUARENESS, error_motions, is_turn, unit
 from app.results.catalogued_json import (
     CATALOGUED,
     catalogued_from_json,
     catalogued_json,
-    catalogued_rows,
+    unit_of,
 )
-from app.results.direction_tables import directional
 from app.results.error_tables import MICRO, MILLI
 from app.results.packing import ENCODING, pack_symmetric, unpack_symmetric
 
@@ -61,11 +60,13 @@ def model_to_json(
     model, theta, covariance = _of_the_machine(model, theta, covariance)
     G = stated(model)
     values = G @ theta
+    catalogued = {e.name: e for e in model.catalogued}
     effects: list[dict[str, Any]] = []
     begin = 0
     for effect in model.effects:
         size = _rows(effect).shape[0]
-        effects.append(_effect_json(effect, values[begin : begin + size]))
+        known = catalogued.get(effect.name)
+        effects.append(_effect_json(effect, known, values[begin : begin + size]))
         begin += size
     return {
         "schema": SCHEMA,
@@ -104,12 +105,7 @@ def _of_the_machine(
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> tuple[MachineModel, Float64[np.ndarray, " m"], Float64[np.ndarray, "m m"]]:
-    directions = directional(model)  # the map is the mean of both
-    effects = tuple(
-        e
-        for e in model.effects
-        if e.name not in directions and not all(p.nuisance for p in e.parameters)
-    )
+    effects = tuple(e for e in model.effects if e.role is Role.MACHINE)
     kept = np.concatenate(
         [np.arange(model.size)[model.slices[e.name]] for e in effects]
     )
@@ -129,39 +125,30 @@ def stated(model: MachineModel) -> Float64[np.ndarray, "s p"]:
 
 
 def _rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
-    if isinstance(effect, ErrorMotion):
-        return (MICRO if is_turn(effect.symbol) else MILLI) * effect.gauge
-    if isinstance(effect, Squareness):
-        return np.array([[MICRO]])
-    if isinstance(effect, AxisLocation):
-        return np.array([[MICRO if unit(effect.symbol) == "urad" else MILLI]])
-    if isinstance(effect, Catalogued):
-        return catalogued_rows(effect)
-    raise TypeError(f"{effect.name} has no form in a result file")
+    if motion := effect.motion:
+        return (MICRO if is_turn(motion.symbol) else MILLI) * motion.gauge
+    return np.diag([unit_of(p)[1] for p in effect.parameters])
 
 
-def _effect_json(effect: Effect, values: Float64[np.ndarray, " s"]) -> dict[str, Any]:
-    if isinstance(effect, ErrorMotion):
+def _effect_json(
+    effect: Effect, known: Catalogued | None, values: Float64[np.ndarray, " s"]
+) -> dict[str, Any]:
+    """Return one effect with its stated values. known : it, if it has a family."""
+    symbol = effect.iso_symbol
+    if motion := effect.motion:
         return {
             "effect": "error-motion",
-            "symbol": effect.symbol,
-            _knots_key(effect.axis): effect.spline.knots.tolist(),
-            _values_key(effect.symbol): values.tolist(),
+            "symbol": symbol,
+            _knots_key(motion.axis): motion.spline.knots.tolist(),
+            _values_key(symbol): values.tolist(),
         }
-    if isinstance(effect, AxisLocation):
-        key = f"value_{unit(effect.symbol)}"
-        return {
-            "effect": "axis-location",
-            "symbol": effect.symbol,
-            key: float(values[0]),
-        }
-    if isinstance(effect, Catalogued):
-        return catalogued_json(effect, values)
-    return {
-        "effect": "squareness",
-        "symbol": effect.name,
-        "value_urad": float(values[0]),
-    }
+    if known:
+        return catalogued_json(known, values)
+    if not symbol:
+        raise TypeError(f"{effect.name} has no form in a result file")
+    kind = "squareness" if symbol in SQUARENESS else "axis-location"
+    key = f"value_{unit(symbol)}"
+    return {"effect": kind, "symbol": symbol, key: float(values[0])}
 
 
 def _knots_key(axis: Axis) -> str:

@@ -15,7 +15,7 @@ from app.estimation.extrapolation import (
     whole_travel,
 )
 from app.estimation.volumetric_map import VolumetricMap, volumetric_map
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.results.error_tables import MILLI
 from app.results.result_json import LoadedResult

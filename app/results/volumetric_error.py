@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.results.error_tables import MILLI

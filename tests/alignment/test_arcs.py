@@ -94,7 +94,7 @@ def test_cells_are_short_in_length_time_and_turn():
     run, _ = random_path("head-table")
     seen = align(run)
     for line in range(len(seen.passes)):
-        at = seen.at.taken(np.flatnonzero(seen.at.line == line))
+        at = seen.at.select(np.flatnonzero(seen.at.line == line))
         step_s = np.diff(at.time_s)
         way = np.linalg.norm(np.diff(at.point_mm, axis=0), axis=1)
         turn = np.abs(np.diff(at.position_mm[:, 3:], axis=0)).sum(axis=1)
@@ -225,7 +225,7 @@ def test_a_line_that_is_late_shifts_its_cells_along_the_arc():
     course = course_of(run.machine, run.commanded)
     most = 0.0
     for line, each in enumerate(seen.passes):
-        at = seen.at.taken(np.flatnonzero(seen.at.line == line))
+        at = seen.at.select(np.flatnonzero(seen.at.line == line))
         step = np.diff(run.commanded.position[each.row - 1 : each.row + 1], axis=0)
         share = 0.01 / course.length_mm[each.row]  # 0.01 mm of its mean way late
         moved = replace(at, position_mm=at.position_mm + share * step)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.estimation.volumetric_map import volumetric_map
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 
 

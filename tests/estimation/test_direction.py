@@ -7,8 +7,8 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.approach import half_shape, half_width
-from app.kinematics.effects.base import standstill
 from app.kinematics.machine import LinearAxis
 from app.results.direction_tables import half_differences
 

@@ -11,7 +11,7 @@ from app.estimation.extrapolation import (
     whole_travel,
 )
 from app.files.bundle import read_bundle
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.results.error_tables import error_tables
 from simulators import paths, synthetic

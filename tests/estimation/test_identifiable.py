@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise

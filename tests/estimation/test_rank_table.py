@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 import pytest
 
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise

@@ -13,7 +13,7 @@ from app.estimation.runs import Measured, shares_of, together
 from app.estimation.volumetric_map import volumetric_map
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
 from app.motion.configurations import Configurations

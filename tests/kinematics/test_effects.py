@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from app.kinematics.chain import lever_mm, nominal_point_mm
-from app.kinematics.effects.base import Conditions, standstill
+from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.effects.squareness import Squareness, squareness_between
 from app.kinematics.effects.timing_law import TimingLaw

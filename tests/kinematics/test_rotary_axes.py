@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from app.files.machine_file import machine_from_json
+from app.kinematics.conditions import standstill
 from app.kinematics.effects.axis_location import axis_locations
-from app.kinematics.effects.base import standstill
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.model import MachineModel
@@ -81,11 +81,11 @@ def theta_of(model, truth):
     return theta
 
 
-def seen(machine, q, target, seen_from):
+def seen(machine, q, target, observer):
     n = len(q)
     place = machine.target(target)
     at = standstill(machine, q, np.tile(place.offset_mm, (n, 1)))
-    return at.seen_by(seen_from, np.full(n, place.on == "workpiece"))
+    return at.view_from(observer, np.full(n, place.on == "workpiece"))
 
 
 @pytest.mark.parametrize(

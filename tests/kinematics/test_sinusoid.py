@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.kinematics.effects.base import Surroundings, standstill
+from app.kinematics.conditions import RecordedState, standstill
 from app.kinematics.effects.screw_cyclic import ScrewCyclic
 from app.kinematics.effects.sinusoid import amplitude_and_phase
 from app.kinematics.effects.vibration import Vibration
@@ -55,14 +55,14 @@ def moving(span_s, count):
     )  # fmt: skip
     lag_s = ((np.arange(count) + 0.5) / count - 0.5) * SPAN_S
     position = np.array([[210.0, 40.0, 30.0]]) + lag_s[:, None] * RATE_MM_S
-    around = Surroundings(
+    recorded = RecordedState(
         np.tile(RATE_MM_S, (count, 1)),
         np.full(count, span_s),
         np.full((count, 3), np.inf),
         np.tile([900.0, 0.0, 0.0], (count, 1)),
         np.eye(3),
     )
-    return replace(standstill(machine, position), time_s=3.7 + lag_s, around=around)
+    return replace(standstill(machine, position), time_s=3.7 + lag_s, recorded=recorded)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import (
     LinearAxis,
     Machine,

@@ -9,6 +9,7 @@ import pytest
 
 from app.errors import BundleError
 from app.files.machine_file import machine_from_json
+from app.kinematics.effects.base import Role
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.results.findings import find
 from app.results.model_json import model_to_json
@@ -229,8 +230,8 @@ def test_what_belongs_to_the_measurement_is_integrated_out(estimate):
 def test_an_effect_without_a_form_in_the_file_is_not_dropped_silently(estimate):
     class Unknown(TrackerPose):
         @property
-        def parameters(self):
-            return tuple(replace(p, nuisance=False) for p in super().parameters)
+        def role(self):
+            return Role.MACHINE
 
     model = estimate.model.with_effects(Unknown((0.0, 0.0, 0.0)))
     with pytest.raises(TypeError, match="tracker-pose has no form"):

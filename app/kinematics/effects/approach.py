@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior, Role
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.effects.error_motion import (
     arm_of,
     spline_parameters,
@@ -27,17 +29,12 @@ _INTERVALS = 5  # h changes slowly along an axis
 
 
 @dataclass(frozen=True)
-class Backlash(Effect):
+class Backlash(ErrorCurve, Effect):
     """Half the difference between both directions of approach of an error motion.
 
-    gauge : (K, p), control values per parameter
     varies : the part that changes along the axis and has no mean; else the constant
     """
 
-    symbol: str
-    axis: Axis
-    spline: CubicSpline
-    gauge: Float64[np.ndarray, "k p"]
     varies: bool
 
     @property
@@ -46,13 +43,19 @@ class Backlash(Effect):
         return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.DIRECTION
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The half width, or one for each degree of freedom beside the mean."""
         return spline_parameters(self.name, self.symbol, self.gauge.shape[1])
 
-    def rows(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
-        """Return h per parameter at positions of its axis."""
-        return self.spline.basis(at_mm) @ self.gauge
+    @property
+    def half_difference(self) -> Backlash:
+        """Itself."""
+        return self
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times h, with the sign of its axis' last motion."""
@@ -61,12 +64,13 @@ class Backlash(Effect):
         arm = arm_of(self.symbol, at) * sign[:, None]
         return arm[:, :, None] * rows[:, None, :]
 
-    def charge(self) -> Charge:
+    def prior(self) -> QuadraticPrior:
         """Return the mean square of h over the travel."""
         length = self.axis.high - self.axis.low
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length
         rank = self.gauge.shape[1]
-        return Charge(form, rank, rank * (_SHARE * usual_size(self.symbol)) ** 2)
+        usual = rank * (_SHARE * usual_size(self.symbol)) ** 2
+        return QuadraticPrior(form, rank, usual)
 
 
 def half_width(symbol: str, axis: Axis) -> Backlash:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.machine import RotaryAxis
 from app.kinematics.symbols import DIRECTION, TURNS, locations
 from app.kinematics.turning import local_directions
@@ -30,6 +31,11 @@ class AxisLocation(Effect):
     @property
     def name(self) -> str:
         """ISO 230-1 symbol."""
+        return self.symbol
+
+    @property
+    def iso_symbol(self) -> str:
+        """Its own symbol."""
         return self.symbol
 
     @property

@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect
 from app.kinematics.machine import Machine
+from app.numerics.value_equality import ValueEquality
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
 
@@ -74,7 +76,7 @@ class Wave:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(ValueEquality):
     """One effect that may be missing.
 
     keys : what tells it from others of its family, as files name it: axis, motion, …
@@ -182,9 +184,9 @@ class Described(Family):
 
 def rate_of(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
     """Return how fast an axis moves in each cell."""
-    if at.around is None:
+    if at.recorded is None:
         return np.zeros(len(at))
-    return np.abs(at.around.rate[:, at.machine.axis_names.index(axis)])
+    return np.abs(at.recorded.rate[:, at.machine.axis_names.index(axis)])
 
 
 def averaged(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.catalogue import Candidate, Family, Measured
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.machine import Machine
 
 
@@ -29,18 +31,28 @@ class Catalogued(Effect):
         return " ".join([self.family, *(key for _, key in self.keys), *numbers])
 
     @property
+    def half_difference(self) -> ErrorCurve | None:
+        """That of the effect."""
+        return self.effect.half_difference
+
+    @property
+    def lag_axis(self) -> str:
+        """That of the effect."""
+        return self.effect.lag_axis
+
+    @property
+    def axis_pair(self) -> tuple[str, str] | None:
+        """That of the effect."""
+        return self.effect.axis_pair
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of the effect, which are the machine's."""
-        return tuple(replace(p, nuisance=False) for p in self.effect.parameters)
+        """Those of the effect."""
+        return self.effect.parameters
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return that of the effect."""
         return self.effect.jacobian(at)
-
-
-def bare(effect: Effect) -> Effect:
-    """Return what an effect of the catalogue does; any other one as it is."""
-    return effect.effect if isinstance(effect, Catalogued) else effect
 
 
 def catalogued(

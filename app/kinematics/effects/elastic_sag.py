@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter, along
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -39,6 +40,11 @@ class ElasticSag(Effect):
     def name(self) -> str:
         """Name in the provenance of an estimate."""
         return f"elastic-sag-{self.axis.name}-{self.by.name}-{self.direction}"
+
+    @property
+    def axis_pair(self) -> tuple[str, str]:
+        """Guide and carriage."""
+        return self.axis.name, self.by.name
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -13,17 +13,19 @@ from jaxtyping import Float64
 from scipy.linalg import null_space
 
 from app.kinematics.chain import lever_mm
-from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior
+from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 from app.kinematics.turning import local_directions
-from app.numerics.splines import CubicSpline, cyclic_spline, natural_spline
+from app.numerics.splines import cyclic_spline, natural_spline
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
 
 
 @dataclass(frozen=True)
-class ErrorMotion(Effect):
+class ErrorMotion(ErrorCurve, Effect):
     """E or ω of an axis: values of a spline in the gauge of formats.md.
 
     gauge : (K, p), control values per free parameter. Positioning and turns are 0 at
@@ -32,11 +34,6 @@ class ErrorMotion(Effect):
         Of a rotary axis all six are 0 at the axis zero, and what is across the axis
         has no mean over the travel: that mean is the location of the axis.
     """
-
-    symbol: str
-    axis: Axis
-    spline: CubicSpline
-    gauge: Float64[np.ndarray, "k p"]
 
     @property
     def name(self) -> str:
@@ -48,16 +45,26 @@ class ErrorMotion(Effect):
         """One for each degree of freedom that the gauge leaves."""
         return spline_parameters(self.symbol, self.symbol, self.gauge.shape[1])
 
-    def rows(self, at_mm: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
-        """Return the error's value per parameter at positions of its axis."""
-        return self.spline.basis(at_mm) @ self.gauge
+    @property
+    def iso_symbol(self) -> str:
+        """Its own symbol."""
+        return self.symbol
+
+    @property
+    def motion(self) -> ErrorMotion:
+        """Itself."""
+        return self
+
+    def coarsen(self, intervals: int) -> ErrorMotion:
+        """Return the same motion over fewer intervals."""
+        return error_motion(self.symbol, self.axis, intervals)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
         rows = self.rows(at.axis_mm(self.axis.name))
         return arm_of(self.symbol, at)[:, :, None] * rows[:, None, :]
 
-    def charge(self) -> Charge:
+    def prior(self) -> QuadraticPrior:
         """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
 
         Usual is an error of usual size that waves once over the travel.
@@ -69,7 +76,7 @@ class ErrorMotion(Effect):
         kind = "turn" if is_turn(self.symbol) else "shift"
         if isinstance(self.axis, RotaryAxis):
             kind += " of a rotary axis"
-        return Charge(form, self.spline.size - free, usual, kind)
+        return QuadraticPrior(form, self.spline.size - free, usual, kind)
 
 
 def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from app.kinematics.conditions import Conditions
 from app.kinematics.effects.approach import Backlash, half_width
-from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -78,11 +79,11 @@ class TurningOver(Backlash):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the error's arm times the side that each cell is on, on average."""
         whole = super().jacobian(at)
-        if at.around is None:
+        if at.recorded is None:
             return whole
         column = at.machine.axis_names.index(self.axis.name)
-        gone = at.around.since_reversal[:, column]
-        width = np.abs(at.around.rate[:, column]) * at.around.span_s
+        gone = at.recorded.since_reversal[:, column]
+        width = np.abs(at.recorded.rate[:, column]) * at.recorded.span_s
         return whole * _side(gone, width, self.turnover_mm)[:, None, None]
 
 
@@ -147,7 +148,7 @@ class LateralBacklashFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return turnovers, where it is known how far each axis has gone."""
-        return None if at.around is None else Scan(self.scanned, _TURNOVERS_MM)
+        return None if at.recorded is None else Scan(self.scanned, _TURNOVERS_MM)
 
     def parameters(
         self,

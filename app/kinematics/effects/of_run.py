@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter, in_run
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import (
+    Effect,
+    Parameter,
+    QuadraticPrior,
+    Role,
+    in_run,
+)
 
 
 @dataclass(frozen=True)
@@ -21,6 +28,16 @@ class OfRun(Effect):
     def name(self) -> str:
         """Name of the effect, with the number of its Run beyond the first."""
         return in_run(self.effect.name, self.run)
+
+    @property
+    def own_run(self) -> int:
+        """The Run of its number."""
+        return self.run
+
+    @property
+    def role(self) -> Role:
+        """That of the effect."""
+        return self.effect.role
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -39,13 +56,6 @@ class OfRun(Effect):
         """Return those of the effect, at moments of its own Run."""
         return self.effect.in_time(time_s)
 
-    def charge(self) -> Charge | None:
+    def prior(self) -> QuadraticPrior | None:
         """Return that of the effect."""
-        return self.effect.charge()
-
-
-def identity(effect: Effect) -> tuple[int, int]:
-    """Return what tells an effect from others for as long as it is kept."""
-    if isinstance(effect, OfRun):
-        return id(effect.effect), effect.run
-    return id(effect), -1
+        return self.effect.prior()

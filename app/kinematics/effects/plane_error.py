@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.polynomial import legendre
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -42,6 +43,16 @@ class PlaneError(Effect):
     def name(self) -> str:
         """Name in the provenance of an estimate."""
         return f"plane-error-{self.first.name}{self.second.name}-{self.direction}"
+
+    @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.STRUCTURE
+
+    @property
+    def axis_pair(self) -> tuple[str, str]:
+        """Both axes of the plane."""
+        return self.first.name, self.second.name
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -46,10 +47,10 @@ class ReversalSpike(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the direction times what is left of the excursion."""
-        if at.around is None:
+        if at.recorded is None:
             return np.zeros((len(at), 3, 1))
         column = at.machine.axis_names.index(self.axis.name)
-        left = np.exp(-at.around.since_reversal[:, column] / self.decay_mm)
+        left = np.exp(-at.recorded.since_reversal[:, column] / self.decay_mm)
         arm = arm_of(f"E{self.direction}{self.axis.name}", at)
         return (arm * (left * at.approach[:, column])[:, None])[:, :, None]
 
@@ -70,7 +71,7 @@ class ReversalSpikeFamily(Family):
 
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each axis that reverses, and direction."""
-        if at.around is None:
+        if at.recorded is None:
             return []
         names = [axis.name for axis in at.machine.linear_axes]
         return [
@@ -89,9 +90,9 @@ class ReversalSpikeFamily(Family):
     @staticmethod
     def _reverses(axis: LinearAxis, at: Conditions) -> bool:
         column = at.machine.axis_names.index(axis.name)
-        around = at.around
-        return around is not None and bool(
-            (around.since_reversal[:, column] < _DECAYS_MM[-1]).any()
+        recorded = at.recorded
+        return recorded is not None and bool(
+            (recorded.since_reversal[:, column] < _DECAYS_MM[-1]).any()
         )
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,

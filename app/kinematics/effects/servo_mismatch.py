@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.catalogue import Candidate, Family, Measured, Signature
 from app.kinematics.effects.error_motion import arm_of
 from app.kinematics.machine import LinearAxis, Machine
@@ -28,15 +29,20 @@ class ServoMismatch(Effect):
         return f"servo-mismatch-{self.axis.name}"
 
     @property
+    def lag_axis(self) -> str:
+        """Its axis."""
+        return self.axis.name
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The lag, in s."""
         return (Parameter(self.name, "s"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return how far the axis is behind for each second of lag."""
-        if at.around is None:
+        if at.recorded is None:
             return np.zeros((len(at), 3, 1))
-        rate = at.around.rate[:, at.machine.axis_names.index(self.axis.name)]
+        rate = at.recorded.rate[:, at.machine.axis_names.index(self.axis.name)]
         arm = arm_of(f"E{self.axis.name}{self.axis.name}", at)
         return -(arm * rate[:, None])[:, :, None]
 
@@ -56,7 +62,7 @@ class ServoMismatchFamily(Family):
 
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis; none where nothing is measured in motion."""
-        if at.around is None or not at.around.rate.any():
+        if at.recorded is None or not at.recorded.rate.any():
             return []
         return [
             Candidate(

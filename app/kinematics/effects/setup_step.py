@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -35,9 +36,14 @@ class SetupStep(Effect):
         return f"setup-step-{self.at_s:.2f}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.MEASUREMENT
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The step along x, y and z, in mm."""
-        return tuple(Parameter(f"{self.name}-{a}", "mm", nuisance=True) for a in _AXES)
+        return tuple(Parameter(f"{self.name}-{a}", "mm") for a in _AXES)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
         """Return half a unit after the moment and minus half before."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Parameter, along
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Parameter, along
 from app.kinematics.effects.catalogue import Candidate, Measured, Wave, averaged
 
 _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
@@ -13,9 +14,7 @@ _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
 
 def sine_and_cosine(effect: str, unit: str) -> tuple[Parameter, ...]:
     """Return the two parameters of an effect of the measurement."""
-    return tuple(
-        Parameter(f"{effect}-{p}", unit, nuisance=True) for p in ("sin", "cos")
-    )
+    return tuple(Parameter(f"{effect}-{p}", unit) for p in ("sin", "cos"))
 
 
 def waves(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
@@ -30,9 +29,9 @@ def waves_of_cells(
 
     angle : rad, in the middle of the cell; rate : its change, rad/s
     """
-    if at.around is None:
+    if at.recorded is None:
         return waves(angle)
-    return waves(angle) * averaged(rate, at.around.span_s)[:, None]
+    return waves(angle) * averaged(rate, at.recorded.span_s)[:, None]
 
 
 def wave_of_time(

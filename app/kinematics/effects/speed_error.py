@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -39,6 +40,11 @@ class SpeedError(Effect):
     def name(self) -> str:
         """Name in the provenance of an estimate."""
         return f"speed-error-{self.axis.name}-{self.direction}"
+
+    @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.STRUCTURE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.error_motion import reference_position_mm
 
 # The axis out of square, which way it leans, the sign of a right-handed turn.
@@ -23,6 +24,11 @@ class Squareness(Effect):
     @property
     def name(self) -> str:
         """ISO 230-1 symbol."""
+        return self.symbol
+
+    @property
+    def iso_symbol(self) -> str:
+        """Its own symbol."""
         return self.symbol
 
     @property

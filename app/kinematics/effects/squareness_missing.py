@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Candidate, Family, Measured, Signature
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.machine import Machine

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -32,11 +33,14 @@ class TableDrift(Effect):
         return "table-drift"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.MEASUREMENT
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The rate along x, y and z, in mm/s."""
-        return tuple(
-            Parameter(f"{self.name}-{a}", "mm/s", nuisance=True) for a in _AXES
-        )
+        return tuple(Parameter(f"{self.name}-{a}", "mm/s") for a in _AXES)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
         """Return the time since the middle, for each direction."""

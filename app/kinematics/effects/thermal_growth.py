@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.catalogue import (
     Candidate,
     Family,
@@ -45,13 +46,13 @@ class ThermalGrowth(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the axis' direction times distance from its zero times the change."""
-        around = at.around
+        recorded = at.recorded
         name = self.axis.name
-        if around is None or around.temperature_degc is None:
+        if recorded is None or recorded.temperature_degc is None:
             return np.zeros((len(at), 3, 1))
-        if name not in around.sensors:
+        if name not in recorded.sensors:
             return np.zeros((len(at), 3, 1))
-        celsius = around.temperature_degc[:, around.sensors.index(name)]
+        celsius = recorded.temperature_degc[:, recorded.sensors.index(name)]
         return _strained(self.axis, at, celsius - self.start_degc)
 
 
@@ -105,13 +106,13 @@ class ThermalGrowthFamily(Family):
         return [self._candidate(axis, at) for axis in at.machine.linear_axes]
 
     def _candidate(self, axis: LinearAxis, at: Conditions) -> Candidate:
-        around, keys = at.around, {"axis": axis.name}
+        recorded, keys = at.recorded, {"axis": axis.name}
         if (
-            around is not None
-            and around.temperature_degc is not None
-            and axis.name in around.sensors
+            recorded is not None
+            and recorded.temperature_degc is not None
+            and axis.name in recorded.sensors
         ):
-            celsius = around.temperature_degc[:, around.sensors.index(axis.name)]
+            celsius = recorded.temperature_degc[:, recorded.sensors.index(axis.name)]
             if np.ptp(celsius) > _FEWEST_KELVIN:
                 first = float(celsius[np.argmin(at.time_s)])
                 effect = ThermalGrowth(axis, first)

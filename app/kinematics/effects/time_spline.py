@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.effects.base import Charge, Conditions, Effect, Parameter, along
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior, Role, along
 from app.numerics.splines import CubicSpline, natural_spline
 
 _USUAL_MM = 0.005
@@ -28,23 +29,27 @@ class TimeSpline(Effect):
         return f"time-spline-{self.direction}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.NUISANCE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """One for each knot but one, in mm."""
         return tuple(
-            Parameter(f"{self.name}[{i}]", "mm", nuisance=True)
-            for i in range(self.gauge.shape[1])
+            Parameter(f"{self.name}[{i}]", "mm") for i in range(self.gauge.shape[1])
         )
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the direction times the spline's rows."""
         return along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
-    def charge(self) -> Charge:
+    def prior(self) -> QuadraticPrior:
         """Return the mean square over the run."""
         length = float(self.spline.knots[-1] - self.spline.knots[0])
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length
         rank = self.gauge.shape[1]
-        return Charge(form, rank, rank * _USUAL_MM**2, "time")
+        return QuadraticPrior(form, rank, rank * _USUAL_MM**2, "time")
 
 
 def time_splines(at: Conditions, spacing_s: float) -> tuple[TimeSpline, ...]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter, along
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -35,11 +36,15 @@ class TimeWander(Effect):
         return f"time-wander-{self.direction}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.STRUCTURE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """One for each number of half waves in the run, in mm."""
         return tuple(
-            Parameter(f"{self.name}-{k}", "mm", nuisance=True)
-            for k in range(1, _HALF_WAVES + 1)
+            Parameter(f"{self.name}-{k}", "mm") for k in range(1, _HALF_WAVES + 1)
         )
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 
 
 @dataclass(frozen=True)
@@ -22,10 +23,15 @@ class TimingLaw(Effect):
         return "timing-law"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.NUISANCE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Phase and speed of the first line, of the second, ..."""
         return tuple(
-            Parameter(f"line-{line}-{what}", unit, nuisance=True)
+            Parameter(f"line-{line}-{what}", unit)
             for line in self.lines
             for what, unit in (("phase", "mm"), ("speed", "mm/s"))
         )

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter, in_run
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role, in_run
 from app.kinematics.machine import Machine
 from app.numerics.rigid import cross_matrix
 
@@ -38,10 +39,20 @@ class ToolOrientation(Effect):
         return in_run("tool-orientation", self.run)
 
     @property
+    def own_run(self) -> int:
+        """The Run of these targets."""
+        return self.run
+
+    @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.NUISANCE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Two or three angles."""
         count = self.turns.shape[1]
-        return tuple(Parameter(f"tool-turn-{i}", "rad", True) for i in range(count))
+        return tuple(Parameter(f"tool-turn-{i}", "rad") for i in range(count))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return turn × (offset − first offset)."""

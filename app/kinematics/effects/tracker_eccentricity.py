@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.catalogue import (
     Candidate,
     Family,
@@ -33,15 +34,20 @@ class TrackerEccentricity(Effect):
         return f"tracker-eccentricity-{self.circle}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.MEASUREMENT
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in rad."""
         return sine_and_cosine(self.name, "rad")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return how the target seems to move in the frame the tracker stands on."""
-        if at.around is None:
+        if at.recorded is None:
             return np.zeros((len(at), 3, 2))
-        x, y, z = at.around.tracker_mm.T
+        x, y, z = at.recorded.tracker_mm.T
         flat = np.hypot(x, y)
         azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
         if self.circle == "azimuth":
@@ -51,7 +57,7 @@ class TrackerEccentricity(Effect):
             angle = elevation
             moved = np.stack([-z * np.cos(azimuth), -z * np.sin(azimuth), flat], axis=1)
         wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        return (moved @ at.around.rotation)[:, :, None] * wave[:, None, :]
+        return (moved @ at.recorded.rotation)[:, :, None] * wave[:, None, :]
 
 
 class TrackerEccentricityFamily(Family):
@@ -69,7 +75,7 @@ class TrackerEccentricityFamily(Family):
 
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a circle."""
-        if at.around is None:
+        if at.recorded is None:
             return []
         return [
             Candidate(

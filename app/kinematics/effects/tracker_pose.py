@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.numerics.rigid import cross_matrix
 
 
@@ -23,10 +24,15 @@ class TrackerPose(Effect):
         return "tracker-pose"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.NUISANCE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Three shifts, three turns."""
-        shifts = [Parameter(f"pose-shift-{d}", "mm", nuisance=True) for d in "xyz"]
-        turns = [Parameter(f"pose-turn-{d}", "rad", nuisance=True) for d in "xyz"]
+        shifts = [Parameter(f"pose-shift-{d}", "mm") for d in "xyz"]
+        turns = [Parameter(f"pose-turn-{d}", "rad") for d in "xyz"]
         return tuple(shifts + turns)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:

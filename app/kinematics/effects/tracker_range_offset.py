@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -28,17 +29,22 @@ class TrackerRangeOffset(Effect):
         return "tracker-range-offset"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.MEASUREMENT
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The offset, in mm."""
-        return (Parameter(self.name, "mm", nuisance=True),)
+        return (Parameter(self.name, "mm"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the unit beam in the frame the tracker stands on."""
-        if at.around is None:
+        if at.recorded is None:
             return np.zeros((len(at), 3, 1))
-        distance = np.linalg.norm(at.around.tracker_mm, axis=1, keepdims=True)
-        beam = at.around.tracker_mm / distance
-        return (beam @ at.around.rotation)[:, :, None]
+        distance = np.linalg.norm(at.recorded.tracker_mm, axis=1, keepdims=True)
+        beam = at.recorded.tracker_mm / distance
+        return (beam @ at.recorded.rotation)[:, :, None]
 
 
 class TrackerRangeOffsetFamily(Family):
@@ -57,7 +63,7 @@ class TrackerRangeOffsetFamily(Family):
 
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
         """Return the offset."""
-        if at.around is None:
+        if at.recorded is None:
             return []
         usual = np.array([4.0 * USUAL_MM])
         return [Candidate(self.name, {}, TrackerRangeOffset(), usual)]

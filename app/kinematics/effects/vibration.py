@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter, along
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -48,6 +49,11 @@ class Vibration(Effect):
         return f"vibration-{self.direction}-{self.frequency_hz:.5g}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.MEASUREMENT
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in mm."""
         return sine_and_cosine(self.name, "mm")
@@ -82,7 +88,7 @@ class VibrationFamily(Family):
 
     def candidates(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""
-        if at.around is None:
+        if at.recorded is None:
             return []
         middle_s = 0.5 * float(at.time_s.min() + at.time_s.max())
         return [
@@ -98,7 +104,7 @@ class VibrationFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return frequencies, two to a period over the run."""
-        if at.around is None:
+        if at.recorded is None:
             return None
         fastest = _FASTEST * at.machine.tracker.rate_hz
         step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
@@ -107,7 +113,7 @@ class VibrationFamily(Family):
     def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
         """Return the scan as a wave of time."""
         scan = self.scan(candidate, at)
-        if scan is None or at.around is None:
+        if scan is None or at.recorded is None:
             return None
         return wave_of_time(candidate.keys["direction"], at, scan.values)
 

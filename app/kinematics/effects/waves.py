@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter, along
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role, along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -52,6 +53,11 @@ class TimeWave(Effect):
         return f"time-wave-{self.direction}-{self.period_s:.5g}"
 
     @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.STRUCTURE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Sine and cosine, in mm."""
         return sine_and_cosine(self.name, "mm")
@@ -75,6 +81,11 @@ class PositionWave(Effect):
     def name(self) -> str:
         """Name in the provenance of an estimate."""
         return f"position-wave-{self.axis.name}-{self.direction}-{self.period_mm:.5g}"
+
+    @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.STRUCTURE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -122,7 +133,7 @@ class TimeWaveFamily(Described):
     def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
         """Return the scan as a wave of time."""
         scan = self.scan(candidate, at)
-        if scan is None or at.around is None:
+        if scan is None or at.recorded is None:
             return None
         return wave_of_time(candidate.keys["direction"], at, 1.0 / scan.values)
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Conditions, Effect, Parameter, in_run
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect, Parameter, Role, in_run
 from app.numerics.rigid import cross_matrix
 
 
@@ -34,9 +35,19 @@ class WorkpiecePlacement(Effect):
         return in_run(f"workpiece-{kind}-{'xyz'[self.k % 3]}", self.run)
 
     @property
+    def own_run(self) -> int:
+        """The Run of these targets."""
+        return self.run
+
+    @property
+    def role(self) -> Role:
+        """What it belongs to."""
+        return Role.NUISANCE
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The shift or the angle."""
-        return (Parameter(self.name, "mm" if self.k < 3 else "rad", nuisance=True),)
+        return (Parameter(self.name, "mm" if self.k < 3 else "rad"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return R d, or R (d × arm), R the turn of the workpiece in the base."""

@@ -1,0 +1,159 @@
+"""The state of the machine at which effects are asked what they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from app.kinematics.chain import nominal_point_mm
+from app.kinematics.machine import Machine
+from app.kinematics.reach import NominalChain
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedState:
+    """What a recording adds to the commanded state of the machine at n moments.
+
+    rate : (n, axes) mm/s or deg/s of each axis, 0 at a standstill
+    span_s : (n,) how long the moment lasts: the time over which samples were averaged
+    since_reversal : (n, axes) mm or deg since the axis last changed its direction, inf
+        where it has not
+    tracker_mm : (n, 3) point in the tracker's frame
+    rotation : (3, 3) frame of the workpiece, or base, to that of the tracker
+    temperature_degc : (n, sensors) of the named sensors
+    """
+
+    rate: Float64[np.ndarray, "n a"]
+    span_s: Float64[np.ndarray, " n"]
+    since_reversal: Float64[np.ndarray, "n a"]
+    tracker_mm: Float64[np.ndarray, "n 3"]
+    rotation: Float64[np.ndarray, "3 3"]
+    sensors: tuple[str, ...] = ()
+    temperature_degc: Float64[np.ndarray, "n s"] | None = None
+
+    def select(self, rows: Int64[np.ndarray, " m"]) -> RecordedState:
+        """Return those of some of the moments."""
+        celsius = self.temperature_degc
+        return replace(
+            self,
+            rate=self.rate[rows],
+            span_s=self.span_s[rows],
+            since_reversal=self.since_reversal[rows],
+            tracker_mm=self.tracker_mm[rows],
+            temperature_degc=None if celsius is None else celsius[rows],
+        )
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """The state of the machine at n moments.
+
+    position_mm : (n, axes) nominal axis positions, in the machine's column order
+    offset_mm : (n, 3) offset of the measured target
+    time_s : (n,) the tracker's clock
+    line : (n,) row of the path that the machine moves towards, -1 at a standstill
+    line_time_s : (n,) time from the middle of that line
+    velocity_mm_s : (n, 3) commanded velocity, 0 at a standstill
+    approach : (n, axes) sign of each axis' last motion, 0 where it has not moved yet
+    observer : what the observer stands on, `workpiece` or `base`; the volumetric error
+        is that of the tool seen from the workpiece
+    on_workpiece : (n,) the target is on the workpiece; nowhere where left out
+    line_speed_mm_s : (n,) mean speed along that line where it differs from the velocity
+        because the line is an arc
+    run : which of the Runs of an estimate, for effects that belong to one of them
+    recorded : what the recording adds; an effect that needs it is 0 without it
+    """
+
+    machine: Machine
+    position_mm: Float64[np.ndarray, "n a"]
+    offset_mm: Float64[np.ndarray, "n 3"]
+    time_s: Float64[np.ndarray, " n"]
+    line: Int64[np.ndarray, " n"]
+    line_time_s: Float64[np.ndarray, " n"]
+    velocity_mm_s: Float64[np.ndarray, "n 3"]
+    approach: Float64[np.ndarray, "n a"]
+    observer: str = "workpiece"
+    on_workpiece: Bool[np.ndarray, " n"] | None = None
+    line_speed_mm_s: Float64[np.ndarray, " n"] | None = None
+    run: int = 0
+    recorded: RecordedState | None = None
+
+    def __len__(self) -> int:
+        return len(self.position_mm)
+
+    @cached_property
+    def point_mm(self) -> Float64[np.ndarray, "n 3"]:
+        """Nominal target point where the observer stands, (n, 3)."""
+        if self.is_plain:
+            return nominal_point_mm(self.machine, self.position_mm, self.offset_mm)
+        return self.chain.point_mm
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether straight axes move a tool that is seen from the workpiece."""
+        aside = self.on_workpiece is not None and bool(self.on_workpiece.any())
+        return (
+            self.observer == "workpiece" and not aside and not self.machine.rotary_axes
+        )
+
+    @cached_property
+    def chain(self) -> NominalChain:
+        """The nominal machine at these moments."""
+        on_workpiece = self.on_workpiece
+        if on_workpiece is None:
+            on_workpiece = np.zeros(len(self), bool)
+        return NominalChain(
+            self.machine, self.position_mm, self.offset_mm, on_workpiece, self.observer
+        )
+
+    def select(self, rows: Int64[np.ndarray, " m"]) -> Conditions:
+        """Return the conditions at some of the moments."""
+        return Conditions(
+            self.machine,
+            self.position_mm[rows],
+            self.offset_mm[rows],
+            self.time_s[rows],
+            self.line[rows],
+            self.line_time_s[rows],
+            self.velocity_mm_s[rows],
+            self.approach[rows],
+            self.observer,
+            None if self.on_workpiece is None else self.on_workpiece[rows],
+            None if self.line_speed_mm_s is None else self.line_speed_mm_s[rows],
+            self.run,
+            None if self.recorded is None else self.recorded.select(rows),
+        )
+
+    def view_from(
+        self, observer: str, on_workpiece: Bool[np.ndarray, " n"]
+    ) -> Conditions:
+        """Return the same moments for a target and an observer elsewhere."""
+        return replace(self, observer=observer, on_workpiece=on_workpiece)
+
+    def axis_mm(self, axis: str) -> Float64[np.ndarray, " n"]:
+        """Return the positions of one axis."""
+        return self.position_mm[:, self.machine.axis_names.index(axis)]
+
+
+def standstill(
+    machine: Machine,
+    position_mm: Float64[np.ndarray, "n a"],
+    offset_mm: Float64[np.ndarray, "n 3"] | None = None,
+) -> Conditions:
+    """Return conditions of a machine that stands at the given positions."""
+    n, a = len(position_mm), len(machine.axes)
+    if offset_mm is None:
+        offset_mm = np.tile(np.array(machine.target().offset_mm), (n, 1))
+    return Conditions(
+        machine,
+        position_mm,
+        offset_mm,
+        np.zeros(n),
+        np.full(n, -1),
+        np.zeros(n),
+        np.zeros((n, 3)),
+        np.zeros((n, a)),
+    )
