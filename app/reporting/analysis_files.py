@@ -27,7 +27,7 @@ from app.kinematics.machine import Machine
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.planning.grade import Grade, SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
-from app.reporting.report_html import report_html
+from app.reporting.calibration_report import render_calibration_report
 from app.results.earlier_model import EarlierModel
 from app.results.effects_beside import ModelAccount
 from app.results.error_tables_csv import error_tables_csv
@@ -127,7 +127,10 @@ def analyse(
     graded = _graded(machine, runs, estimated)
     found = find(replace(estimated, fit=None), provenance, trials, graded)
     analysis = Analysis(
-        found, result_json(found), error_tables_csv(found.tables), report_html(found)
+        found,
+        result_json(found),
+        error_tables_csv(found.tables),
+        render_calibration_report(found),
     )
     on_progress(1.0, "reporting")
     return analysis

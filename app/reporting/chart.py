@@ -7,17 +7,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from markupsafe import Markup
 
-from app.reporting.svg import NUMBER, TITLE, Colour, segments, strokes, words
+from app.reporting.svg import (
+    NUMBER,
+    TITLE,
+    Colour,
+    draw_segments,
+    draw_strokes,
+    join_shapes,
+    write_label,
+)
 
 _MARGIN = 0.05  # of the span of the data, beyond either end
 _DIGIT = 4.2  # width of a digit in the type of the numbers
-_FEWEST_DECADES = 4  # below it 2 and 5 are named between the powers of ten
+_FEWEST_DECADES = 4  # below it ticks at 2 and 5 as well
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Numbers from `low` to `high` on places from `begin` to `end`, or their logs."""
+    """A linear or logarithmic map of `low` … `high` to `begin` … `end` of a figure."""
 
     low: float
     high: float
@@ -25,31 +34,31 @@ class Scale:
     end: float
     logarithmic: bool = False
 
-    def at(self, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    def place(self, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the places of numbers."""
         low, high = self.low, self.high
         if self.logarithmic:
             low, high, value = math.log10(low), math.log10(high), np.log10(value)
         return self.begin + (value - low) / (high - low) * (self.end - self.begin)
 
-    def ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
+    def find_ticks(self, spacing: float) -> Float64[np.ndarray, " t"]:
         """Return round numbers that stand at least `spacing` apart."""
         if self.logarithmic:
-            return self._decades()
+            return self._list_decades()
         room = max(1.0, abs(self.end - self.begin) / spacing)
         step = round_up((self.high - self.low) / room)
         first, last = math.ceil(self.low / step - 1e-9), self.high / step + 1e-9
         return step * np.arange(first, math.floor(last) + 1)
 
-    def named(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
-        """Return ticks as text with a true minus sign, to one place unless by logs."""
+    def name_ticks(self, ticks: Float64[np.ndarray, " t"]) -> list[str]:
+        """Return ticks as text with a true minus sign, in equal decimals if linear."""
         digits = 0
         while digits < 6 and not np.allclose(ticks, np.round(ticks, digits), rtol=1e-6):
             digits += 1
         form = "g" if self.logarithmic else f"z,.{digits}f"
         return [format(tick, form).replace("-", "−") for tick in ticks.tolist()]
 
-    def _decades(self) -> Float64[np.ndarray, " t"]:
+    def _list_decades(self) -> Float64[np.ndarray, " t"]:
         low, high = math.log10(self.low), math.log10(self.high)
         powers = 10.0 ** np.arange(math.floor(low), math.ceil(high) + 1)
         if high - low < _FEWEST_DECADES:
@@ -60,61 +69,71 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Where a chart stands in its figure."""
+    """The rectangle of a chart in its figure."""
 
     left: float
     top: float
     right: float
     bottom: float
 
-    def across(
+    def make_x(
         self, low: float, high: float, *, margin: float = 0.0, logarithmic: bool = False
     ) -> Scale:
         """Return the scale of the horizontal axis."""
-        low, high = _wider(low, high, margin)
+        low, high = _widen(low, high, margin)
         return Scale(low, high, self.left, self.right, logarithmic)
 
-    def up(self, low: float, high: float, *, margin: float = _MARGIN) -> Scale:
+    def make_y(self, low: float, high: float, *, margin: float = _MARGIN) -> Scale:
         """Return the scale of the vertical axis."""
-        low, high = _wider(low, high, margin)
+        low, high = _widen(low, high, margin)
         return Scale(low, high, self.bottom, self.top)
 
-    def title(self, text: str) -> str:
+    def write_title(self, text: str) -> Markup:
         """Return the title above the frame."""
-        return words(self.left, self.top - 5.0, text, size=TITLE, colour=Colour.INK)
+        return write_label(
+            self.left, self.top - 5.0, text, size=TITLE, colour=Colour.INK
+        )
 
-    def drawn(
+    def draw_axes(
         self, x: Scale, y: Scale, x_label: str, y_label: str, *, upright: bool = True
-    ) -> str:
+    ) -> Markup:
         """Return grid, axes, numbers and labels.
 
         upright : draw the grid's vertical lines as well
         """
-        x_ticks, y_ticks = x.ticks(34.0), y.ticks(18.0)
-        x_at, y_at = x.at(x_ticks), y.at(y_ticks)
-        numbers = y.named(y_ticks)
+        x_ticks, y_ticks = x.find_ticks(34.0), y.find_ticks(18.0)
+        x_at, y_at = x.place(x_ticks), y.place(y_ticks)
+        numbers = y.name_ticks(y_ticks)
         widest = max(map(len, numbers), default=0)
         middle = 0.5 * (self.top + self.bottom)
         aside = self.left - 9.0 - _DIGIT * widest
-        return "".join(
+        return join_shapes(
             [
-                _ruled(x_at, self.bottom, self.top, rows=False) if upright else "",
-                _ruled(y_at, self.left, self.right, rows=True),
-                self._axes(x_at),
+                _draw_grid(x_at, self.bottom, self.top, rows=False)
+                if upright
+                else Markup(),
+                _draw_grid(y_at, self.left, self.right, rows=True),
+                self._draw_axes(x_at),
                 *(
-                    words(at, self.bottom + 10.5, text, size=NUMBER, anchor="middle")
-                    for at, text in zip(x_at.tolist(), x.named(x_ticks), strict=True)
+                    write_label(
+                        at, self.bottom + 10.5, text, size=NUMBER, anchor="middle"
+                    )
+                    for at, text in zip(
+                        x_at.tolist(), x.name_ticks(x_ticks), strict=True
+                    )
                 ),
                 *(
-                    words(self.left - 4.0, at + 2.5, text, size=NUMBER, anchor="end")
+                    write_label(
+                        self.left - 4.0, at + 2.5, text, size=NUMBER, anchor="end"
+                    )
                     for at, text in zip(y_at.tolist(), numbers, strict=True)
                 ),
-                self._below(x_label),
-                words(aside, middle, y_label, anchor="middle", upright=False),
+                self._write_x_label(x_label),
+                write_label(aside, middle, y_label, anchor="middle", upright=False),
             ]
         )
 
-    def empty(self, text: str) -> str:
+    def draw_empty(self, text: str) -> Markup:
         """Return a dashed frame that says why there is nothing in it."""
         edge = (
             f"M{self.left:g} {self.top:g}H{self.right:g}V{self.bottom:g}H{self.left:g}Z"
@@ -122,21 +141,21 @@ class Frame:
         x, y = 0.5 * (self.left + self.right), 0.5 * (self.top + self.bottom)
         lines = text.split("\n")
         first = y + 2.5 - 5.5 * (len(lines) - 1)
-        return strokes([edge], Colour.MUTED, width=0.6, dash="2 2") + "".join(
-            words(x, first + 11.0 * i, line, anchor="middle")
+        return draw_strokes([edge], Colour.MUTED, width=0.6, dash="2 2") + join_shapes(
+            write_label(x, first + 11.0 * i, line, anchor="middle")
             for i, line in enumerate(lines)
         )
 
-    def _axes(self, x_at: Float64[np.ndarray, " t"]) -> str:
+    def _draw_axes(self, x_at: Float64[np.ndarray, " t"]) -> Markup:
         corner = f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}"
         marks = [f"M{at:.2f} {self.bottom:g}v2.5" for at in x_at.tolist()]
-        return strokes([corner, *marks], Colour.MUTED, width=0.6)
+        return draw_strokes([corner, *marks], Colour.MUTED, width=0.6)
 
-    def _below(self, label: str) -> str:
+    def _write_x_label(self, label: str) -> Markup:
         if not label:
-            return ""
+            return Markup()
         x = 0.5 * (self.left + self.right)
-        return words(x, self.bottom + 22.0, label, anchor="middle")
+        return write_label(x, self.bottom + 22.0, label, anchor="middle")
 
 
 def round_up(number: float) -> float:
@@ -151,19 +170,19 @@ def round_down(number: float) -> float:
     return power * max(d for d in (1, 2, 5) if d * power <= number * 1.001)
 
 
-def _wider(low: float, high: float, margin: float) -> tuple[float, float]:
+def _widen(low: float, high: float, margin: float) -> tuple[float, float]:
     span = high - low
     if span <= 0.0:  # all data at one number
         return low - 0.5, high + 0.5
     return low - margin * span, high + margin * span
 
 
-def _ruled(
+def _draw_grid(
     at: Float64[np.ndarray, " t"], begin: float, end: float, *, rows: bool
-) -> str:
+) -> Markup:
     """Return the lines of a grid, one at each place, from `begin` to `end`."""
     first, last = (
         np.column_stack([np.full(len(at), edge), at][:: 1 if rows else -1])
         for edge in (begin, end)
     )
-    return segments(first, last, Colour.RULE, width=0.5)
+    return draw_segments(first, last, Colour.RULE, width=0.5)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64
+from markupsafe import Markup
 
 from app.kinematics.machine import Axis
-from app.reporting.axis_panels import LEFT, SIGN, TOP, axis_panels
+from app.reporting.axis_panels import LEFT, SIGN, TOP, draw_panels
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (
     Colour,
-    band,
-    curve,
-    image,
-    segments,
-    strokes,
-    words,
+    draw_curve,
+    draw_image,
+    draw_segments,
+    draw_strokes,
+    fill_band,
+    join_shapes,
+    write_label,
 )
 from app.results.comparison import ComparedError, Comparison, K
 from app.results.comparison_volume import ComparedVolume
@@ -26,32 +28,34 @@ _LONGEST = 34.0  # of an arrow, in units of the figure
 _ARROWS = 4  # every fourth grid plane is drawn: both ends and the middle
 
 
-def axis_figure(comparison: Comparison, axis: Axis) -> str:
+def draw_error_motions(comparison: Comparison, axis: Axis) -> Markup:
     """Draw the six error motions of an axis: result in its band, direct runs on it."""
 
-    def drawn(frame: Frame, symbol: str, name: str) -> str:
+    def draw(frame: Frame, symbol: str, name: str) -> Markup:
         error = comparison.error(symbol)
         if error is None:
-            return frame.empty("not compared")
-        return _motion(frame, error, name)
+            return frame.draw_empty("not compared")
+        return _draw_motion(frame, error, name)
 
-    return axis_panels(axis, f"Error motions of axis {axis.name}, both methods", drawn)
+    return draw_panels(axis, f"Error motions of axis {axis.name}, both methods", draw)
 
 
-def volume_figure(volume: ComparedVolume) -> str:
+def draw_volume(volume: ComparedVolume) -> Markup:
     """Draw the difference by component as histograms, and as arrows in the volume."""
-    parts: list[str] = []
+    parts: list[Markup] = []
     reach = max(float(np.abs(volume.difference_um).max()), 1e-6)
     edge = np.linspace(-reach, reach, _BINS + 1)
     for row, direction in enumerate("XYZ"):
         top = TOP + 84.0 * row
         frame = Frame(LEFT, top, 300.0, top + 58.0)
-        parts.append(_histogram(frame, volume.difference_um[:, row], edge, direction))
-    parts.append(_arrows(volume))
-    return image(270.0, "Difference of the volumetric errors", parts)
+        parts.append(
+            _draw_histogram(frame, volume.difference_um[:, row], edge, direction)
+        )
+    parts.append(_draw_arrows(volume))
+    return draw_image(270.0, "Difference of the volumetric errors", parts)
 
 
-def _motion(frame: Frame, error: ComparedError, name: str) -> str:
+def _draw_motion(frame: Frame, error: ComparedError, name: str) -> Markup:
     half = K * error.sigma
     low, high = error.value - half, error.value + half
     sides = (
@@ -60,64 +64,64 @@ def _motion(frame: Frame, error: ComparedError, name: str) -> str:
     )
     reach = [low, high, *(v + s * k for v, s, _ in sides for k in (-1.0, 1.0))]
     travel = error.position_mm
-    x = frame.across(float(travel[0]), float(travel[-1]), margin=0.02)
-    y = frame.up(
+    x = frame.make_x(float(travel[0]), float(travel[-1]), margin=0.02)
+    y = frame.make_y(
         min(0.0, *(float(np.nanmin(r)) for r in reach if np.isfinite(r).any())),
         max(0.0, *(float(np.nanmax(r)) for r in reach if np.isfinite(r).any())),
     )
-    at = x.at(travel)
-    return "".join(
+    at = x.place(travel)
+    return join_shapes(
         [
-            frame.drawn(x, y, name, SIGN[error.unit]),
-            band(at, y.at(low), y.at(high), Colour.ACCENT, opacity=0.22),
-            curve(at, y.at(error.value), Colour.ACCENT),
-            *(_runs(x, y, travel, *side) for side in sides),
+            frame.draw_axes(x, y, name, SIGN[error.unit]),
+            fill_band(at, y.place(low), y.place(high), Colour.ACCENT, opacity=0.22),
+            draw_curve(at, y.place(error.value), Colour.ACCENT),
+            *(_draw_runs(x, y, travel, *side) for side in sides),
         ]
     )
 
 
-def _runs(
+def _draw_runs(
     x: Scale,
     y: Scale,
     position_mm: Float64[np.ndarray, " n"],
     value: Float64[np.ndarray, " n"],
     spread: Float64[np.ndarray, " n"],
     colour: str,
-) -> str:
+) -> Markup:
     """Return a cross at each position, with a bar over the spread of the runs."""
     known = np.isfinite(value)
     if not known.any():
-        return ""
-    at, middle = x.at(position_mm[known]), y.at(value[known])
-    low, high = (y.at(value[known] + k * spread[known]) for k in (-1.0, 1.0))
-    bars = segments(
+        return Markup()
+    at, middle = x.place(position_mm[known]), y.place(value[known])
+    low, high = (y.place(value[known] + k * spread[known]) for k in (-1.0, 1.0))
+    bars = draw_segments(
         np.column_stack([at, low]), np.column_stack([at, high]), colour, width=0.7
     )
     dots = [f"M{a - 1.3:.2f} {b:.2f}h2.6" for a, b in zip(at, middle, strict=True)]
-    return bars + strokes(dots, colour, width=1.3)
+    return bars + draw_strokes(dots, colour, width=1.3)
 
 
-def _histogram(
+def _draw_histogram(
     frame: Frame,
     difference_um: Float64[np.ndarray, " n"],
     edge: Float64[np.ndarray, " m"],
     direction: str,
-) -> str:
+) -> Markup:
     share = 100.0 * np.histogram(difference_um, edge)[0] / len(difference_um)
-    x = frame.across(float(edge[0]), float(edge[-1]), margin=0.02)
-    y = frame.up(0.0, 1.05 * float(share.max()), margin=0.0)
-    steps = y.at(np.pad(np.repeat(share, 2), 1))
+    x = frame.make_x(float(edge[0]), float(edge[-1]), margin=0.02)
+    y = frame.make_y(0.0, 1.05 * float(share.max()), margin=0.0)
+    steps = y.place(np.pad(np.repeat(share, 2), 1))
     name = "result − reference, µm" if direction == "Z" else ""
-    return "".join(
+    return join_shapes(
         [
-            frame.title(f"{direction}: share of the points"),
-            frame.drawn(x, y, name, "%", upright=False),
-            curve(np.repeat(x.at(edge), 2), steps, Colour.ACCENT, width=1.0),
+            frame.write_title(f"{direction}: share of the points"),
+            frame.draw_axes(x, y, name, "%", upright=False),
+            draw_curve(np.repeat(x.place(edge), 2), steps, Colour.ACCENT, width=1.0),
         ]
     )
 
 
-def _arrows(volume: ComparedVolume) -> str:
+def _draw_arrows(volume: ComparedVolume) -> Markup:
     """Return the differences as arrows on a coarse grid, and their scale."""
     linear = volume.position[:, :3]
     drawn = np.ones(len(linear), bool)
@@ -132,20 +136,22 @@ def _arrows(volume: ComparedVolume) -> str:
     end = begin + volume.difference_um[drawn] @ _VIEW.T * (_LONGEST / longest)
     note = f"the longest is {longest:.2f} µm"
     dots = [f"M{a - 0.9:.2f} {b:.2f}h1.8" for a, b in begin]
-    edges = _box(linear) @ _VIEW.T
+    edges = _find_edges(linear) @ _VIEW.T
     edges = np.array([390.0, 40.0]) + (edges - low) * scale
-    return "".join(
+    return join_shapes(
         [
-            segments(edges[0], edges[1], Colour.RULE, width=0.8),
-            words(380.0, TOP - 5.0, "Difference in the volume", colour=Colour.INK),
-            strokes(dots, Colour.MUTED, width=1.8),
-            segments(begin, end, Colour.ACCENT, width=1.2),
-            words(380.0, 262.0, note),
+            draw_segments(edges[0], edges[1], Colour.RULE, width=0.8),
+            write_label(
+                380.0, TOP - 5.0, "Difference in the volume", colour=Colour.INK
+            ),
+            draw_strokes(dots, Colour.MUTED, width=1.8),
+            draw_segments(begin, end, Colour.ACCENT, width=1.2),
+            write_label(380.0, 262.0, note),
         ]
     )
 
 
-def _box(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 12 3"]:
+def _find_edges(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 12 3"]:
     """Return both ends of the edges of the volume."""
     corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)
     low, high = position.min(axis=0), position.max(axis=0)

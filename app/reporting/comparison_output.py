@@ -8,7 +8,7 @@ from typing import Any
 
 from app.files.reference_file import decode_reference
 from app.files.whole_files import replace_file
-from app.reporting.comparison_html import comparison_html
+from app.reporting.comparison_report import render_comparison_report
 from app.results.comparison import ReferenceUncertainty, compare
 from app.results.comparison_files import comparison_csv, comparison_json
 from app.results.comparison_volume import compared_volume
@@ -37,7 +37,7 @@ def compare_files(
         "reference": Path(reference).name,
     }
     content = comparison_json(comparison, volume, names)
-    page = comparison_html(loaded.machine, comparison, volume, names)
+    page = render_comparison_report(loaded.machine, comparison, volume, names)
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     replace_file(place / TABLE, comparison_csv(comparison).encode())

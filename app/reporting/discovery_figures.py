@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from markupsafe import Markup
 
 from app.alignment.observations import Observations
 from app.discovery.discover import Gap
@@ -17,11 +18,12 @@ from app.reporting.svg import (
     NUMBER,
     WIDTH,
     Colour,
-    box,
-    curve,
-    image,
-    segments,
-    words,
+    draw_curve,
+    draw_image,
+    draw_segments,
+    fill_box,
+    join_shapes,
+    write_label,
 )
 
 _TOP, _LEFT, _EDGE, _GAP = 16.0, 36.0, 7.0, 40.0
@@ -47,8 +49,8 @@ def covariates(seen: Observations) -> dict[str, Covariate]:
     found = [
         Covariate("line", "row of the path", seen.row.astype(np.float64)),
         Covariate("time", "time, s", at.time_s - begin),
-        Covariate("beam", "length of the beam, mm", _length(seen.tracker_mm)),
-        Covariate("feed", "feed, mm/min", 60.0 * _length(at.velocity_mm_s)),
+        Covariate("beam", "length of the beam, mm", _measure_length(seen.tracker_mm)),
+        Covariate("feed", "feed, mm/min", 60.0 * _measure_length(at.velocity_mm_s)),
     ]
     for column, axis in enumerate(at.machine.axes):
         unit = f"{axis.name}, {position_unit(axis)}"
@@ -62,7 +64,7 @@ def covariates(seen: Observations) -> dict[str, Covariate]:
     return {c.name: c for c in found}
 
 
-def gap_figure(gap: Gap) -> str:
+def draw_gap(gap: Gap) -> Markup:
     """Draw the gap before and after as bars against the noise floor."""
     frame = Frame(60.0, 20.0, WIDTH - 60.0, 68.0)
     high = 1.1 * max(gap.before_um, gap.after_um, gap.noise_floor_um)
@@ -71,112 +73,116 @@ def gap_figure(gap: Gap) -> str:
         ("before", gap.before_um, Colour.MUTED),
         ("after", gap.after_um, Colour.ACCENT),
     )
-    parts: list[str] = []
+    parts: list[Markup] = []
     for row, (name, value, colour) in enumerate(rows):
         top, end = frame.top + 26.0 * row, _place(x, value)
         parts += [
-            words(frame.left - 6.0, top + 13.0, name, anchor="end", colour=Colour.INK),
-            box(frame.left, top, end - frame.left, 18.0, colour),
-            words(end + 5.0, top + 13.0, f"{value:.2f} µm", colour=Colour.INK),
+            write_label(
+                frame.left - 6.0, top + 13.0, name, anchor="end", colour=Colour.INK
+            ),
+            fill_box(frame.left, top, end - frame.left, 18.0, colour),
+            write_label(end + 5.0, top + 13.0, f"{value:.2f} µm", colour=Colour.INK),
         ]
     floor = _place(x, gap.noise_floor_um)
     begin, end = np.array([[floor, frame.top - 5.0]]), np.array([[floor, frame.bottom]])
     parts += [
-        segments(begin, end, Colour.SECOND, width=1.4, dash="4 2"),
-        words(
+        draw_segments(begin, end, Colour.SECOND, width=1.4, dash="4 2"),
+        write_label(
             floor,
             frame.top - 9.0,
             f"noise {gap.noise_floor_um:.2f} µm",
             anchor="middle",
         ),
     ]
-    return image(76.0, "Gap on lines not seen, before and after", parts)
+    return draw_image(76.0, "Gap on held-out lines, before and after", parts)
 
 
-def along_run_figure(shown: Shown) -> str:
+def draw_along_run(shown: Shown) -> Markup:
     """Draw what is left along the Run, before and after, on one scale."""
     seen = shown.seen
     time_s = seen.at.time_s - seen.at.time_s.min()
     edges = np.linspace(0.0, float(time_s.max()) + 1e-9, _POINTS + 1)
     drawn = [
-        _binned(time_s, 1e3 * left, seen.count, edges)
+        _bin_means(time_s, 1e3 * left, seen.count, edges)
         for left in (shown.left_before_mm, shown.left_after_mm)
     ]
     reach = 1.05 * max(float(np.abs(mean).max()) for _, mean in drawn)
-    parts: list[str] = []
+    parts: list[Markup] = []
     for row, ((at, mean), title) in enumerate(
         zip(drawn, ("Residual along the run, before", "After"), strict=True)
     ):
         top = _TOP + 136.0 * row
         frame = Frame(_LEFT, top, WIDTH - _EDGE, top + _HEIGHT)
-        x = frame.across(0.0, float(edges[-1]))
+        x = frame.make_x(0.0, float(edges[-1]))
         label = "time, s" if row else ""
-        parts.append(_components(frame, x, at, mean, reach, title, label))
-    parts.append(_key(Frame(_LEFT, _TOP, WIDTH - _EDGE, _TOP + _HEIGHT)))
-    return image(_TOP + 136.0 + _HEIGHT + 28.0, "Residual along the run", parts)
+        parts.append(_draw_components(frame, x, at, mean, reach, title, label))
+    parts.append(_draw_key(Frame(_LEFT, _TOP, WIDTH - _EDGE, _TOP + _HEIGHT)))
+    return draw_image(_TOP + 136.0 + _HEIGHT + 28.0, "Residual along the run", parts)
 
 
-def by_line_figure(before: Sequence[Segment], after: Sequence[Segment]) -> str:
+def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
     """Draw the root mean square on every line, before and after."""
     frame = Frame(_LEFT, _TOP, WIDTH - _EDGE, _TOP + _HEIGHT)
     rows = np.array([s.row for s in before], float)
     high = 1.05 * max(s.rms_um for s in (*before, *after))
-    x = frame.across(float(rows.min()), float(rows.max()), margin=0.02)
-    y = frame.up(0.0, high, margin=0.0)
+    x = frame.make_x(float(rows.min()), float(rows.max()), margin=0.02)
+    y = frame.make_y(0.0, high, margin=0.0)
     width = float(np.clip(220.0 / len(rows), 0.5, 3.0))
     parts = [
-        frame.title("By line: before and, on top of it, after"),
-        frame.drawn(x, y, "row of the path", "rms, µm", upright=False),
+        frame.write_title("By line: before and, on top of it, after"),
+        frame.draw_axes(x, y, "row of the path", "rms, µm", upright=False),
     ]
     for states, colour in ((before, Colour.MUTED), (after, Colour.ACCENT)):
-        at = x.at(np.array([s.row for s in states], float))
-        rms = y.at(np.array([s.rms_um for s in states]))
+        at = x.place(np.array([s.row for s in states], float))
+        rms = y.place(np.array([s.rms_um for s in states]))
         foot = np.full(len(at), frame.bottom)
         begin, end = np.column_stack([at, foot]), np.column_stack([at, rms])
-        parts.append(segments(begin, end, colour, width=width))
-    return image(_TOP + _HEIGHT + 28.0, "Residual by line before and after", parts)
+        parts.append(draw_segments(begin, end, colour, width=width))
+    return draw_image(_TOP + _HEIGHT + 28.0, "Residual by line before and after", parts)
 
 
-def shares_figure(before: dict[str, float], after: dict[str, float]) -> str:
+def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
     """Draw the share of the disagreement that each grouping explains."""
     frame = Frame(_NAMES, 8.0, WIDTH - 110.0, 8.0 + _BARS * len(before))
     x = Scale(0.0, max(max(before.values()), 0.05), frame.left, frame.right)
-    parts: list[str] = []
+    parts: list[Markup] = []
     for row, (name, share) in enumerate(before.items()):
         top = frame.top + _BARS * row
         end, left = _place(x, share), after.get(name, 0.0)
         parts += [
-            words(frame.left - 6.0, top + 9.0, name, anchor="end", colour=Colour.INK),
-            box(frame.left, top, end - frame.left, 6.0, Colour.MUTED),
-            box(
+            write_label(
+                frame.left - 6.0, top + 9.0, name, anchor="end", colour=Colour.INK
+            ),
+            fill_box(frame.left, top, end - frame.left, 6.0, Colour.MUTED),
+            fill_box(
                 frame.left, top + 6.0, _place(x, left) - frame.left, 5.0, Colour.ACCENT
             ),
-            words(
+            write_label(
                 max(end, _place(x, left)) + 5.0,
                 top + 9.0,
                 f"{100 * share:.0f} %, after {100 * left:.0f} %",
                 size=NUMBER,
             ),
         ]
-    return image(frame.bottom + 4.0, "Share explained by each grouping", parts)
+    return draw_image(frame.bottom + 4.0, "Share explained by each grouping", parts)
 
 
-def profiles_figure(shown: Shown) -> str:
+def draw_profiles(shown: Shown) -> Markup:
     """Draw the mean disagreement against what explains most of it, before."""
     known = covariates(shown.seen)
     chosen = [known[name] for name in shown.before.shares if name in known][:_PROFILES]
-    parts: list[str] = []
+    parts: list[Markup] = []
     for number, covariate in enumerate(chosen):
         row, column = divmod(number, 3)
         width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
         left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW
         frame = Frame(left, top, left + width, top + _HEIGHT)
-        parts.append(_profile(frame, shown, covariate))
+        parts.append(_draw_profile(frame, shown, covariate))
     rows = -(-len(chosen) // 3)
-    return image(_TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
+    return draw_image(_TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
 
 
-def _profile(frame: Frame, shown: Shown, covariate: Covariate) -> str:
+def _draw_profile(frame: Frame, shown: Shown, covariate: Covariate) -> Markup:
     seen = shown.seen
     edges = np.unique(np.quantile(covariate.values, np.linspace(0.0, 1.0, _BINS + 1)))
     if len(edges) <= _BINS // 2:  # few values: a bin for each
@@ -184,14 +190,16 @@ def _profile(frame: Frame, shown: Shown, covariate: Covariate) -> str:
         middle = 0.5 * (own[1:] + own[:-1])
         edges = np.concatenate([[own[0] - 1.0], middle, [own[-1] + 1.0]])
     edges[-1] += 1e-9 * max(abs(float(edges[-1])), 1.0)
-    at, mean = _binned(covariate.values, 1e3 * shown.left_before_mm, seen.count, edges)
+    at, mean = _bin_means(
+        covariate.values, 1e3 * shown.left_before_mm, seen.count, edges
+    )
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())
-    x = frame.across(low, high, margin=0.03)
-    return _components(frame, x, at, mean, reach, covariate.name, covariate.label)
+    x = frame.make_x(low, high, margin=0.03)
+    return _draw_components(frame, x, at, mean, reach, covariate.name, covariate.label)
 
 
-def _components(
+def _draw_components(
     frame: Frame,
     x: Scale,
     at: Float64[np.ndarray, " b"],
@@ -199,31 +207,31 @@ def _components(
     reach: float,
     title: str,
     label: str,
-) -> str:
-    y = frame.up(-reach, reach)
-    return "".join(
+) -> Markup:
+    y = frame.make_y(-reach, reach)
+    return join_shapes(
         [
-            frame.title(title),
-            frame.drawn(x, y, label, "µm"),
+            frame.write_title(title),
+            frame.draw_axes(x, y, label, "µm"),
             *(
-                curve(x.at(at), y.at(component), colour, width=1.1)
+                draw_curve(x.place(at), y.place(component), colour, width=1.1)
                 for component, colour in zip(mean.T, _COLOURS, strict=True)
             ),
         ]
     )
 
 
-def _key(frame: Frame) -> str:
-    parts: list[str] = []
+def _draw_key(frame: Frame) -> Markup:
+    parts: list[Markup] = []
     for number, (name, colour) in enumerate(zip("XYZ", _COLOURS, strict=True)):
         x, y = frame.right - 84.0 + 28.0 * number, frame.top - 8.0
         line = np.array([[x, y]]), np.array([[x + 12.0, y]])
-        parts.append(segments(*line, colour, width=1.6))
-        parts.append(words(x + 15.0, y + 2.7, name, colour=Colour.INK))
-    return "".join(parts)
+        parts.append(draw_segments(*line, colour, width=1.6))
+        parts.append(write_label(x + 15.0, y + 2.7, name, colour=Colour.INK))
+    return join_shapes(parts)
 
 
-def _binned(
+def _bin_means(
     at: Float64[np.ndarray, " n"],
     values: Float64[np.ndarray, "n 3"],
     weight: Float64[np.ndarray, " n"],
@@ -238,9 +246,9 @@ def _binned(
     return place, np.stack(means, axis=1)
 
 
-def _length(vector: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def _measure_length(vector: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     return np.linalg.norm(vector, axis=1)
 
 
 def _place(scale: Scale, value: float) -> float:
-    return float(scale.at(np.array([value]))[0])
+    return float(scale.place(np.array([value]))[0])

@@ -15,7 +15,7 @@ from app.files.run import Run
 from app.files.whole_files import replace_file
 from app.progress import Progress, ignore_progress, scale_progress
 from app.reporting.analysis_files import REPORT
-from app.reporting.discovery_html import report_html
+from app.reporting.discovery_report import render_discovery_report
 from app.results.asking_json import ask_json
 from app.results.discovery_json import discovery_json
 from app.results.earlier_model import EarlierModel
@@ -62,7 +62,7 @@ def discover_runs(
     content = {**discovery_json(found), "model": told_model}
     asked = ask(found)
     content["ask"] = None if asked is None else ask_json(asked, ASK)
-    report = report_html(found, model, asked, ASK)
+    report = render_discovery_report(found, model, asked, ASK)
     return Discovered(found, content, model, report, asked)
 
 

@@ -18,7 +18,7 @@ from app.motion.nc_programs.programs import (
     program_file_name,
 )
 from app.planning.plan import Planned
-from app.reporting.plan_page import plan_page
+from app.reporting.plan_report import render_plan_report
 from app.results.effects_beside import foretold_json
 from drivers.interfaces.records import Path
 
@@ -107,7 +107,7 @@ def write_plan(
         files[f"{control}/{program_file_name(text, control)}"] = text.encode()
     document = plan_document(planned) | {"files": [*files, "plan.json", "plan.html"]}
     files["plan.json"] = (json.dumps(document, indent=1) + "\n").encode()
-    files["plan.html"] = plan_page(document).encode()
+    files["plan.html"] = render_plan_report(document).encode()
     for name, data in files.items():
         file = folder / name
         file.parent.mkdir(parents=True, exist_ok=True)

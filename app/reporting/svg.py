@@ -7,14 +7,17 @@ than the analysis of the measurement.
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterable
 from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float64
+from markupsafe import Markup
+
+from app.reporting.templating import ENVIRONMENT
 
 WIDTH = 662.0  # of a figure as wide as the page, in its own units
+_SHAPES = ENVIRONMENT.get_template("shapes.svg").module
 TITLE, LABEL, NUMBER = 8.5, 7.5, 7.0  # sizes of type
 
 
@@ -29,28 +32,30 @@ class Colour(StrEnum):
     THIRD = "var(--third)"
 
 
-def image(height: float, description: str, parts: Iterable[str]) -> str:
+def draw_image(height: float, description: str, parts: Iterable[Markup]) -> Markup:
     """Return a figure as wide as the page, described for those who cannot see it."""
-    label = html.escape(description, quote=True)
-    return (
-        f'<svg viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{label}">'
-        f"{''.join(parts)}</svg>"
-    )
+    size = {"width": f"{WIDTH:g}", "height": f"{height:g}"}
+    return _shape("image", **size, label=description, shapes=join_shapes(parts))
 
 
-def curve(
+def join_shapes(parts: Iterable[Markup]) -> Markup:
+    """Return shapes as one."""
+    return Markup("").join(parts)
+
+
+def draw_curve(
     x: Float64[np.ndarray, " n"],
     y: Float64[np.ndarray, " n"],
     colour: str,
     *,
     width: float = 1.4,
     opacity: float = 1.0,
-) -> str:
+) -> Markup:
     """Return a line through points."""
-    return strokes([f"M{_through(x, y)}"], colour, width=width, opacity=opacity)
+    return draw_strokes([f"M{_through(x, y)}"], colour, width=width, opacity=opacity)
 
 
-def segments(
+def draw_segments(
     begin: Float64[np.ndarray, "n 2"],
     end: Float64[np.ndarray, "n 2"],
     colour: str,
@@ -58,53 +63,53 @@ def segments(
     width: float,
     opacity: float = 1.0,
     dash: str = "",
-) -> str:
+) -> Markup:
     """Return many straight lines of one colour as one shape."""
     pairs = np.hstack([begin, end]).tolist()
     moves = [f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}" for a, b, c, d in pairs]
-    return strokes(moves, colour, width=width, opacity=opacity, dash=dash)
+    return draw_strokes(moves, colour, width=width, opacity=opacity, dash=dash)
 
 
-def strokes(
+def draw_strokes(
     moves: Iterable[str],
     colour: str,
     *,
     width: float,
     opacity: float = 1.0,
     dash: str = "",
-) -> str:
+) -> Markup:
     """Return drawn lines; `moves` are path data."""
     style = f"fill:none;stroke:{colour};stroke-width:{width:g}"
     if opacity < 1.0:
         style += f";stroke-opacity:{opacity:g}"
     if dash:
         style += f";stroke-dasharray:{dash}"
-    return f'<path d="{"".join(moves)}" style="{style}"/>'
+    return _shape("path", data="".join(moves), style=style)
 
 
-def band(
+def fill_band(
     x: Float64[np.ndarray, " n"],
     low: Float64[np.ndarray, " n"],
     high: Float64[np.ndarray, " n"],
     colour: str,
     *,
     opacity: float,
-) -> str:
+) -> Markup:
     """Return the area between two curves."""
     around = _through(np.r_[x, x[::-1]], np.r_[low, high[::-1]])
     style = f"fill:{colour};fill-opacity:{opacity:g}"
-    return f'<path d="M{around}Z" style="{style}"/>'
+    return _shape("path", data=f"M{around}Z", style=style)
 
 
-def box(x: float, y: float, width: float, height: float, colour: str) -> str:
+def fill_box(x: float, y: float, width: float, height: float, colour: str) -> Markup:
     """Return a filled rectangle."""
-    return (
-        f'<rect x="{x:.2f}" y="{y:.2f}" width="{width:.2f}" height="{height:.2f}" '
-        f'style="fill:{colour};shape-rendering:crispEdges"/>'
-    )
+    at = {"x": f"{x:.2f}", "y": f"{y:.2f}"}
+    size = {"width": f"{width:.2f}", "height": f"{height:.2f}"}
+    style = f"fill:{colour};shape-rendering:crispEdges"
+    return _shape("box", **at, **size, style=style)
 
 
-def words(
+def write_label(
     x: float,
     y: float,
     text: str,
@@ -113,14 +118,18 @@ def words(
     colour: str = Colour.MUTED,
     anchor: str = "start",
     upright: bool = True,
-) -> str:
+) -> Markup:
     """Return a line of text whose base line begins, is centred or ends at a place."""
-    turn = "" if upright else f' transform="rotate(-90 {x:.2f} {y:.2f})"'
+    at = {"x": f"{x:.2f}", "y": f"{y:.2f}"}
     style = f"font-size:{size:g}px;fill:{colour};text-anchor:{anchor}"
-    place = f'x="{x:.2f}" y="{y:.2f}"{turn}'
-    return f'<text {place} style="{style}">{html.escape(text)}</text>'
+    return _shape("label", **at, text=text, style=style, upright=upright)
+
+
+def _shape(macro: str, **values: object) -> Markup:
+    """Return a shape of the template with its values in place."""
+    return getattr(_SHAPES, macro)(**values)
 
 
 def _through(x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> str:
-    places = np.column_stack([x, y]).tolist()
-    return "L".join(f"{a:.2f} {b:.2f}" for a, b in places)
+    points = np.column_stack([x, y]).tolist()
+    return "L".join(f"{a:.2f} {b:.2f}" for a, b in points)

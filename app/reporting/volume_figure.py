@@ -10,22 +10,24 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from markupsafe import Markup
 
 from app.estimation.volumetric_map import volumetric_map
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import LinearAxis
 from app.reporting.chart import Frame, Scale, round_down
-from app.reporting.figures import legend
+from app.reporting.error_figures import draw_legend
 from app.reporting.svg import (
     NUMBER,
     TITLE,
     WIDTH,
     Colour,
-    box,
-    curve,
-    image,
-    segments,
-    words,
+    draw_curve,
+    draw_image,
+    draw_segments,
+    fill_box,
+    join_shapes,
+    write_label,
 )
 from app.results.error_tables import MILLI
 from app.results.findings import Findings
@@ -45,20 +47,20 @@ _BAR = Frame(70.0, 230.0, 270.0, 236.0)
 _CHART = Frame(396.0, 16.0, WIDTH - 7.0, 236.0)
 
 
-def volume_figure(found: Findings) -> str:
+def draw_volume(found: Findings) -> Markup:
     """Draw the deformed volume, and how the error is spread before and after."""
-    return image(
+    return draw_image(
         _HEIGHT,
         "Left: the working volume with its errors exaggerated. Right: share of the "
         "volume within a given error, before and after compensation",
-        [_volume(found), _distribution(_CHART, found)],
+        [_draw_volume(found), _draw_distribution(_CHART, found)],
     )
 
 
-def _volume(found: Findings) -> str:
+def _draw_volume(found: Findings) -> Markup:
     model = found.estimate.model
     axes = model.machine.linear_axes
-    nominal = np.array(list(_lattice(axes)))
+    nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
     error = MILLI * volumetric_map(model).error_mm(
         standstill(model.machine, with_rotary_axes(model.machine, flat)),
@@ -69,28 +71,30 @@ def _volume(found: Findings) -> str:
     reach = float(np.ptp(flat, axis=0).max())
     factor = round_down(0.09 * reach / largest * MILLI)
     moved = (flat + factor / MILLI * error).reshape(nominal.shape)
-    straight, bent = _fitted(_projected(nominal), _projected(moved))
+    straight, bent = _scale_to_scene(_project(nominal), _project(moved))
     sizes = size.reshape(nominal.shape[:2])
     shade = 0.5 * (sizes[:, :-1] + sizes[:, 1:]) / largest
     title = f"Volume with its errors, exaggerated {factor:,.0f} times"
-    return "".join(
+    return join_shapes(
         [
-            words(_SCENE.left, 11.0, title, size=TITLE, colour=Colour.INK),
-            segments(
+            write_label(_SCENE.left, 11.0, title, size=TITLE, colour=Colour.INK),
+            draw_segments(
                 straight[:, 0],
                 straight[:, -1],
                 Colour.MUTED,
                 width=0.4,
                 opacity=0.5,
             ),
-            *_shaded(bent, np.minimum(_SHADES * shade, _SHADES - 1).astype(np.int64)),
-            *_axis_names(straight, axes),
-            *_colour_bar(largest),
+            *_draw_shaded(
+                bent, np.minimum(_SHADES * shade, _SHADES - 1).astype(np.int64)
+            ),
+            *_write_axis_names(straight, axes),
+            *_draw_colour_bar(largest),
         ]
     )
 
 
-def _lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, "m 3"]]:
+def _make_lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, "m 3"]]:
     """Yield straight lines on the faces of the volume, parallel to its edges."""
     low = np.array([axis.min_mm for axis in axes])
     high = np.array([axis.max_mm for axis in axes])
@@ -105,13 +109,13 @@ def _lattice(axes: tuple[LinearAxis, ...]) -> Iterator[Float64[np.ndarray, "m 3"
                     yield low + line * (high - low)
 
 
-def _projected(points_mm: Float64[np.ndarray, "l m 3"]) -> Float64[np.ndarray, "l m 2"]:
+def _project(points_mm: Float64[np.ndarray, "l m 3"]) -> Float64[np.ndarray, "l m 2"]:
     """Look at the volume from front, right and above; down is positive."""
     x, y, z = np.moveaxis(points_mm, -1, 0)
     return np.stack([0.88 * x + 0.47 * y, 0.22 * x - 0.34 * y - 0.93 * z], axis=-1)
 
 
-def _fitted(
+def _scale_to_scene(
     straight: Float64[np.ndarray, "l m 2"], bent: Float64[np.ndarray, "l m 2"]
 ) -> tuple[Float64[np.ndarray, "l m 2"], Float64[np.ndarray, "l m 2"]]:
     """Return both as large as the scene holds, in its middle."""
@@ -124,25 +128,25 @@ def _fitted(
     return scale * straight + shift, scale * bent + shift
 
 
-def _shaded(
+def _draw_shaded(
     lines: Float64[np.ndarray, "l m 2"], shade: Int64[np.ndarray, "l k"]
-) -> Iterator[str]:
+) -> Iterator[Markup]:
     """Yield the pieces of all lines, those of one shade as one shape."""
     begin, end = lines[:, :-1], lines[:, 1:]
     for number in np.unique(shade):
         mine = shade == number
-        yield segments(begin[mine], end[mine], _colour(int(number)), width=1.3)
+        yield draw_segments(begin[mine], end[mine], _mix_colour(int(number)), width=1.3)
 
 
-def _colour(shade: int) -> str:
+def _mix_colour(shade: int) -> str:
     share = np.array([(shade + 0.5) / _SHADES])
     mixed = [np.interp(share, _STOPS, channel) for channel in (_RED, _GREEN, _BLUE)]
     return "#" + np.concatenate(mixed).round().astype(np.uint8).tobytes().hex()
 
 
-def _axis_names(
+def _write_axis_names(
     straight: Float64[np.ndarray, "l m 2"], axes: tuple[LinearAxis, ...]
-) -> Iterator[str]:
+) -> Iterator[Markup]:
     """Yield names beside edges in front; lines come an axis after the other."""
     per_axis = len(straight) // 3
     # X low and in front, Y low and on the right, Z in front and on the left.
@@ -151,49 +155,53 @@ def _axis_names(
         axes, edges, ((-4.0, 13.0), (12.0, 9.0), (-11.0, 2.5)), strict=True
     ):
         x, y = straight[edge].mean(axis=0).tolist()
-        yield words(x + dx, y + dy, axis.name, anchor="middle")
+        yield write_label(x + dx, y + dy, axis.name, anchor="middle")
 
 
-def _colour_bar(largest_um: float) -> Iterator[str]:
+def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
     scale = Scale(0.0, largest_um, _BAR.left, _BAR.right)
     width = (_BAR.right - _BAR.left) / _SHADES
     for i in range(_SHADES):
         # A little wider, so that no seam shows between two.
-        yield box(_BAR.left + i * width, _BAR.top, width + 0.2, 6.0, _colour(i))
-    ticks = scale.ticks(28.0)
-    for at, text in zip(scale.at(ticks).tolist(), scale.named(ticks), strict=True):
-        yield words(at, _BAR.bottom + 9.5, text, size=NUMBER, anchor="middle")
+        yield fill_box(
+            _BAR.left + i * width, _BAR.top, width + 0.2, 6.0, _mix_colour(i)
+        )
+    ticks = scale.find_ticks(28.0)
+    for at, text in zip(
+        scale.place(ticks).tolist(), scale.name_ticks(ticks), strict=True
+    ):
+        yield write_label(at, _BAR.bottom + 9.5, text, size=NUMBER, anchor="middle")
     middle = 0.5 * (_BAR.left + _BAR.right)
     label = "length of the volumetric error, µm"
-    yield words(middle, _BAR.bottom + 21.0, label, anchor="middle")
+    yield write_label(middle, _BAR.bottom + 21.0, label, anchor="middle")
 
 
-def _distribution(frame: Frame, found: Findings) -> str:
+def _draw_distribution(frame: Frame, found: Findings) -> Markup:
     before = np.sort(np.linalg.norm(found.volumetric.error_um, axis=1))
     after = found.volumetric.after_lengths_um
     lowest = round_down(max(float(np.quantile(after, 0.02)), 1e-3))
     highest = max(1.25 * float(max(before[-1], after[-1])), 10.0 * lowest)
-    x = frame.across(lowest, highest, logarithmic=True)
-    y = frame.up(0.0, 100.0)
+    x = frame.make_x(lowest, highest, logarithmic=True)
+    y = frame.make_y(0.0, 100.0)
     entries = ((Colour.ACCENT, "before"), (Colour.SECOND, "after, expected"))
     curves = [
-        curve(x.at(shown), y.at(share), colour)
+        draw_curve(x.place(shown), y.place(share), colour)
         for lengths, (colour, _) in zip((before, after), entries, strict=True)
-        for shown, share in [_from(lengths, lowest)]
+        for shown, share in [_start_at(lengths, lowest)]
     ]
-    return "".join(
+    return join_shapes(
         [
-            frame.title("Volumetric error before and after compensation"),
-            frame.drawn(
+            frame.write_title("Volumetric error before and after compensation"),
+            frame.draw_axes(
                 x, y, "length of the volumetric error, µm", "share of the volume, %"
             ),
             *curves,
-            legend(frame, entries),
+            draw_legend(frame, entries),
         ]
     )
 
 
-def _from(
+def _start_at(
     lengths: Float64[np.ndarray, " n"], lowest: float
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
     """Return lengths and their shares in % from the chart's left edge on."""

@@ -24,8 +24,8 @@ from app.files.commanded_file import decode_path, encode_commanded
 from app.files.run import Run
 from app.kinematics.model import MachineModel
 from app.motion.paths import check_travel
-from app.reporting.discovery_ask import asked_section
-from app.reporting.discovery_html import report_html
+from app.reporting.discovery_report import describe_ask, render_discovery_report
+from app.reporting.templating import render
 from app.results.asking_json import ask_json
 from app.results.discovery_json import discovery_json
 from app.results.model_file import next_model
@@ -184,7 +184,7 @@ def test_every_run_is_shown_where_it_disagrees(moved):
     every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
     assert worst[0] == max(every)
     model = next_model(done.both, None)
-    page = report_html(done.both, model, None, "ask/path.csv")
+    page = render_discovery_report(done.both, model, None, "ask/path.csv")
     assert page.count("Run 2: ") == 2
     assert page.count("Root mean square on every line") == 2
 
@@ -211,9 +211,8 @@ def test_the_reason_is_said_in_words(moved):
 
 def test_the_report_shows_questions_and_lines(moved):
     _, done = moved
-    heading, *content = asked_section(done.asked, "ask/path.csv")
-    assert heading == "Ask the machine"
-    page = "".join(content)
+    asked = describe_ask(done.asked, "ask/path.csv")
+    page = render("discovery/ask.html", {"ask": asked})
     question = done.asked.questions[0]
     assert f"{question.left}, or {question.right}?" in page
     assert f"{done.asked.expected[0]:.1f}" in page

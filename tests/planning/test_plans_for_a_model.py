@@ -18,7 +18,7 @@ from app.kinematics.model import MachineModel
 from app.planning.forecast import forecast
 from app.planning.plan import PlanRequest, make_plan
 from app.reporting.plan_files import plan_document
-from app.reporting.plan_page import plan_page
+from app.reporting.plan_report import render_plan_report
 from app.results.earlier_model import EarlierModel
 from app.results.result_json import LoadedResult
 from simulators import synthetic
@@ -113,7 +113,7 @@ def test_the_plan_states_the_effects_before_and_after(planned):
     before, after = lag["known_before"]["lag_ms"], lag["parameters"]["lag_ms"]
     assert before["uncertainty"] == pytest.approx(0.1)
     assert after["uncertainty"] < 0.5 * before["uncertainty"]
-    assert "Sag of a guide of X under Y along Z" in plan_page(document)
+    assert "Sag of a guide of X under Y along Z" in render_plan_report(document)
     assert plan_document(planned[False])["model"] is None
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.reporting.chart import Frame, Scale, round_down, round_up
-from app.reporting.svg import Colour, curve, words
+from app.reporting.svg import Colour, draw_curve, write_label
 
 FRAME = Frame(40.0, 16.0, 240.0, 136.0)
 
@@ -18,11 +18,11 @@ FRAME = Frame(40.0, 16.0, 240.0, 136.0)
 )
 def test_ticks_are_round_inside_the_scale_and_far_enough_apart(low, span, spacing):
     scale = Scale(low, low + span, 0.0, 200.0)
-    ticks = scale.ticks(spacing)
+    ticks = scale.find_ticks(spacing)
     assert ((ticks >= low - 1e-6 * span) & (ticks <= low + 1.000001 * span)).all()
     if len(ticks) > 1:
         step = ticks[1] - ticks[0]
-        assert np.diff(scale.at(ticks)).min() > 0.99 * spacing
+        assert np.diff(scale.place(ticks)).min() > 0.99 * spacing
         digit = step / 10.0 ** np.floor(np.log10(step * 1.0001))
         assert min(abs(digit - d) for d in (1.0, 2.0, 5.0)) < 1e-3
 
@@ -35,22 +35,29 @@ def test_rounding_up_and_down_encloses_the_number(number):
 
 
 def test_ends_of_a_scale_stand_at_the_ends_of_the_frame():
-    across, up = FRAME.across(-3.0, 5.0), FRAME.up(0.0, 8.0, margin=0.0)
-    assert across.at(np.array([-3.0, 5.0])) == pytest.approx([40.0, 240.0])
-    assert up.at(np.array([0.0, 8.0])) == pytest.approx([136.0, 16.0])
+    across, up = FRAME.make_x(-3.0, 5.0), FRAME.make_y(0.0, 8.0, margin=0.0)
+    assert across.place(np.array([-3.0, 5.0])) == pytest.approx([40.0, 240.0])
+    assert up.place(np.array([0.0, 8.0])) == pytest.approx([136.0, 16.0])
 
 
 def test_a_decade_is_as_wide_as_the_next():
-    scale = FRAME.across(0.01, 100.0, logarithmic=True)
-    places = scale.at(np.array([0.01, 0.1, 1.0, 10.0, 100.0]))
+    scale = FRAME.make_x(0.01, 100.0, logarithmic=True)
+    places = scale.place(np.array([0.01, 0.1, 1.0, 10.0, 100.0]))
     assert np.diff(places) == pytest.approx([50.0] * 4)
-    ticks = scale.ticks(30.0)
-    assert scale.named(ticks) == ["0.01", "0.1", "1", "10", "100"]
+    ticks = scale.find_ticks(30.0)
+    assert scale.name_ticks(ticks) == ["0.01", "0.1", "1", "10", "100"]
 
 
 def test_few_decades_name_two_and_five_as_well():
     scale = Scale(0.5, 20.0, 0.0, 100.0, logarithmic=True)
-    assert scale.named(scale.ticks(30.0)) == ["0.5", "1", "2", "5", "10", "20"]
+    assert scale.name_ticks(scale.find_ticks(30.0)) == [
+        "0.5",
+        "1",
+        "2",
+        "5",
+        "10",
+        "20",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -63,18 +70,20 @@ def test_few_decades_name_two_and_five_as_well():
     ],
 )
 def test_ticks_have_one_number_of_places_and_a_true_minus(ticks, text):
-    assert Scale(-1.0, 1.0, 0.0, 1.0).named(np.array(ticks)) == text
+    assert Scale(-1.0, 1.0, 0.0, 1.0).name_ticks(np.array(ticks)) == text
 
 
 def test_data_at_one_number_still_make_a_scale():
-    scale = FRAME.up(0.0, 0.0)
-    drawn = FRAME.drawn(FRAME.across(0.0, 800.0), scale, "X, mm", "µm")
+    scale = FRAME.make_y(0.0, 0.0)
+    drawn = FRAME.draw_axes(FRAME.make_x(0.0, 800.0), scale, "X, mm", "µm")
     assert "nan" not in drawn
     assert "inf" not in drawn
 
 
 def test_the_grid_stays_inside_the_frame():
-    drawn = FRAME.drawn(FRAME.across(0.0, 800.0), FRAME.up(-3.0, 9.0), "X, mm", "µm")
+    drawn = FRAME.draw_axes(
+        FRAME.make_x(0.0, 800.0), FRAME.make_y(-3.0, 9.0), "X, mm", "µm"
+    )
     grid = next(p for p in re.findall(r'<path d="([^"]*)"', drawn) if "L" in p)
     places = np.array(re.findall(r"[\d.]+", grid), float).reshape(-1, 2)
     assert (places[:, 0] >= FRAME.left).all()
@@ -84,9 +93,9 @@ def test_the_grid_stays_inside_the_frame():
 
 
 def test_words_cannot_smuggle_markup_into_a_figure():
-    assert "<script" not in words(0.0, 0.0, "<script>")
+    assert "<script" not in write_label(0.0, 0.0, "<script>")
 
 
 def test_a_curve_goes_through_its_points():
-    drawn = curve(np.array([1.0, 2.0]), np.array([3.0, 4.5]), Colour.ACCENT)
+    drawn = draw_curve(np.array([1.0, 2.0]), np.array([3.0, 4.5]), Colour.ACCENT)
     assert 'd="M1.00 3.00L2.00 4.50"' in drawn

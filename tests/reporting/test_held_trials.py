@@ -13,7 +13,8 @@ from app.estimation.batch import estimate
 from app.files.bundle import read_bundle
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.analysis_files import analyse
-from app.reporting.report_trials import trials as report_of
+from app.reporting.measurement_sections import describe_trials
+from app.reporting.templating import render
 from app.results.error_tables import error_tables
 from app.results.held_trials import MAP, held_against_trials
 from app.results.trials_json import trials_json
@@ -34,6 +35,10 @@ def estimated(run):
 @pytest.fixture(scope="module")
 def held(estimated):
     return held_against_trials(estimated, PLAN)
+
+
+def report_of(held):
+    return render("calibration/trials.html", {"trials": describe_trials(held)})
 
 
 def named(held, name):

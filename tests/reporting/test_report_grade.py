@@ -10,7 +10,7 @@ import pytest
 
 from app.planning.default_path import default_path
 from app.planning.grade import grade
-from app.reporting.report_html import report_html
+from app.reporting.calibration_report import render_calibration_report
 from app.results.error_tables_csv import error_tables_csv
 from app.results.findings import find
 from app.results.grade_json import grade_json, in_words
@@ -70,11 +70,11 @@ def test_a_result_without_a_measured_range_marks_nothing(graded):
 
 def test_weak_shapes_stand_beside_what_cannot_be_seen(graded):
     assert result_json(graded)["observability"]["weak"] == [WEAK]
-    assert "EZZ together with B0Z" in report_html(graded)
+    assert "EZZ together with B0Z" in render_calibration_report(graded)
 
 
 def test_the_report_states_grade_remedy_and_extrapolated_ends(graded):
-    page = report_html(graded)
+    page = render_calibration_report(graded)
     assert f"Grade of the set-up: <strong>{graded.grade.number:.2f}" in page
     assert graded.grade.weakest[0].remedy.text in page
     assert "X -200 to -100 mm" in page.replace("−", "-")
@@ -96,7 +96,7 @@ def test_the_grade_says_in_words_what_to_add(graded):
 
 def test_without_a_grade_the_report_says_nothing_of_one(found):
     assert result_json(found)["grade"] is None
-    assert "Grade of the set-up" not in report_html(found)
+    assert "Grade of the set-up" not in render_calibration_report(found)
 
 
 def test_prediction_warns_of_points_far_beyond_what_was_measured(partly, load):

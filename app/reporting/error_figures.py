@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+from markupsafe import Markup
 
 from app.kinematics.machine import Axis
-from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, axis_panels
+from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, draw_panels
 from app.reporting.chart import Frame, Scale
-from app.reporting.svg import WIDTH, Colour, band, curve, image, segments, words
+from app.reporting.svg import (
+    WIDTH,
+    Colour,
+    draw_curve,
+    draw_image,
+    draw_segments,
+    fill_band,
+    join_shapes,
+    write_label,
+)
 from app.results.error_tables import MILLI, ErrorTable, error_table
 from app.results.findings import Findings, RunFindings
 
@@ -17,45 +27,43 @@ _DRAWN = 121  # positions of a curve
 _BINS = 41
 
 
-def axis_figure(found: Findings, axis: Axis) -> str:
+def draw_error_motions(found: Findings, axis: Axis) -> Markup:
     """Draw the six error motions of an axis, each with its band of ±2u."""
 
-    def drawn(frame: Frame, symbol: str, name: str) -> str:
-        table = _fine_table(found, symbol)
+    def draw(frame: Frame, symbol: str, name: str) -> Markup:
+        table = _make_fine_table(found, symbol)
         if table is None:
-            return frame.empty("not observable\nwith the measured target")
-        return _motion(frame, table, name)
+            return frame.draw_empty("not observable\nwith the measured target")
+        return _draw_motion(frame, table, name)
 
-    return axis_panels(
-        axis, f"Error motions of axis {axis.name} over its travel", drawn
-    )
+    return draw_panels(axis, f"Error motions of axis {axis.name} over its travel", draw)
 
 
-def residual_figure(run: RunFindings) -> str:
+def draw_residuals(run: RunFindings) -> Markup:
     """Draw what is left on each line against the noise, and its distribution."""
     left = Frame(LEFT, TOP, 436.0, 152.0)
     right = Frame(486.0, TOP, WIDTH - EDGE, 152.0)
-    return image(
+    return draw_image(
         180.0,
         "Residuals by line, and the distribution of their components",
-        [_by_line(left, run), _histogram(right, run)],
+        [_draw_by_line(left, run), _draw_histogram(right, run)],
     )
 
 
-def legend(
+def draw_legend(
     frame: Frame, entries: tuple[tuple[str, str], ...], *, from_right: float = 0.0
-) -> str:
+) -> Markup:
     """Name curves by their colours, in the upper left or so far from the right."""
     x = frame.right - from_right if from_right else frame.left + 6.0
     rows = [(frame.top + 7.0 + 11.0 * i, *entry) for i, entry in enumerate(entries)]
-    return "".join(
-        segments(np.array([[x, y]]), np.array([[x + 14.0, y]]), colour, width=1.4)
-        + words(x + 19.0, y + 2.7, label, colour=Colour.INK)
+    return join_shapes(
+        draw_segments(np.array([[x, y]]), np.array([[x + 14.0, y]]), colour, width=1.4)
+        + write_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
         for y, colour, label in rows
     )
 
 
-def _fine_table(found: Findings, symbol: str) -> ErrorTable | None:
+def _make_fine_table(found: Findings, symbol: str) -> ErrorTable | None:
     """Return an error motion as densely as it is drawn."""
     estimate = found.estimate
     part = estimate.model.slices.get(symbol)
@@ -68,86 +76,88 @@ def _fine_table(found: Findings, symbol: str) -> ErrorTable | None:
     return error_table(motion, theta, covariance, at_mm)
 
 
-def _motion(frame: Frame, table: ErrorTable, name: str) -> str:
+def _draw_motion(frame: Frame, table: ErrorTable, name: str) -> Markup:
     half = _COVERAGE * table.uncertainty
     low, high = table.value - half, table.value + half
     travel = table.position_mm
-    x = frame.across(float(travel[0]), float(travel[-1]), margin=0.01)
-    y = frame.up(min(0.0, float(low.min())), max(0.0, float(high.max())))
-    at = x.at(travel)
-    return "".join(
+    x = frame.make_x(float(travel[0]), float(travel[-1]), margin=0.01)
+    y = frame.make_y(min(0.0, float(low.min())), max(0.0, float(high.max())))
+    at = x.place(travel)
+    return join_shapes(
         [
-            frame.drawn(x, y, name, SIGN[table.unit]),
-            _level(frame, y, 0.0, Colour.MUTED, width=0.6),
-            band(at, y.at(low), y.at(high), Colour.ACCENT, opacity=_BAND),
-            curve(at, y.at(table.value), Colour.ACCENT),
+            frame.draw_axes(x, y, name, SIGN[table.unit]),
+            _draw_level(frame, y, 0.0, Colour.MUTED, width=0.6),
+            fill_band(at, y.place(low), y.place(high), Colour.ACCENT, opacity=_BAND),
+            draw_curve(at, y.place(table.value), Colour.ACCENT),
         ]
     )
 
 
-def _level(
+def _draw_level(
     frame: Frame, y: Scale, value: float, colour: str, *, width: float, dash: str = ""
-) -> str:
+) -> Markup:
     """Return a line across the whole frame."""
-    at = float(y.at(np.array([value]))[0])
+    at = float(y.place(np.array([value]))[0])
     begin, end = np.array([[frame.left, at]]), np.array([[frame.right, at]])
-    return segments(begin, end, colour, width=width, dash=dash)
+    return draw_segments(begin, end, colour, width=width, dash=dash)
 
 
-def _by_line(frame: Frame, run: RunFindings) -> str:
+def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
     lines, floor = run.by_line, MILLI * run.estimate.residuals.floor_mm
     otf = run.account.mode == "otf"
     row = lines.row.astype(np.float64)
-    x = frame.across(float(row.min()), float(row.max()), margin=0.03)
-    y = frame.up(0.0, 1.05 * max(float(lines.rms_um.max()), floor), margin=0.0)
-    at, foot = x.at(row), np.full(len(row), frame.bottom)
+    x = frame.make_x(float(row.min()), float(row.max()), margin=0.03)
+    y = frame.make_y(0.0, 1.05 * max(float(lines.rms_um.max()), floor), margin=0.0)
+    at, foot = x.place(row), np.full(len(row), frame.bottom)
     begin = np.column_stack([at, foot])
-    end = np.column_stack([at, y.at(lines.rms_um)])
+    end = np.column_stack([at, y.place(lines.rms_um)])
     width = float(np.clip(250.0 / len(row), 0.3, 2.0))
     name = "line" if otf else "point"
-    return "".join(
+    return join_shapes(
         [
-            frame.title(f"Residual by {name} (dashed: what noise alone leaves)"),
-            frame.drawn(
+            frame.write_title(f"Residual by {name} (dashed: what noise alone leaves)"),
+            frame.draw_axes(
                 x,
                 y,
                 f"row of the {'path' if otf else 'points'}",
                 "rms, µm",
                 upright=False,
             ),
-            segments(begin, end, Colour.ACCENT, width=width),
-            _level(frame, y, floor, Colour.SECOND, width=1.0, dash="4 2"),
+            draw_segments(begin, end, Colour.ACCENT, width=width),
+            _draw_level(frame, y, floor, Colour.SECOND, width=1.0, dash="4 2"),
         ]
     )
 
 
-def _histogram(frame: Frame, run: RunFindings) -> str:
+def _draw_histogram(frame: Frame, run: RunFindings) -> Markup:
     residual = MILLI * run.estimate.residuals.residual_mm
     reach = max(3.0 * float(np.std(residual)), 1e-3)
     edge = np.linspace(-reach, reach, _BINS + 1)
     share = [np.histogram(component, edge)[0] for component in residual.T]
-    x = frame.across(-reach, reach, margin=0.02)
-    y = frame.up(0.0, 105.0 * max(s.max() for s in share) / len(residual), margin=0.0)
+    x = frame.make_x(-reach, reach, margin=0.02)
+    y = frame.make_y(
+        0.0, 105.0 * max(s.max() for s in share) / len(residual), margin=0.0
+    )
     entries = (
         (Colour.ACCENT, "beam"),
         (Colour.SECOND, "azimuth"),
         (Colour.THIRD, "elevation"),
     )
-    across = np.repeat(x.at(edge), 2)
+    across = np.repeat(x.place(edge), 2)
     steps = [
-        curve(
+        draw_curve(
             across,
-            y.at(np.pad(np.repeat(part, 2), 1) * 100.0 / len(residual)),
+            y.place(np.pad(np.repeat(part, 2), 1) * 100.0 / len(residual)),
             colour,
             width=1.0,
         )
         for part, (colour, _) in zip(share, entries, strict=True)
     ]
-    return "".join(
+    return join_shapes(
         [
-            frame.title("Distribution of cells"),
-            frame.drawn(x, y, "residual, µm", "share, %"),
+            frame.write_title("Distribution of cells"),
+            frame.draw_axes(x, y, "residual, µm", "share, %"),
             *steps,
-            legend(frame, entries, from_right=56.0),
+            draw_legend(frame, entries, from_right=56.0),
         ]
     )

@@ -7,14 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from app.reporting.report_errors import error_motions, volumetric
-from app.reporting.report_html import report_html
-from app.reporting.report_measurement import (
-    documentation,
-    machine_and_measurement,
-    residuals_and_noise,
-    unobservable,
-)
+from app.reporting.calibration_report import render_calibration_report, render_section
 from app.results.findings import find, noise_found, residuals_by_line
 from app.results.numbers_as_text import expanded, plain
 
@@ -58,7 +51,7 @@ def read(page: str) -> Outline:
 
 @pytest.fixture(scope="module")
 def page(found) -> str:
-    return report_html(found)
+    return render_calibration_report(found)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +69,7 @@ def test_the_page_needs_nothing_but_itself(page, outline):
 
 
 def test_the_same_findings_give_the_same_page(found, page):
-    assert report_html(found) == page
+    assert render_calibration_report(found) == page
 
 
 def test_figures_take_their_colours_from_the_page(page):
@@ -122,8 +115,8 @@ def test_where_all_is_told_apart_the_report_says_so(
     construct, three_targets, provenance
 ):
     all_told = find(construct(three_targets), provenance)
-    assert "all error motions were told apart" in unobservable(6, all_told)
-    text = read(error_motions(2, all_told)).text
+    assert "all error motions were identified" in render_section("limits", all_told)
+    text = read(render_section("error_motions", all_told)).text
     assert "hold for any tool" in text
     assert "not observable" not in text
 
@@ -136,14 +129,14 @@ def test_the_provenance_is_there(outline):
 def test_residuals_at_the_noise_are_good(estimate, provenance, with_residuals):
     at_noise = replace(estimate.runs[0].residuals, rms_mm=1.0e-3, floor_mm=1.0e-3)
     found = find(with_residuals(estimate, at_noise), provenance)
-    assert "explains the measurement to its noise" in residuals_and_noise(5, found)
+    assert "explains the measurement to its noise" in render_section("residuals", found)
 
 
 def test_residuals_above_the_noise_are_a_warning(estimate, provenance, with_residuals):
     above = replace(estimate.runs[0].residuals, rms_mm=3.0e-3, floor_mm=1.0e-3)
     found = find(with_residuals(estimate, above), provenance)
-    section = residuals_and_noise(5, found)
-    assert "3.0 times the noise. The model lacks something" in section
+    section = render_section("residuals", found)
+    assert "3.0 times the noise. The model lacks an effect" in section
     assert 'class="callout warn"' in section
 
 
@@ -152,27 +145,27 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
         provenance.runs[0], mode="standstill", feed_mm_min=None, temperature_degc={}
     )
     at_rest = find(estimate, replace(provenance, runs=(run,)))
-    assert "measured at standstill" in report_html(at_rest)
-    text = machine_and_measurement(1, at_rest)
+    assert "measured at standstill" in render_calibration_report(at_rest)
+    text = render_section("machine", at_rest)
     assert "12 points" in text
     assert "mm/min" not in text
     assert "Temperature" not in text
-    residuals = residuals_and_noise(5, at_rest)
+    residuals = render_section("residuals", at_rest)
     assert "Residual by point" in residuals
     assert "travel" not in residuals
-    assert "timing" not in documentation(8, at_rest)
+    assert "timing" not in render_section("documentation", at_rest)
 
 
 def test_one_feed_is_one_number(estimate, provenance):
     run = replace(provenance.runs[0], feed_mm_min=(2500.0, 2500.0))
     found = find(estimate, replace(provenance, runs=(run,)))
-    assert "on the fly at 2,500 mm/min" in machine_and_measurement(1, found)
+    assert "on the fly at 2,500 mm/min" in render_section("machine", found)
 
 
 def test_across_the_travel_only_is_named(across_only, provenance):
     found = find(across_only, provenance)
-    assert "across the travel only" in documentation(8, found)
-    assert "along the travel was not used" in residuals_and_noise(5, found)
+    assert "across the travel only" in render_section("documentation", found)
+    assert "along the travel was not used" in render_section("residuals", found)
 
 
 def test_names_cannot_smuggle_markup_into_the_page(estimate, provenance):
@@ -180,7 +173,7 @@ def test_names_cannot_smuggle_markup_into_the_page(estimate, provenance):
     machine = replace(estimate.model.machine, name=evil)
     model = replace(estimate.model, machine=machine)
     run = replace(provenance.runs[0], name=evil, source={evil: evil})
-    page = report_html(
+    page = render_calibration_report(
         find(replace(estimate, model=model), replace(provenance, runs=(run,)))
     )
     assert "<script" not in page
@@ -199,7 +192,7 @@ def test_an_axis_of_which_nothing_is_known_has_no_values(estimate, provenance):
         theta=estimate.theta[rows],
         covariance=estimate.covariance[np.ix_(rows, rows)],
     )
-    text = read(error_motions(2, find(thin, provenance))).text
+    text = read(render_section("error_motions", find(thin, provenance))).text
     assert "Values of axis X" in text
     assert "Values of axis Z" not in text
 
@@ -210,7 +203,7 @@ def test_errors_of_nothing_are_drawn_all_the_same(estimate, provenance):
         theta=np.zeros_like(estimate.theta),
         covariance=np.zeros_like(estimate.covariance),
     )
-    read(volumetric(4, find(perfect, provenance)))
+    read(render_section("volume", find(perfect, provenance)))
 
 
 def test_residuals_across_the_travel_count_where_only_those_were_used(across_only):

@@ -6,7 +6,7 @@ import shutil
 import pytest
 from playwright.sync_api import sync_playwright
 
-from app.reporting.report_html import report_html
+from app.reporting.calibration_report import render_calibration_report
 
 pytestmark = pytest.mark.ui
 
@@ -24,7 +24,7 @@ def browser():
 @pytest.fixture(scope="module")
 def file(found, tmp_path_factory):
     place = tmp_path_factory.mktemp("report") / "report.html"
-    place.write_text(report_html(found), encoding="utf-8")
+    place.write_text(render_calibration_report(found), encoding="utf-8")
     return place
 
 

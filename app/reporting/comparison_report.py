@@ -1,0 +1,94 @@
+"""The page of a comparison with a direct measurement: one HTML file."""
+
+from __future__ import annotations
+
+from app.kinematics.machine import Machine
+from app.reporting.axis_panels import SIGN
+from app.reporting.comparison_figures import draw_error_motions, draw_volume
+from app.reporting.templating import View, render
+from app.results.comparison import (
+    ComparedError,
+    ComparedNumber,
+    Comparison,
+    K,
+    described,
+)
+from app.results.comparison_files import KINDS, agreeing, kind_of, largest
+from app.results.comparison_volume import ComparedVolume, mean_length
+from app.results.numbers_as_text import expanded, plain
+
+
+def render_comparison_report(
+    machine: Machine,
+    comparison: Comparison,
+    volume: ComparedVolume | None,
+    names: dict[str, str],
+) -> str:
+    """Return the page.
+
+    names : of the result and the reference
+    """
+    errors = [
+        e for kind in KINDS for e in comparison.errors if kind_of(e.symbol) == kind
+    ]
+    return render(
+        "comparison.html",
+        {
+            "machine": machine.name,
+            "result": names["result"],
+            "reference": names["reference"],
+            "rows": [
+                *(_state_error(error) for error in errors),
+                *(_state_number(number) for number in comparison.numbers),
+            ],
+            "axes": [
+                {"name": axis.name, "figure": draw_error_motions(comparison, axis)}
+                for axis in machine.axes
+                if any(e.symbol[2] == axis.name for e in errors)
+            ],
+            "volume": None if volume is None else _describe_volume(volume),
+            "not_compared": list(comparison.not_compared.items()),
+        },
+    )
+
+
+def _state_error(error: ComparedError) -> tuple[str, ...]:
+    unit = SIGN[error.unit]
+    mean = float(abs(error.difference).mean())
+    return (
+        error.symbol,
+        described(error),
+        f"{plain(largest(error), 2)} {unit}",
+        f"{plain(mean, 2)} {unit}",
+        f"{plain(K * float(error.combined.max()), 2)} {unit}",
+        plain(float(abs(error.normalised).max()), 2),
+        f"{plain(100.0 * agreeing(error), 0)} %",
+    )
+
+
+def _state_number(number: ComparedNumber) -> tuple[str, ...]:
+    unit = SIGN[number.unit]
+    result = expanded(number.value, number.sigma)
+    reference = expanded(number.reference, number.reference_sigma)
+    return (
+        number.symbol,
+        f"result {result} {unit}, reference {reference} {unit}",
+        f"{plain(abs(number.difference), 2)} {unit}",
+        "",
+        f"{plain(K * number.combined, 2)} {unit}",
+        plain(abs(number.normalised), 2),
+        "yes" if abs(number.normalised) <= 1.0 else "no",
+    )
+
+
+def _describe_volume(volume: ComparedVolume) -> View:
+    lengths = (
+        ("Result", volume.value_um),
+        ("Reference", volume.reference_um),
+        ("Difference", volume.difference_um),
+    )
+    return {
+        "rows": [(name, plain(mean_length(vector), 2)) for name, vector in lengths],
+        "points": len(volume.position),
+        "figure": draw_volume(volume),
+    }

@@ -1,0 +1,176 @@
+"""The report of a discovery: one HTML page that needs no other.
+
+It shows where simulation and measurement disagree, which effects explain it, which
+others explain it as well, the lines that would decide, and the gap before and after on
+held-out lines. Uncertainties are expanded (k = 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from app.discovery.asking import Ask
+from app.discovery.discover import Discovery, Finding
+from app.discovery.extra_lines import DECIDED
+from app.discovery.telling_apart import Question
+from app.discovery.where import Segment, Shown
+from app.reporting.discovery_figures import (
+    draw_along_run,
+    draw_by_line,
+    draw_gap,
+    draw_profiles,
+    draw_shares,
+)
+from app.reporting.templating import View, render
+from app.results.asking_json import reason
+from app.results.discovery_wording import others, title
+from app.results.model_difference import in_words
+from app.results.model_file import NextModel
+from app.results.numbers_as_text import plain
+
+CLOSED = 1.05  # gap over noise up to which nothing is left to explain
+_WORST = 8
+
+
+def render_discovery_report(
+    found: Discovery, model: NextModel, asked: Ask | None, ask_file: str
+) -> str:
+    """Return the report.
+
+    asked : lines to drive next, None where nothing is asked; in `ask_file` beside it
+    """
+    named = [f for f in found.findings if f.structure is None]
+    provenance, parent = model.content["provenance"], model.content["parent"]
+    created = datetime.fromisoformat(provenance["created"])
+    return render(
+        "discovery.html",
+        {
+            "machine": found.at.machine.name,
+            "names": ", ".join(scene.run.name for scene in found.scenes),
+            "parent": parent,
+            "created": f"{created:%Y-%m-%d %H:%M} UTC",
+            "titles": [title(f.candidate) for f in named],
+            "findings": [_describe_finding(f, found, model) for f in named],
+            "unnamed": _describe_unnamed(found.findings),
+            "compared": found.compared,
+            "ask": None if asked is None else describe_ask(asked, ask_file),
+            "gap": _describe_gap(found),
+            "runs": [
+                {"name": scene.run.name, **_describe_run(shown)}
+                for scene, shown in zip(found.scenes, found.shown, strict=True)
+            ],
+            "version": model.content["version"],
+            "changes": [
+                f"{change['kind']}: {change['text']}"
+                for change in model.content["difference"]
+            ],
+            "software": provenance["software_version"],
+            "digest": provenance["input_sha256"],
+            "cells": sum(len(scene.seen) for scene in found.scenes),
+            "samples": sum(scene.seen.used for scene in found.scenes),
+        },
+    )
+
+
+def describe_ask(asked: Ask, file: str) -> View:
+    """Return the open questions, and the lines that decide them.
+
+    file : the path of the lines, beside the report
+    """
+    questions = zip(asked.questions, asked.expected, strict=True)
+    return {
+        "reason": reason(asked),
+        "decides": asked.decides,
+        "questions": [(_word_question(q), plain(factor)) for q, factor in questions],
+        "decided": f"{DECIDED:.0f}",
+        "axes": [f"{n}, {'mm' if n in 'XYZ' else '°'}" for n in asked.path.axes],
+        "rows": _list_waypoints(asked),
+        "file": file,
+    }
+
+
+def _describe_finding(finding: Finding, found: Discovery, model: NextModel) -> View:
+    evidence = finding.evidence
+    return {
+        "title": title(finding.candidate),
+        "numbers": "; ".join(
+            in_words(name, number.value, number.uncertainty)
+            for name, number in finding.parameters.items()
+        ),
+        "signature": finding.family.signature,
+        "share": plain(100 * evidence.share, 0),
+        "log_bayes": plain(evidence.log_bayes),
+        "held_out": plain(evidence.held_out),
+        "others": others(finding),
+        "is_machine": model.extended.holds(finding),
+    }
+
+
+def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
+    """Return structure that no effect of the catalogue explains."""
+    return [
+        {
+            "text": f.structure.told(f.candidate, f.parameters),
+            "share": plain(100 * f.evidence.share, 0),
+            "signature": f.structure.signature,
+        }
+        for f in findings
+        if f.structure is not None
+    ]
+
+
+def _describe_gap(found: Discovery) -> View:
+    gap = found.gap
+    return {
+        "before_um": plain(gap.before_um, 2),
+        "after_um": plain(gap.after_um, 2),
+        "noise_um": plain(gap.noise_floor_um, 2),
+        "expected_um": plain(gap.expected_um, 2),
+        "is_closed": gap.after_um <= CLOSED * gap.expected_um,
+        "excess": 100.0 * (gap.after_um / max(gap.expected_um, 1e-12) - 1.0),
+        "figure": draw_gap(gap),
+    }
+
+
+def _describe_run(shown: Shown) -> View:
+    """Return where a Run and its simulation disagree."""
+    before, after = shown.before, shown.after
+    return {
+        "along": draw_along_run(shown),
+        "shares": draw_shares(before.shares, after.shares),
+        "by_line": draw_by_line(before.segments, after.segments),
+        "profiles": draw_profiles(shown),
+        "worst": [_state_segment(s) for s in before.segments[:_WORST]],
+    }
+
+
+def _state_segment(segment: Segment) -> tuple[str, ...]:
+    return (
+        str(segment.row),
+        f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
+        segment.region,
+        plain(segment.time_s),
+        plain(segment.feed_mm_min, 0),
+        plain(segment.rms_um, 2),
+    )
+
+
+def _word_question(question: Question) -> str:
+    if not question.right:
+        return f"Is there {question.left}?"
+    return f"{question.left}, or {question.right}?"
+
+
+def _list_waypoints(asked: Ask) -> list[tuple[str, ...]]:
+    """Return the waypoints; the lines begin at the first."""
+    path = asked.path
+    return [
+        (
+            str(number),
+            *(plain(value, 3) for value in position),
+            plain(path.feed_mm_min[number - 1], 0) if number > 1 else "–",
+            plain(path.dwell_s[number - 1], 2),
+        )
+        for number, position in enumerate(path.position, start=1)
+    ]

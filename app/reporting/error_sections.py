@@ -1,0 +1,172 @@
+"""What the report states of the errors: motions, squareness, direction, volume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from app.kinematics.effects.catalogue import Measured
+from app.kinematics.machine import Axis, position_unit
+from app.kinematics.symbols import error_motions as symbols_of
+from app.kinematics.symbols import meaning
+from app.reporting.axis_panels import SIGN
+from app.reporting.error_figures import draw_error_motions
+from app.reporting.templating import View
+from app.reporting.volume_figure import draw_volume
+from app.results.direction_tables import half_differences
+from app.results.effects_beside import effects_beside, taken
+from app.results.error_tables import ErrorTable
+from app.results.findings import Findings
+from app.results.model_difference import in_words
+from app.results.numbers_as_text import expanded, plain
+from app.results.volumetric_error import Figure
+
+_K = 2.0
+
+
+def state_figure(figure: Figure) -> str:
+    """Return a figure in µm with its expanded uncertainty."""
+    return expanded(figure.value_um, figure.uncertainty_um)
+
+
+def describe_error_motions(findings: Findings) -> View:
+    """Return each error motion: its size, its figure and its values."""
+    axes = findings.estimate.model.machine.axes
+    return {
+        "any_tool": findings.tables.any_tool,
+        "sizes": [
+            (symbol, meaning(symbol), *_state_sizes(findings.tables.table(symbol)))
+            for axis in axes
+            for symbol in symbols_of(axis.name)
+        ],
+        "axes": [
+            {
+                "name": axis.name,
+                "figure": draw_error_motions(findings, axis),
+                **_list_values(findings, axis),
+            }
+            for axis in axes
+        ],
+    }
+
+
+def describe_squareness(findings: Findings) -> View:
+    """Return squareness between linear axes, and location errors of rotary axes."""
+    tables = findings.tables
+    numbers = [
+        *(
+            (s.symbol, s.value_urad, s.uncertainty_urad, "urad")
+            for s in tables.squareness
+        ),
+        *((s.symbol, s.value, s.uncertainty, s.unit) for s in tables.locations),
+    ]
+    return {
+        "rows": [
+            (symbol, meaning(symbol), f"{expanded(value, sigma)} {SIGN[unit]}")
+            for symbol, value, sigma, unit in numbers
+        ]
+    }
+
+
+def describe_direction(findings: Findings) -> View:
+    """Return half the difference between + and − direction where it is significant."""
+    estimate = findings.estimate
+    halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
+    rows: list[tuple[str, str, str]] = []
+    for half in halves:
+        if half.shows:
+            i = int(np.argmax(np.abs(half.value)))
+            value = expanded(float(half.value[i]), float(half.uncertainty[i]))
+            rows.append(
+                (half.symbol, meaning(half.symbol), f"{value} {SIGN[half.unit]}")
+            )
+    return {
+        "found": estimate.direction,
+        "modelled": bool(halves),
+        "rows": rows,
+        "others": len(halves) - len(rows),
+    }
+
+
+def describe_volume(findings: Findings) -> View:
+    """Return the volumetric error before and after compensation."""
+    volume = findings.volumetric
+    worst = int(np.argmax(np.linalg.norm(volume.error_um, axis=1)))
+    axes = findings.estimate.model.machine.axes
+    position = zip(axes, volume.position_mm[worst], strict=True)
+    error = zip(volume.error_um[worst], volume.uncertainty_um[worst], strict=True)
+    states = (("Before compensation", volume.before), ("After, expected", volume.after))
+    return {
+        "rows": [
+            (
+                name,
+                *(state_figure(f) for f in (spread.mean, spread.p95, spread.largest)),
+            )
+            for name, spread in states
+        ],
+        "points": len(volume.position_mm),
+        "worst_at": ", ".join(
+            f"{axis.name} {plain(value, 0)} {position_unit(axis)}"
+            for axis, value in position
+        ),
+        "worst": ", ".join(expanded(value, sigma) for value, sigma in error),
+        "figure_of_volume": draw_volume(findings),
+    }
+
+
+def describe_effects(findings: Findings) -> View:
+    """Return the effects of a given model, before and with this measurement."""
+    account = findings.provenance.model
+    if account is None:
+        raise ValueError("the analysis has no model")
+    effects = effects_beside(findings.estimate)
+    return {
+        "version": account.version,
+        "source": account.source,
+        "use": taken(account),
+        "rows": [
+            (
+                one.title,
+                "not used" if account.of_these_runs else _state_numbers(one.before),
+                _state_numbers(one.after),
+            )
+            for one in effects
+        ],
+        "contradicted": [one.title for one in effects if one.agrees is False],
+    }
+
+
+def _state_sizes(table: ErrorTable | None) -> tuple[str | None, ...]:
+    """Return range, largest value and largest U; None for what is not observable."""
+    if table is None:
+        return "", "", None
+    sizes = np.ptp(table.value), np.abs(table.value).max()
+    texts = [plain(float(size)) for size in sizes]
+    texts.append(plain(_K * float(table.uncertainty.max()), 2))
+    return tuple(f"{text} {SIGN[table.unit]}" for text in texts)
+
+
+def _list_values(findings: Findings, axis: Axis) -> View:
+    """Return head and rows of an axis' table; no rows where nothing is observable."""
+    every = [findings.tables.table(symbol) for symbol in symbols_of(axis.name)]
+    tables = [t for t in every if t is not None]
+    positions = tables[0].position_mm.tolist() if tables else []
+    head = [f"{axis.name}, {position_unit(axis)}"]
+    return {
+        "head": head + [f"{t.symbol}, {SIGN[t.unit]}" for t in tables],
+        "rows": [
+            (
+                plain(position, 2),
+                *(expanded(float(t.value[i]), float(t.uncertainty[i])) for t in tables),
+            )
+            for i, position in enumerate(positions)
+        ],
+    }
+
+
+def _state_numbers(parameters: Mapping[str, Measured]) -> str:
+    return "; ".join(
+        in_words(name, number.value, number.uncertainty)
+        for name, number in parameters.items()
+    )

@@ -1,0 +1,95 @@
+"""The page of a plan: what it determines in what time, and what it cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from app.reporting.chart import Scale
+from app.reporting.svg import (
+    NUMBER,
+    WIDTH,
+    Colour,
+    draw_curve,
+    draw_image,
+    draw_segments,
+    write_label,
+)
+from app.reporting.templating import render
+from app.results.effect_titles import effect_title
+from app.results.model_difference import in_words
+
+_HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
+_TICKS = 5
+_UNITS = {"um": "µm", "urad": "µrad"}
+
+
+def render_plan_report(document: Mapping[str, Any]) -> str:
+    """Return the page of a plan's JSON."""
+    predicted, target = document["predicted"], document["target"]
+    return render(
+        "plan.html",
+        {
+            "machine": document["machine"]["name"],
+            "mode": document["mode"],
+            "rows": document["rows"],
+            "minutes": f"{document['duration_s'] / 60.0:.1f}",
+            "uncertainty_um": predicted["expanded_volumetric_uncertainty_um"],
+            "target": target,
+            "curve": _draw_curve(document["curve"]),
+            "errors": [
+                (symbol, f"{2.0 * error[f'uncertainty_{unit}']:.2f}", sign)
+                for symbol, error in predicted["errors"].items()
+                for unit, sign in _UNITS.items()
+                if f"uncertainty_{unit}" in error
+            ],
+            "effects": [_state_effect(effect) for effect in predicted["effects"]],
+            "unobservable": document["unobservable"],
+        },
+    )
+
+
+def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return title, numbers as known, and numbers with this plan."""
+    keys = {k: v for k, v in effect.items() if isinstance(v, str) and k != "name"}
+    numbers = (
+        "; ".join(
+            in_words(name, number["value"], number["uncertainty"])
+            for name, number in effect[when].items()
+        )
+        for when in ("known_before", "parameters")
+    )
+    return effect_title(effect["name"], keys), *numbers
+
+
+def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
+    """Draw the uncertainty over time, on a logarithmic scale."""
+    time_s = np.array([p["time_s"] for p in points])
+    expanded_um = np.array([p["expanded_volumetric_uncertainty_um"] for p in points])
+    low = np.floor(np.log10(expanded_um.min()))
+    high = max(np.ceil(np.log10(expanded_um.max())), low + 1.0)
+    right, bottom = WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    x = Scale(0.0, float(time_s.max()), _LEFT, right)
+    y = Scale(float(10.0**low), float(10.0**high), bottom, _TOP, logarithmic=True)
+    parts: list[Markup] = []
+    decades = 10.0 ** np.arange(low, high + 1.0)
+    for decade, level in zip(decades.tolist(), y.place(decades).tolist(), strict=True):
+        ends = np.array([[_LEFT, level]]), np.array([[right, level]])
+        parts.append(draw_segments(*ends, Colour.RULE, width=0.6))
+        at = _LEFT - 6.0, level + 3.0
+        parts.append(write_label(*at, f"{decade:g}", size=NUMBER, anchor="end"))
+    ticks_s = np.linspace(0.0, x.high, _TICKS)
+    for tick_s, at in zip(ticks_s.tolist(), x.place(ticks_s).tolist(), strict=True):
+        text = f"{tick_s / 60.0:.1f}"
+        parts.append(write_label(at, bottom + 13.0, text, size=NUMBER, anchor="middle"))
+    middle = (_LEFT + right) / 2.0, _HEIGHT - 6.0
+    parts += [
+        draw_curve(x.place(time_s), y.place(expanded_um), Colour.ACCENT, width=1.8),
+        write_label(*middle, "min", anchor="middle"),
+        write_label(12.0, _HEIGHT / 2.0, "µm (k = 2)", anchor="middle", upright=False),
+    ]
+    title = "Predicted volumetric uncertainty during the measurement"
+    return draw_image(_HEIGHT, title, parts)
