@@ -29,7 +29,7 @@ from app.reporting.measurement_sections import (
     residual_over_noise,
 )
 from app.reporting.run_views import name_runs
-from app.reporting.templating import View, render
+from app.reporting.templating import View, render_page, render_part
 from app.results.findings import Findings
 
 _SECTIONS: dict[str, Callable[[Findings], View]] = {
@@ -50,7 +50,7 @@ def render_calibration_report(findings: Findings) -> str:
     """Return the report."""
     before, after = findings.volumetric.before, findings.volumetric.after
     created = findings.provenance.created
-    return render(
+    return render_page(
         "calibration.html",
         {
             "machine": findings.estimate.model.machine.name,
@@ -77,7 +77,7 @@ def render_section(name: str, findings: Findings) -> Markup:
     """Return one section of the report."""
     numbers = _number_sections(findings)
     view = {"number": numbers[name], "number_of": numbers, **_SECTIONS[name](findings)}
-    return render(f"calibration/{name}.html", view)
+    return render_part(f"calibration/{name}.html", view)
 
 
 def _number_sections(findings: Findings) -> dict[str, int]:

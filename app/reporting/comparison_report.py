@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.kinematics.machine import Machine
 from app.reporting.axis_panels import SIGN
 from app.reporting.comparison_figures import draw_error_motions, draw_volume
-from app.reporting.templating import View, render
+from app.reporting.templating import View, render_page
 from app.results.comparison import (
     ComparedError,
     ComparedNumber,
@@ -31,7 +31,7 @@ def render_comparison_report(
     errors = [
         e for kind in KINDS for e in comparison.errors if kind_of(e.symbol) == kind
     ]
-    return render(
+    return render_page(
         "comparison.html",
         {
             "machine": machine.name,

@@ -22,7 +22,7 @@ from app.reporting.discovery_figures import (
     draw_profiles,
     draw_shares,
 )
-from app.reporting.templating import View, render
+from app.reporting.templating import View, render_page
 from app.results.asking_json import reason
 from app.results.discovery_wording import others, title
 from app.results.model_difference import in_words
@@ -43,7 +43,7 @@ def render_discovery_report(
     named = [f for f in found.findings if f.structure is None]
     provenance, parent = model.content["provenance"], model.content["parent"]
     created = datetime.fromisoformat(provenance["created"])
-    return render(
+    return render_page(
         "discovery.html",
         {
             "machine": found.at.machine.name,

@@ -151,7 +151,7 @@ def _list_values(findings: Findings, axis: Axis) -> View:
     """Return head and rows of an axis' table; no rows where nothing is observable."""
     every = [findings.tables.table(symbol) for symbol in symbols_of(axis.name)]
     tables = [t for t in every if t is not None]
-    positions = tables[0].position_mm.tolist() if tables else []
+    positions: list[float] = tables[0].position_mm.tolist() if tables else []
     head = [f"{axis.name}, {position_unit(axis)}"]
     return {
         "head": head + [f"{t.symbol}, {SIGN[t.unit]}" for t in tables],

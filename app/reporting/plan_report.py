@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from app.reporting.svg import (
     draw_segments,
     write_label,
 )
-from app.reporting.templating import render
+from app.reporting.templating import render_page
 from app.results.effect_titles import effect_title
 from app.results.model_difference import in_words
 
@@ -30,7 +31,7 @@ _UNITS = {"um": "µm", "urad": "µrad"}
 def render_plan_report(document: Mapping[str, Any]) -> str:
     """Return the page of a plan's JSON."""
     predicted, target = document["predicted"], document["target"]
-    return render(
+    return render_page(
         "plan.html",
         {
             "machine": document["machine"]["name"],
@@ -69,13 +70,13 @@ def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
     """Draw the uncertainty over time, on a logarithmic scale."""
     time_s = np.array([p["time_s"] for p in points])
     expanded_um = np.array([p["expanded_volumetric_uncertainty_um"] for p in points])
-    low = np.floor(np.log10(expanded_um.min()))
-    high = max(np.ceil(np.log10(expanded_um.max())), low + 1.0)
+    low = math.floor(math.log10(expanded_um.min()))
+    high = max(math.ceil(math.log10(expanded_um.max())), low + 1)
     right, bottom = WIDTH - _RIGHT, _HEIGHT - _BOTTOM
     x = Scale(0.0, float(time_s.max()), _LEFT, right)
-    y = Scale(float(10.0**low), float(10.0**high), bottom, _TOP, logarithmic=True)
+    y = Scale(10.0**low, 10.0**high, bottom, _TOP, logarithmic=True)
     parts: list[Markup] = []
-    decades = 10.0 ** np.arange(low, high + 1.0)
+    decades = np.array([10.0**power for power in range(low, high + 1)])
     for decade, level in zip(decades.tolist(), y.place(decades).tolist(), strict=True):
         ends = np.array([[_LEFT, level]]), np.array([[right, level]])
         parts.append(draw_segments(*ends, Colour.RULE, width=0.6))

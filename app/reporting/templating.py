@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from app.results.numbers_as_text import expanded, plain
+from app.results.numbers_as_text import plain
 
 View = dict[str, Any]
 """What a template shows, by name: texts, numbers, and figures as Markup."""
@@ -16,19 +16,25 @@ View = dict[str, Any]
 
 def make_environment(folder: Path) -> Environment:
     """Return the environment of the templates in a folder."""
-    return Environment(
+    environment = Environment(
         loader=FileSystemLoader(folder),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["plain"] = plain  # pyright: ignore[reportUnknownMemberType]
+    return environment
 
 
 ENVIRONMENT = make_environment(Path(__file__).parent / "templates")
-ENVIRONMENT.filters.update(plain=plain, expanded=expanded)
 
 
-def render(template: str, view: View) -> Markup:
-    """Return a template of this room with its values in place."""
-    return Markup(ENVIRONMENT.get_template(template).render(view))  # noqa: S704
+def render_page(template: str, view: View) -> str:
+    """Return a whole page from a template of this room."""
+    return ENVIRONMENT.get_template(template).render(view)
+
+
+def render_part(template: str, view: View) -> Markup:
+    """Return a part of a page, in which every text from outside is escaped."""
+    return Markup(render_page(template, view))  # noqa: S704

@@ -25,7 +25,7 @@ from app.files.run import Run
 from app.kinematics.model import MachineModel
 from app.motion.paths import check_travel
 from app.reporting.discovery_report import describe_ask, render_discovery_report
-from app.reporting.templating import render
+from app.reporting.templating import render_part
 from app.results.asking_json import ask_json
 from app.results.discovery_json import discovery_json
 from app.results.model_file import next_model
@@ -212,7 +212,7 @@ def test_the_reason_is_said_in_words(moved):
 def test_the_report_shows_questions_and_lines(moved):
     _, done = moved
     asked = describe_ask(done.asked, "ask/path.csv")
-    page = render("discovery/ask.html", {"ask": asked})
+    page = render_part("discovery/ask.html", {"ask": asked})
     question = done.asked.questions[0]
     assert f"{question.left}, or {question.right}?" in page
     assert f"{done.asked.expected[0]:.1f}" in page

@@ -42,7 +42,7 @@ def test_the_gap_stands_in_numbers_and_as_a_plot(knocked, page):
     said = text_of(page)
     for value in (gap.before_um, gap.after_um, gap.noise_floor_um):
         assert f"{value:.2f} µm" in said
-    for figure in ("Gap on lines not seen", "Residual along the run", "by line"):
+    for figure in ("Gap on held-out lines", "Residual along the run", "by line"):
         assert f'aria-label="{figure}' in page or figure in page
 
 
@@ -55,7 +55,7 @@ def test_where_it_disagrees_is_told_by_line_time_place_and_direction(page):
 
 
 def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, page):
-    assert "taken out of the machine's numbers" in text_of(page)
+    assert "removed from the machine's numbers" in text_of(page)
     assert knocked.model.extended.added == ()
     (effect,) = knocked.model.content["effects"]
     assert effect["part_of"] == "measurement"

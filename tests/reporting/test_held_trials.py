@@ -14,7 +14,7 @@ from app.files.bundle import read_bundle
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.analysis_files import analyse
 from app.reporting.measurement_sections import describe_trials
-from app.reporting.templating import render
+from app.reporting.templating import render_part
 from app.results.error_tables import error_tables
 from app.results.held_trials import MAP, held_against_trials
 from app.results.trials_json import trials_json
@@ -38,7 +38,7 @@ def held(estimated):
 
 
 def report_of(held):
-    return render("calibration/trials.html", {"trials": describe_trials(held)})
+    return render_part("calibration/trials.html", {"trials": describe_trials(held)})
 
 
 def named(held, name):
@@ -101,7 +101,7 @@ def test_the_file_states_trials_beside_the_linear_law(held):
 
 def test_an_analysis_carries_the_trials_into_file_and_report(run):
     stages: list[tuple[float, str]] = []
-    asked = {"monte_carlo": PLAN, "progress": lambda *told: stages.append(told)}
+    asked = {"monte_carlo": PLAN, "on_progress": lambda *report: stages.append(report)}
     analysis = analyse(run, **asked)
     assert analysis.result["monte_carlo"]["trials"] == 20_000
     assert "Uncertainty held against trials" in analysis.report_html
