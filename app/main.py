@@ -28,14 +28,14 @@ from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import InUse
+from app.jobs.event_bus import EventBus
 from app.jobs.executor import ProcessExecutor
-from app.jobs.feed import Feed
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded, prepare
 from app.jobs.store import Store
 from app.jobs.workers import workers_of
-from app.jobs.workflow import Workshop
+from app.jobs.workflow import JobContext
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell, CellConfig
 from app.plugins import load
@@ -80,23 +80,25 @@ def open_service(settings: Settings) -> Iterator[Service]:
         stack.callback(database.close)
         database.migrate()
         machine, config = _machine_and_devices(settings, stack)
-        shop, feed = _workshop(settings, folder, database, machine, config, stack)
-        dispatcher = Dispatcher(shop, feed)
+        context, event_bus = _job_context(
+            settings, folder, database, machine, config, stack
+        )
+        dispatcher = Dispatcher(context, event_bus)
         stack.callback(dispatcher.close)
-        dispatcher.sweep()
-        if shop.cell is not None:
-            shop.cell.start()
+        dispatcher.interrupt_unfinished_jobs()
+        if context.cell is not None:
+            context.cell.start()
         service = Service(
             version=version("truepath"),
             simulated=settings.simulated,
             database=database,
-            store=shop.store,
-            runs=shop.runs,
-            results=shop.results,
+            store=context.store,
+            runs=context.runs,
+            results=context.results,
             dispatcher=dispatcher,
-            feed=feed,
+            event_bus=event_bus,
             machine=machine,
-            cell=shop.cell,
+            cell=context.cell,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
         )
@@ -104,15 +106,15 @@ def open_service(settings: Settings) -> Iterator[Service]:
         yield service
 
 
-def _workshop(
+def _job_context(
     settings: Settings,
     folder: Path,
     database: Database,
     machine: Machine | None,
     config: CellConfig | None,
     stack: ExitStack,
-) -> tuple[Workshop, Feed]:
-    feed = Feed()
+) -> tuple[JobContext, EventBus]:
+    event_bus = EventBus()
     workers = workers_of(settings)
     workers.check()
     executor = ProcessExecutor(settings.analysis_workers, prepare)
@@ -124,8 +126,8 @@ def _workshop(
         stack.callback(cell.close)
     results = folder / "results"
     results.mkdir(exist_ok=True)
-    shop = Workshop(
-        store=Store(database, feed.tell_stored),
+    context = JobContext(
+        store=Store(database, event_bus.publish_stored),
         runs=RunCatalogue(database, folder / "runs"),
         results=results,
         executor=executor,
@@ -135,7 +137,7 @@ def _workshop(
         cell=cell,
         live=LiveEstimation,
     )
-    return shop, feed
+    return context, event_bus
 
 
 def _machine_and_devices(

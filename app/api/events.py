@@ -23,7 +23,7 @@ from starlette.exceptions import HTTPException
 from app.api.models.job import job_out
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep
-from app.jobs.feed import Notice
+from app.jobs.event_bus import JobEvent
 from app.jobs.job import job_from_json, now_utc
 from app.jobs.rows import StoredEvent
 
@@ -54,12 +54,12 @@ class Subscription:
     def __init__(self, service: Service, job_id: str | None) -> None:
         self._service, self._job_id = service, job_id
         self._lock = threading.Lock()
-        self._waiting: deque[Notice] = deque(maxlen=WAITING)
+        self._waiting: deque[JobEvent] = deque(maxlen=WAITING)
         self._loop = asyncio.get_running_loop()
         self._changed = asyncio.Event()
         self._news = True
 
-    def put(self, notice: Notice) -> None:
+    def put(self, notice: JobEvent) -> None:
         """Take a notice. Never waits; the oldest live one makes room."""
         if self._job_id not in (None, notice.job_id) and notice.job_id is not None:
             return
@@ -101,7 +101,7 @@ class Subscription:
                 yield ServerSentEvent(data=tick, event="tick")
             await self._wait(next_tick - time.monotonic())
 
-    def _take(self) -> tuple[bool, list[Notice]]:
+    def _take(self) -> tuple[bool, list[JobEvent]]:
         """Return whether the catalogue has news, and the live notices."""
         with self._lock:
             news, self._news = self._news, False
@@ -165,7 +165,7 @@ def _subscribed(service: Service, job_id: str | None) -> Iterator[Subscription]:
     if streams.count >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
     subscription = Subscription(service, job_id)
-    forget = service.feed.listen(subscription.put)
+    forget = service.event_bus.subscribe(subscription.put)
     try:
         with streams.one_more():
             yield subscription

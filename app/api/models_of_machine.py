@@ -20,8 +20,8 @@ from app.api.paging import After, Limit, cursor, link_next, place
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
-from app.jobs.job import Job, Kind
-from app.jobs.models import difference_between, growth_of, model_file, versions
+from app.jobs.job import Job, JobKind
+from app.jobs.models import difference_between, model_file, read_growth, versions
 from app.jobs.transitions import State
 
 router = APIRouter(prefix="/models", tags=["models"])
@@ -42,7 +42,7 @@ def list_models(
         limit + 1,
         before_seq=place(after),
         states=[State.SUCCEEDED],
-        kinds=[kind for kind in Kind if kind.discovers],
+        kinds=[kind for kind in JobKind if kind.discovers],
     )
     rest = cursor(jobs[limit - 1].seq) if len(jobs) > limit else None
     link_next(request, response, rest)
@@ -95,7 +95,7 @@ def get_difference(
     """Return what a model has that another has not, and which numbers differ."""
     job = _discovered(service, model_id)
     if against is None:
-        growth = growth_of(service.results, job.id)
+        growth = read_growth(service.results, job.id)
         changes, before = growth["difference"], growth["parent"]["source"]
     else:
         other = service.store.get(against)
@@ -113,4 +113,4 @@ def _discovered(service: Service, model_id: str) -> Job:
 
 
 def _out(service: Service, job: Job) -> ModelOut:
-    return model_out(job, growth_of(service.results, job.id))
+    return model_out(job, read_growth(service.results, job.id))

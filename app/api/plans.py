@@ -6,8 +6,8 @@ from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
 from app.api.conditional import etag
-from app.api.failures import problem_of_failure
-from app.api.jobs import IdempotencyKey
+from app.api.failures import describe_failure
+from app.api.jobs import IdempotencyKeyHeader
 from app.api.models.base import PREFIX
 from app.api.models.plan import PlanOut
 from app.api.models.planning import (
@@ -22,12 +22,12 @@ from app.api.nc_programs import PROGRAM, Dialect, program_response
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
-from app.jobs.dispatcher import Wish
+from app.jobs.dispatcher import JobRequest
 from app.jobs.errors import NoMachine
-from app.jobs.job import Job, Kind
+from app.jobs.job import Job, JobKind
 from app.jobs.plan_orders import checked_rows
 from app.jobs.plans import commanded_from_plan
-from app.jobs.rows import Key
+from app.jobs.rows import IdempotencyKey
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 checks = APIRouter(tags=["plans"])
@@ -43,7 +43,7 @@ def create_plan(
     request: PlanRequest,
     response: Response,
     service: ServiceDep,
-    idempotency_key: IdempotencyKey = None,
+    idempotency_key: IdempotencyKeyHeader = None,
 ) -> PlanResource:
     """Choose the measurement that tells most in its time. Nothing moves.
 
@@ -51,15 +51,15 @@ def create_plan(
     """
     order = request.order()
     body = b"plan " + request.model_dump_json(exclude_defaults=True).encode()
-    key = Key(idempotency_key, body) if idempotency_key else None
-    wish = Wish(
-        Kind.PLAN,
+    key = IdempotencyKey(idempotency_key, body) if idempotency_key else None
+    request = JobRequest(
+        JobKind.PLAN,
         perpendicular_only=request.perpendicular_only,
         target_um=request.target_um,
         model_id=request.model_id,
         plan_request=order,
     )
-    job, _ = service.dispatcher.create(wish, key)
+    job, _ = service.dispatcher.create(request, key)
     response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
     return _out(job, response, service)
 
@@ -71,7 +71,7 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
     if service.machine is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
-    kind = Kind.MEASURE_STANDSTILL if check.path is None else Kind.MEASURE_OTF
+    kind = JobKind.MEASURE_STANDSTILL if check.path is None else JobKind.MEASURE_OTF
     workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
     rows, duration_s = checked_rows(
         service.machine, kind, check.rows(), check.feed_mm_min, workspace
@@ -104,7 +104,7 @@ def download_plan_nc_program(
 
 def _plan_job(plan_id: str, service: Service) -> Job:
     job = service.store.get(plan_id)
-    if job.kind is not Kind.PLAN:
+    if job.kind is not JobKind.PLAN:
         raise NotFound(f"job {plan_id} is no plan; its kind is {job.kind}")
     return job
 
@@ -122,6 +122,6 @@ def _out(job: Job, response: Response, service: Service) -> PlanResource:
         request=dict(service.store.plan_request(job.id)),
         commanded=commanded,
         document=None if plan is None else dict(plan["document"]),
-        error=Problem(**problem_of_failure(failure)) if failure else None,
+        error=Problem(**describe_failure(failure)) if failure else None,
         links=plan_links(job.id),
     )

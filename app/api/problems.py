@@ -12,7 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from app.api import failures
-from app.api.failures import BY_STATUS, INTERNAL, KINDS, MEDIA_TYPE, Kind
+from app.api.failures import BY_STATUS, INTERNAL, KINDS, MEDIA_TYPE, ProblemKind
 from app.api.models.problem import Problem
 
 MAX_ERRORS = 20
@@ -59,18 +59,18 @@ def problem_response(
     return Response(text, content["status"], headers, MEDIA_TYPE)
 
 
-def kind_of_status(status: int) -> Kind:
+def find_kind_of_status(status: int) -> ProblemKind:
     """Return the kind of problem that a bare status is."""
     if status in BY_STATUS:
         return BY_STATUS[status]
     if status >= 500:
         return INTERNAL
     known = BY_STATUS[400]
-    return Kind(status, known.code, known.title, known.action)
+    return ProblemKind(status, known.code, known.title, known.action)
 
 
 def _of_family(request: Request, error: Exception) -> Response:
-    return _respond(request, failures.problem_of(error))
+    return _respond(request, failures.describe_error(error))
 
 
 def _of_validation(request: Request, error: Exception) -> Response:
@@ -93,7 +93,7 @@ def _of_validation(request: Request, error: Exception) -> Response:
 
 def _of_framework(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 (by registration)
-    kind = kind_of_status(error.status_code)
+    kind = find_kind_of_status(error.status_code)
     detail = "" if error.detail == _phrase(error.status_code) else str(error.detail)
     return _respond(request, failures.problem(kind, detail), error.headers)
 
@@ -111,7 +111,7 @@ def _respond(
     return problem_response(content, request.url.path, request_id, headers)
 
 
-def _refusal(kind: Kind, path: str) -> dict[str, Any]:
+def _refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
     example = {
         **failures.problem(kind),
         "instance": path,
@@ -122,7 +122,7 @@ def _refusal(kind: Kind, path: str) -> dict[str, Any]:
     return {"description": kind.title, "content": content}
 
 
-def _kind_at(status: int) -> Kind:
+def _kind_at(status: int) -> ProblemKind:
     """Return a kind of problem with that status, as an example."""
     by_family = (kind for kind in KINDS.values() if kind.status == status)
     plain = BY_STATUS.get(status, INTERNAL)

@@ -37,7 +37,7 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
     `/result`.
     """
     job = service.store.get(job_id)
-    estimates = service.feed.estimates
+    estimates = service.event_bus.estimates
     newest = estimates.newest(job.id)
     if newest is None:
         raise NotFound(f"job {job_id} ({job.state}) has no live estimate yet")

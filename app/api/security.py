@@ -19,8 +19,8 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.api import failures
-from app.api.failures import BY_STATUS, INTERNAL, Kind
-from app.api.problems import kind_of_status, problem_response
+from app.api.failures import BY_STATUS, INTERNAL, ProblemKind
+from app.api.problems import find_kind_of_status, problem_response
 
 log = structlog.get_logger(__name__)
 
@@ -121,14 +121,14 @@ class _Answer:
             await self._send(self._with_headers(message))
         elif not message.get("more_body", False) and "body" in message:
             self._is_bare = False
-            await self._problem(kind_of_status(self._status))
+            await self._problem(find_kind_of_status(self._status))
 
-    async def refuse(self, kind: Kind, detail: str = "") -> None:
+    async def refuse(self, kind: ProblemKind, detail: str = "") -> None:
         """Send a problem, unless the answer has begun."""
         if not self._status:
             await self._problem(kind, detail)
 
-    async def _problem(self, kind: Kind, detail: str = "") -> None:
+    async def _problem(self, kind: ProblemKind, detail: str = "") -> None:
         content = failures.problem(kind, detail)
         response = problem_response(content, self._scope["path"], self._request_id)
         await response(self._scope, _nothing_more, self.send)

@@ -13,7 +13,7 @@ from fastapi import Depends, Request
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
-from app.jobs.feed import Feed, Notice
+from app.jobs.event_bus import EventBus, JobEvent
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.kinematics.machine import Machine
@@ -35,7 +35,7 @@ class Service:
     runs: RunCatalogue
     results: Path
     dispatcher: Dispatcher
-    feed: Feed
+    event_bus: EventBus
     machine: Machine | None
     cell: CellSupervisor | None
     max_upload_bytes: int = 512 << 20
@@ -45,7 +45,7 @@ class Service:
     def end_streams(self) -> None:
         """Let every open stream end."""
         self.closing.set()
-        self.feed.tell(Notice("closing", None, {}))
+        self.event_bus.publish(JobEvent("closing", None, {}))
 
     def free_bytes(self) -> int:
         """Return the room left on the disk of the results."""

@@ -9,7 +9,7 @@ from typing import Any
 from app.errors import BundleError, PlanningError
 from app.files.machine_file import machine_from_json
 from app.files.one_machine import one_machine
-from app.jobs.job import Kind
+from app.jobs.job import JobKind
 from app.jobs.models import DISCOVERY, model_file
 from app.jobs.plans import plan_json, plan_motion
 from app.kinematics.machine import Machine
@@ -38,5 +38,5 @@ def extra_lines(machine: Machine, folder: Path, job_id: str) -> dict[str, Any]:
         raise PlanningError(
             f"the extra lines are for another machine: {error}"
         ) from error
-    path = plan_motion(machine, Kind.MEASURE_OTF, found["ask"]["rows"])
+    path = plan_motion(machine, JobKind.MEASURE_OTF, found["ask"]["rows"])
     return {**plan_json(path), "discovery_id": job_id}

@@ -17,7 +17,7 @@ from app.numerics.adaptive_trials import TrialPlan
 Json = Mapping[str, Any]
 
 
-class Kind(StrEnum):
+class JobKind(StrEnum):
     """What a job does. The first three drive the machine and end with an analysis.
 
     `PLAN` chooses what a measuring job may then drive; an adaptive one chooses itself,
@@ -36,12 +36,12 @@ class Kind(StrEnum):
     @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
-        return self not in (Kind.ANALYSE, Kind.DISCOVER, Kind.PLAN)
+        return self not in (JobKind.ANALYSE, JobKind.DISCOVER, JobKind.PLAN)
 
     @property
     def discovers(self) -> bool:
         """Whether the job ends with what a model lacks, in place of error tables."""
-        return self in (Kind.DISCOVER, Kind.MEASURE_EXTRA)
+        return self in (JobKind.DISCOVER, JobKind.MEASURE_EXTRA)
 
 
 class Stage(StrEnum):
@@ -118,7 +118,7 @@ class Job:
 
     seq: int
     id: str
-    kind: Kind
+    kind: JobKind
     state: State
     desired_state: str
     version: int
@@ -140,7 +140,7 @@ class Job:
     def run_ids(self) -> tuple[str, ...]:
         """All its Runs, in the order in which they were measured or named."""
         own = (self.run_id,) if self.run_id else ()
-        if self.kind is Kind.MEASURE_EXTRA:
+        if self.kind is JobKind.MEASURE_EXTRA:
             return (*self.further_run_ids, *own)
         return (*own, *self.further_run_ids)
 
@@ -157,7 +157,7 @@ class Job:
     @property
     def has_result(self) -> bool:
         """Whether error tables stand."""
-        silent = self.kind is Kind.PLAN or self.kind.discovers
+        silent = self.kind is JobKind.PLAN or self.kind.discovers
         return self.state is State.SUCCEEDED and not silent
 
     @property
@@ -174,7 +174,7 @@ class NewJob:
         as `plan_orders` states it
     """
 
-    kind: Kind
+    kind: JobKind
     run_id: str | None = None
     perpendicular_only: bool = False
     target_um: float | None = None
@@ -198,7 +198,7 @@ def job_from_json(content: Json) -> Job:
     return Job(
         **{
             **content,
-            "kind": Kind(content["kind"]),
+            "kind": JobKind(content["kind"]),
             "state": State(content["state"]),
             "stage": Stage(content["stage"]),
             "progress": progress_from_json(content["progress"]),

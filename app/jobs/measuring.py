@@ -14,8 +14,8 @@ from typing import Any
 import structlog
 
 from app.errors import MeasurementFailed
+from app.jobs.active_job import ActiveJob
 from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.control import Control
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
 from app.jobs.growth import Growth
 from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
@@ -52,7 +52,7 @@ class Measuring:
 
     def __init__(
         self,
-        control: Control,
+        active: ActiveJob,
         cell: CellSupervisor,
         *,
         confirm_s: Mapping[State, float] = CONFIRM_S,
@@ -62,7 +62,7 @@ class Measuring:
     ) -> None:
         self._growth = growth
         self._target_um, self._is_concluded = target_um, False
-        self._control, self._cell, self._live = control, cell, live
+        self._active, self._cell, self._live = active, cell, live
         self._confirm_s = confirm_s
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
         self._fault: Mapping[str, Any] = {}
@@ -78,7 +78,7 @@ class Measuring:
         has to look. What was recorded is on disk in any case.
         """
         if not self._cell.begin(order, self._events.put, self._is_called_off):
-            self._control.checkpoint()
+            self._active.checkpoint()
         try:
             self._follow()
         except Exception:
@@ -90,7 +90,7 @@ class Measuring:
         self._judge()
 
     def _is_called_off(self) -> bool:
-        return self._control.called_off
+        return self._active.is_cancelled
 
     def _follow(self) -> None:
         while True:
@@ -108,7 +108,7 @@ class Measuring:
                 return
             if event.kind == "closed":
                 body = event.body
-                self._control.count(body["samples"], body["lost_samples"])
+                self._active.set_sample_counts(body["samples"], body["lost_samples"])
                 return
             self._take(event)
 
@@ -127,11 +127,11 @@ class Measuring:
     def _take(self, event: CellEvent) -> None:
         body = event.body
         if event.kind == "progress":
-            self._control.report(
+            self._active.report_progress(
                 _progress(body), stage=Stage.MEASURING, health=_health(body)
             )
         elif event.kind == "live":
-            self._control.show(body)
+            self._active.publish_live(body)
         elif event.kind == "block" and self._live is not None:
             self._live.offer(body["samples"])
         elif event.kind == "part" and self._growth is not None:
@@ -143,10 +143,10 @@ class Measuring:
 
     def _take_fault(self, body: Mapping[str, Any]) -> None:
         """Show what is wrong. The cell says by its state whether this is the end."""
-        log.error("fault", job_id=self._control.job_id, **body)
+        log.error("fault", job_id=self._active.job_id, **body)
         self._fault = body
         code, text, action = _fault_texts(body)
-        self._control.complain(Failure("MachineFault", text, code, action))
+        self._active.show_failure(Failure("MachineFault", text, code, action))
 
     def _follow_state(self, name: str) -> None:
         if name in _ENDS:
@@ -158,10 +158,10 @@ class Measuring:
             return
         # What the cell said before a pause reached it must not undo the pause.
         late = state is State.RUNNING
-        job = self._control.enter(state, Stage.MEASURING, unless_pausing=late)
+        job = self._active.enter(state, Stage.MEASURING, unless_pausing=late)
         if job.state is State.RUNNING:
             self._fault = {}
-            self._control.complain(None)
+            self._active.show_failure(None)
 
     def _insist(self) -> None:
         """Repeat what has not been confirmed: it may have come before it could act.
@@ -173,9 +173,9 @@ class Measuring:
         if self._outcome or now < self._insist_at:
             return
         self._insist_at = now + INSIST_S
-        if self._control.called_off:
+        if self._active.is_cancelled:
             self._cell.abort()
-        elif self._control.state is State.PAUSING and self._control.wants_pause:
+        elif self._active.state is State.PAUSING and self._active.wants_pause:
             self._cell.pause()
 
     def _conclude_at_target(self) -> None:
@@ -183,7 +183,7 @@ class Measuring:
         if self._is_concluded or self._target_um is None or self._live is None:
             return
         newest = self._live.newest
-        if newest is None or self._control.state is not State.RUNNING:
+        if newest is None or self._active.state is not State.RUNNING:
             return
         reached_um = newest["volumetric_uncertainty_um"]
         if reached_um <= self._target_um:
@@ -191,12 +191,12 @@ class Measuring:
             self._is_concluded = True
             self._cell.conclude()
             early_end = EarlyEnd(reached_um, newest["done"], newest["total"])
-            self._control.conclude(early_end)
+            self._active.note_early_end(early_end)
 
     def _watch_the_clock(self) -> None:
-        state = self._control.state
+        state = self._active.state
         limit_s = float("inf") if self._outcome else self._confirm_s.get(state)
-        overdue = limit_s is not None and self._control.state_lasts_s > limit_s
+        overdue = limit_s is not None and self._active.state_lasts_s > limit_s
         if overdue and not self._given_up:
             self._give_up(f"not-{state}", f"the cell has not confirmed {state} in time")
         if time.monotonic() > self._close_by:
@@ -204,7 +204,7 @@ class Measuring:
             self._give_up("run-not-closed", "the cell has not closed its Run in time")
 
     def _give_up(self, code: str, text: str) -> None:
-        log.error("cell given up", job_id=self._control.job_id, code=code)
+        log.error("cell given up", job_id=self._active.job_id, code=code)
         self._given_up = True
         self._fault = {
             "code": code,
@@ -227,7 +227,7 @@ class Measuring:
         code, text, action = _fault_texts(self._fault)
         if self._outcome == "faulted":
             raise MachineFault(code or "fault", text or "the machine faulted", action)
-        self._control.checkpoint()
+        self._active.checkpoint()
         if self._outcome == "finished":
             return
         if self._outcome == "aborted":

@@ -25,7 +25,7 @@ def model_file(results: Path, job_id: str) -> Path:
     raise NotFound(f"job {job_id} has no model and no result")
 
 
-def growth_of(results: Path, job_id: str) -> Mapping[str, Any]:
+def read_growth(results: Path, job_id: str) -> Mapping[str, Any]:
     """Return version, parent and difference of a model with the effects found.
 
     Raises NotFound if the job has found none.
@@ -39,13 +39,13 @@ def growth_of(results: Path, job_id: str) -> Mapping[str, Any]:
 
 def versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Return a model and those it came from, the newest first, as far as they stand."""
-    found = [(job_id, growth_of(results, job_id))]
+    found = [(job_id, read_growth(results, job_id))]
     seen = {job_id}
     while True:
         source = str(found[-1][1]["parent"]["source"])
         if source in seen or not (results / source / DISCOVERY).is_file():
             return found
-        found.append((source, growth_of(results, source)))
+        found.append((source, read_growth(results, source)))
         seen.add(source)
 
 

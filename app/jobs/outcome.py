@@ -19,7 +19,7 @@ from drivers.interfaces.errors import DeviceError
 log = structlog.get_logger(__name__)
 
 
-def outcome_of(error: Exception) -> tuple[State, Failure | None]:
+def classify_error(error: Exception) -> tuple[State, Failure | None]:
     """Return the final state that an error means, and what to tell about it."""
     match error:
         case Aborted():

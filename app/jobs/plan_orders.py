@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from app.errors import PlanningError
 from app.files.machine_file import machine_to_json
 from app.files.workspace_file import workspace_from_json
-from app.jobs.job import Json, Kind
+from app.jobs.job import JobKind, Json
 from app.jobs.plans import (
     MAX_ROWS,
     Row,
@@ -41,7 +41,7 @@ _PLAIN = ("mode", "minutes", "target_um", "dwell_s")
 _PLAIN += ("perpendicular_only", "corner_path", "seed")
 _FIRST_LINES, _FIRST_POINTS = 5, 4  # of the longest: two or three times as many
 _STANDS_S = 1.0  # at the end of each
-_POINTS = Kind.MEASURE_STANDSTILL
+_POINTS = JobKind.MEASURE_STANDSTILL
 
 
 def plan_measurement(
@@ -118,7 +118,7 @@ def refuse_several_targets(machine: Machine, order: Json) -> None:
 
 def checked_rows(
     machine: Machine,
-    kind: Kind,
+    kind: JobKind,
     rows: Sequence[Row],
     feed_mm_min: float | None,
     workspace: Json,
@@ -133,15 +133,15 @@ def checked_rows(
     return len(commanded), float(schedule.row_s.sum())
 
 
-def driven_plan(machine: Machine, kind: Kind, plan: Json) -> dict[str, Any]:
+def driven_plan(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
     """Return the rows of a plan, checked anew for the job that is to drive them.
 
     Raises PlanningError if it is of the other mode, was made for another state of the
     machine file, or leaves the travel.
     """
     commanded = commanded_from_plan(plan)
-    if isinstance(commanded, Path) != (kind is Kind.MEASURE_OTF):
-        wanted = Kind.MEASURE_OTF if isinstance(commanded, Path) else _POINTS
+    if isinstance(commanded, Path) != (kind is JobKind.MEASURE_OTF):
+        wanted = JobKind.MEASURE_OTF if isinstance(commanded, Path) else _POINTS
         raise PlanningError(f"the plan is one for {wanted}, not for {kind}")
     now = json.loads(json.dumps(machine_to_json(machine)))  # as the catalogue keeps it
     if plan["document"]["machine"] != now:

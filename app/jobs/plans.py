@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import PlanningError
-from app.jobs.job import Kind
+from app.jobs.job import JobKind
 from app.kinematics.machine import LinearAxis, Machine
 from app.motion.configurations import Commanded, Configurations
 from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel, default_points
@@ -29,7 +29,7 @@ Row = Mapping[str, Any]
 
 def plan_motion(
     machine: Machine,
-    kind: Kind,
+    kind: JobKind,
     rows: Sequence[Row] | None = None,
     feed_mm_min: float | None = None,
 ) -> Commanded:
@@ -42,7 +42,7 @@ def plan_motion(
     """
     feed = feed_mm_min or DEFAULT_FEED_MM_MIN
     commanded: Commanded
-    if kind is Kind.MEASURE_OTF:
+    if kind is JobKind.MEASURE_OTF:
         path = _path(machine, rows, feed) if rows else default_path(machine, feed)
         _refuse_standing_lines(path)
         commanded = path

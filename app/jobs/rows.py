@@ -20,7 +20,7 @@ from app.jobs.job import (
     Failure,
     Health,
     Job,
-    Kind,
+    JobKind,
     NewJob,
     Stage,
     job_json,
@@ -47,7 +47,7 @@ class StoredEvent:
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class IdempotencyKey:
     """An Idempotency-Key and the body it came with."""
 
     value: str
@@ -135,7 +135,7 @@ def job_from(row: RowMapping) -> Job:
     return Job(
         **{
             **row,
-            "kind": Kind(row["kind"]),
+            "kind": JobKind(row["kind"]),
             "state": State(row["state"]),
             "stage": Stage(row["stage"]),
             "progress": progress_from_json(row["progress"]),
@@ -162,7 +162,7 @@ def event_from(row: RowMapping) -> StoredEvent:
     return StoredEvent(row["id"], row["job_id"], row["type"], row["body"])
 
 
-def job_by_key(connection: Connection, key: Key) -> Job | None:
+def job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
     """Return the job that a key has made. Raises KeyReused."""
     query = select(idempotency_keys).where(idempotency_keys.c.key == key.value)
     row = connection.execute(query).mappings().first()
@@ -176,7 +176,7 @@ def job_by_key(connection: Connection, key: Key) -> Job | None:
     return job_of(connection, row["job_id"])
 
 
-def insert_key(connection: Connection, key: Key, job_id: str) -> None:
+def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
     """Write which job a key has made."""
     connection.execute(
         insert(idempotency_keys).values(

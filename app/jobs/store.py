@@ -18,7 +18,7 @@ from app.jobs.database import Database
 from app.jobs.job import (
     Health,
     Job,
-    Kind,
+    JobKind,
     NewJob,
     Progress,
     Stage,
@@ -27,7 +27,7 @@ from app.jobs.job import (
 )
 from app.jobs.rows import (
     JOBS,
-    Key,
+    IdempotencyKey,
     StoredEvent,
     event_from,
     insert_event,
@@ -42,7 +42,7 @@ from app.jobs.rows import (
     update_job,
 )
 from app.jobs.schema import events, idempotency_keys, jobs
-from app.jobs.transitions import State, check_follows
+from app.jobs.transitions import State, check_transition
 
 KEEP_KEYS_S = 24 * 3600
 KEEP_EVENTS = 20_000
@@ -61,7 +61,9 @@ class Store:
     def __init__(self, database: Database, listener: Listener) -> None:
         self._database, self._listener = database, listener
 
-    def create(self, new: NewJob, key: Key | None = None) -> tuple[Job, bool]:
+    def create(
+        self, new: NewJob, key: IdempotencyKey | None = None
+    ) -> tuple[Job, bool]:
         """Add a job; True if it is new, False if the key has made it before.
 
         Raises KeyReused if the key came with another body, CellBusy if the job would
@@ -82,7 +84,7 @@ class Store:
         job, event = self._database.write(change, self._tell)
         return job, event is not None
 
-    def by_key(self, key: Key) -> Job | None:
+    def by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:
             return job_by_key(connection, key)
@@ -116,7 +118,7 @@ class Store:
         *,
         before_seq: int | None = None,
         states: Sequence[State] = (),
-        kinds: Sequence[Kind] = (),
+        kinds: Sequence[JobKind] = (),
     ) -> list[Job]:
         """Return jobs, the newest first, older than `before_seq`."""
         query = JOBS.order_by(jobs.c.seq.desc()).limit(limit)
@@ -152,14 +154,14 @@ class Store:
             if after is before:
                 return before, None
             if after.state is not before.state:
-                check_follows(before.state, after.state)
+                check_transition(before.state, after.state)
             after = _stamped(before, replace(after, version=before.version + 1))
             update_job(connection, before, after)
             return after, insert_event(connection, after)
 
         return self._database.write(apply, self._tell)[0]
 
-    def note(
+    def keep_progress(
         self, job_id: str, stage: Stage, progress: Progress, health: Health
     ) -> None:
         """Keep how far a job is, without a new version."""

@@ -60,12 +60,12 @@ TRANSITIONS: dict[State, frozenset[State]] = {
 }
 
 FINAL = frozenset(state for state, after in TRANSITIONS.items() if not after)
-HELD = frozenset({_PSG, _PSD})
+PAUSE_STATES = frozenset({_PSG, _PSD})
 """A pause is on its way or in force."""
 
 # verb -> states it acts in -> the state it leads to. In the states of `SETTLED` the
 # same verb has been obeyed already and changes nothing.
-ACTS: dict[Verb, dict[State, State]] = {
+VERB_TRANSITIONS: dict[Verb, dict[State, State]] = {
     Verb.ARM: {_R: _RUN},
     Verb.PAUSE: {_RUN: _PSG, _RES: _PSG},
     Verb.RESUME: {_PSD: _RES},
@@ -73,9 +73,9 @@ ACTS: dict[Verb, dict[State, State]] = {
         state: _ABG for state in State if state not in FINAL and state != _ABG
     },
 }
-SETTLED: dict[Verb, frozenset[State]] = {
+VERB_SATISFIED: dict[Verb, frozenset[State]] = {
     Verb.ARM: frozenset(),
-    Verb.PAUSE: HELD,
+    Verb.PAUSE: PAUSE_STATES,
     Verb.RESUME: frozenset({_RUN, _RES}),
     Verb.ABORT: FINAL | {_ABG},
 }
@@ -86,20 +86,20 @@ def may_follow(before: State, after: State) -> bool:
     return after in TRANSITIONS[before]
 
 
-def after_verb(verb: Verb, state: State) -> State:
+def apply_verb(verb: Verb, state: State) -> State:
     """Return the state a verb leads to; the same state where it is obeyed already.
 
     Raises IllegalTransition naming the states in which the verb works; abort never.
     """
-    if state in SETTLED[verb]:
+    if state in VERB_SATISFIED[verb]:
         return state
-    if state not in ACTS[verb]:
-        allowed = ", ".join(sorted(ACTS[verb]))
+    if state not in VERB_TRANSITIONS[verb]:
+        allowed = ", ".join(sorted(VERB_TRANSITIONS[verb]))
         raise IllegalTransition(f"cannot {verb} a job that is {state}; only {allowed}")
-    return ACTS[verb][state]
+    return VERB_TRANSITIONS[verb][state]
 
 
-def check_follows(before: State, after: State) -> None:
+def check_transition(before: State, after: State) -> None:
     """Raise IllegalTransition if the table does not allow the change."""
     if not may_follow(before, after):
         raise IllegalTransition(f"a job that is {before} cannot become {after}")

@@ -15,17 +15,17 @@ from typing import Any
 import structlog
 
 from app.errors import MeasurementFailed
+from app.jobs.active_job import ActiveJob
 from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.control import Control
 from app.jobs.errors import NoMachine, StorageUnavailable
 from app.jobs.executor import Executor, Task
 from app.jobs.growth import Growth
-from app.jobs.job import Failure, Job, Json, Kind, Progress, Stage
+from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.measuring import CONFIRM_S, Measuring
 from app.jobs.models import model_file
-from app.jobs.outcome import outcome_of
+from app.jobs.outcome import classify_error
 from app.jobs.plan_orders import first_part, plan_measurement
 from app.jobs.plans import commanded_from_plan, plan_json
 from app.jobs.runs import RunCatalogue
@@ -44,7 +44,7 @@ log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Workshop:
+class JobContext:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
@@ -71,94 +71,100 @@ class Workshop:
     discoverer: Task = discover_recorded
 
 
-def carry_out(job: Job, control: Control, shop: Workshop) -> None:
+def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
     """Do a job to its end and put down how it ended. Raises nothing."""
     with structlog.contextvars.bound_contextvars(job_id=job.id):
         log.info("job begins", kind=str(job.kind))
         try:
-            if job.kind is Kind.PLAN:
-                plan(job, control, shop)
+            if job.kind is JobKind.PLAN:
+                plan(job, active, context)
             else:
                 run_ids = job.run_ids
                 if job.kind.measures:
-                    run_ids = (*run_ids, measure(job, control, shop))
+                    run_ids = (*run_ids, measure(job, active, context))
                 conclude = discover if job.kind.discovers else analyse
-                conclude(job, run_ids, control, shop)
+                conclude(job, run_ids, active, context)
         except Exception as error:
-            _end(control, *outcome_of(error))
+            _end(active, *classify_error(error))
         else:
-            _end(control, State.SUCCEEDED)
+            _end(active, State.SUCCEEDED)
 
 
-def plan(job: Job, control: Control, shop: Workshop) -> None:
+def plan(job: Job, active: ActiveJob, context: JobContext) -> None:
     """Choose what to drive, or the first part of it, and keep it with the job."""
-    if shop.machine is None:
+    if context.machine is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
     state = State.PREPARING if job.kind.measures else State.RUNNING
-    order = _order(job, shop)
-    if job.kind is Kind.MEASURE_ADAPTIVE:
-        order = first_part(shop.machine, order)
+    order = _order(job, context)
+    if job.kind is JobKind.MEASURE_ADAPTIVE:
+        order = first_part(context.machine, order)
     begins = state, Stage.PLANNING
-    planned = _computed(control, shop, begins, shop.planner, shop.machine, order)
-    shop.store.keep_plan(job.id, planned)
+    planned = _computed(
+        active, context, begins, context.planner, context.machine, order
+    )
+    context.store.keep_plan(job.id, planned)
 
 
-def measure(job: Job, control: Control, shop: Workshop) -> str:
+def measure(job: Job, active: ActiveJob, context: JobContext) -> str:
     """Drive the machine along the job's plan; return the Run that came of it."""
-    if shop.machine is None or shop.cell is None:
+    if context.machine is None or context.cell is None:
         raise NoMachine("no machine is set up; give the service a machine_file")
-    control.enter(State.PREPARING, Stage.PLANNING)
-    if job.kind is Kind.MEASURE_ADAPTIVE:
-        plan(job, control, shop)
-    commanded = commanded_from_plan(shop.store.plan(job.id) or {})
-    check_travel(shop.machine, commanded)
-    shop.cell.connect()
-    control.checkpoint()
+    active.enter(State.PREPARING, Stage.PLANNING)
+    if job.kind is JobKind.MEASURE_ADAPTIVE:
+        plan(job, active, context)
+    commanded = commanded_from_plan(context.store.plan(job.id) or {})
+    check_travel(context.machine, commanded)
+    context.cell.connect()
+    active.checkpoint()
 
-    control.enter(State.READY, Stage.MEASURING)
-    control.wait_until_armed()
+    active.enter(State.READY, Stage.MEASURING)
+    active.wait_until_armed()
 
-    live = _live_estimation(job, control, shop, commanded)
+    live = _live_estimation(job, active, context, commanded)
     order = Order(
-        run_name=f"{shop.machine.name} {job.created}",
-        run_file=str(shop.runs.measured_file(job.id)),
-        machine=shop.machine,
+        run_name=f"{context.machine.name} {job.created}",
+        run_file=str(context.runs.measured_file(job.id)),
+        machine=context.machine,
         commanded=commanded,
-        rate_hz=shop.machine.tracker.rate_hz,
+        rate_hz=context.machine.tracker.rate_hz,
         live=live is not None,
-        grows=job.kind is Kind.MEASURE_ADAPTIVE,
+        grows=job.kind is JobKind.MEASURE_ADAPTIVE,
     )
     try:
         Measuring(
-            control,
-            shop.cell,
-            confirm_s=shop.confirm_s or CONFIRM_S,
+            active,
+            context.cell,
+            confirm_s=context.confirm_s or CONFIRM_S,
             live=live,
             target_um=job.target_um,
-            growth=_growth(job, control, shop, commanded, live),
+            growth=_growth(job, active, context, commanded, live),
         ).run(order)
         if live is not None:
             live.finish()
     finally:
         if live is not None:
             live.close()
-        _keep_run(job.id, control, shop)
+        _keep_run(job.id, active, context)
     return job.id
 
 
 def _live_estimation(
-    job: Job, control: Control, shop: Workshop, commanded: Commanded
+    job: Job, active: ActiveJob, context: JobContext, commanded: Commanded
 ) -> LiveEstimation | None:
     """Start the live estimate. The measurement goes on without it if need be.
 
     A few extra lines on their own would tell little of the machine.
     """
-    if shop.live is None or shop.machine is None or job.kind is Kind.MEASURE_EXTRA:
+    if (
+        context.live is None
+        or context.machine is None
+        or job.kind is JobKind.MEASURE_EXTRA
+    ):
         return None
     order = LiveOrder(
-        shop.machine, commanded, job.perpendicular_only, _order(job, shop)
+        context.machine, commanded, job.perpendicular_only, _order(job, context)
     )
-    live = shop.live(order, control.show_estimate)
+    live = context.live(order, active.publish_estimate)
     try:
         live.start()
     except OSError:
@@ -169,73 +175,75 @@ def _live_estimation(
 
 def _growth(
     job: Job,
-    control: Control,
-    shop: Workshop,
+    active: ActiveJob,
+    context: JobContext,
     commanded: Commanded,
     live: LiveEstimation | None,
 ) -> Growth | None:
     """Return what goes on with further parts, None for a job that is planned whole."""
-    if job.kind is not Kind.MEASURE_ADAPTIVE:
+    if job.kind is not JobKind.MEASURE_ADAPTIVE:
         return None
-    if live is None or shop.cell is None:
+    if live is None or context.cell is None:
         raise MeasurementFailed("an adaptive measurement needs its live estimate")
 
     def told(rows: Commanded, part: Mapping[str, Any]) -> None:
-        control.show_plan(part)
+        active.publish_plan(part)
         try:
-            shop.store.keep_plan(job.id, plan_json(rows))
+            context.store.keep_plan(job.id, plan_json(rows))
         except StorageUnavailable:
             log.exception("the grown plan is not kept; the Run holds it")
 
-    return Growth(live, commanded, shop.cell.extend, shop.cell.conclude, told)
+    return Growth(live, commanded, context.cell.extend, context.cell.conclude, told)
 
 
-def analyse(job: Job, run_ids: Sequence[str], control: Control, shop: Workshop) -> None:
+def analyse(
+    job: Job, run_ids: Sequence[str], active: ActiveJob, context: JobContext
+) -> None:
     """Turn Runs into error tables."""
-    how = job.perpendicular_only, job.monte_carlo, shop.workers
-    _conclude(job, run_ids, control, shop, Stage.ALIGNING, shop.science, *how)
+    how = job.perpendicular_only, job.monte_carlo, context.workers
+    _conclude(job, run_ids, active, context, Stage.ALIGNING, context.science, *how)
 
 
 def discover(
-    job: Job, run_ids: Sequence[str], control: Control, shop: Workshop
+    job: Job, run_ids: Sequence[str], active: ActiveJob, context: JobContext
 ) -> None:
     """Find what a model of Runs lacks: one of ours, or the one fitted to them."""
-    _conclude(job, run_ids, control, shop, Stage.DISCOVERING, shop.discoverer)
+    _conclude(job, run_ids, active, context, Stage.DISCOVERING, context.discoverer)
 
 
 def _conclude(
     job: Job,
     run_ids: Sequence[str],
-    control: Control,
-    shop: Workshop,
+    active: ActiveJob,
+    context: JobContext,
     stage: Stage,
     task: Task,
     *how: object,
 ) -> None:
     """Let a task make its files of Runs and, where the job names one, of a model."""
-    files = [str(shop.runs.file(run_id)) for run_id in run_ids]
-    folder, begins = str(shop.results / job.id), (State.RUNNING, stage)
-    model = _model(job, shop)
-    _computed(control, shop, begins, task, files, folder, *how, *model)
+    files = [str(context.runs.file(run_id)) for run_id in run_ids]
+    folder, begins = str(context.results / job.id), (State.RUNNING, stage)
+    model = _model(job, context)
+    _computed(active, context, begins, task, files, folder, *how, *model)
 
 
-def _model(job: Job, shop: Workshop) -> tuple[str | None, str | None]:
+def _model(job: Job, context: JobContext) -> tuple[str | None, str | None]:
     """Return file and identifier of the model that a job rests on, if it does."""
-    model_id = shop.store.plan_request(job.id).get("model_id")
+    model_id = context.store.plan_request(job.id).get("model_id")
     if model_id is None:
         return None, None
-    return str(model_file(shop.results, model_id)), model_id
+    return str(model_file(context.results, model_id)), model_id
 
 
-def _order(job: Job, shop: Workshop) -> Json:
+def _order(job: Job, context: JobContext) -> Json:
     """Return what is asked of a plan, with the file of the model it rests on."""
-    file, _ = _model(job, shop)
-    return {**shop.store.plan_request(job.id), "model_file": file}
+    file, _ = _model(job, context)
+    return {**context.store.plan_request(job.id), "model_file": file}
 
 
 def _computed(
-    control: Control,
-    shop: Workshop,
+    active: ActiveJob,
+    context: JobContext,
     begins: tuple[State, Stage],
     task: Task,
     *arguments: object,
@@ -246,29 +254,29 @@ def _computed(
     """
 
     def report(fraction: float, stage: str) -> None:
-        control.report(Progress(fraction, 1.0), stage=_stage(stage))
+        active.report_progress(Progress(fraction, 1.0), stage=_stage(stage))
 
     def started() -> None:
-        control.enter(*begins)
+        active.enter(*begins)
 
-    computation = shop.executor.submit(
+    computation = context.executor.submit(
         task, *arguments, on_progress=report, started=started
     )
-    found = control.compute(computation)
-    control.checkpoint()
+    found = active.compute(computation)
+    active.checkpoint()
     return found
 
 
-def _keep_run(run_id: str, control: Control, shop: Workshop) -> None:
+def _keep_run(run_id: str, active: ActiveJob, context: JobContext) -> None:
     """Catalogue what was recorded, whole or not."""
     try:
-        record = shop.runs.add_measured(run_id)
+        record = context.runs.add_measured(run_id)
     except Exception:
         # How the measurement ended is more than what became of its file.
         log.exception("the Run cannot be read; its file is kept")
         return
     if record is not None:
-        control.link_run(record.id)
+        active.link_run(record.id)
 
 
 def _stage(name: str) -> Stage | None:
@@ -278,16 +286,16 @@ def _stage(name: str) -> Stage | None:
         return None
 
 
-def _end(control: Control, state: State, failure: Failure | None = None) -> None:
+def _end(active: ActiveJob, state: State, failure: Failure | None = None) -> None:
     """Put down the end, as soon as the catalogue takes it."""
     while True:
         try:
             if state is State.ABORTED:
-                control.obey(Verb.ABORT)
-            job = control.end(state, failure)
+                active.apply_verb(Verb.ABORT)
+            job = active.end(state, failure)
         except StorageUnavailable:
             log.exception("the end of the job cannot be put down yet")
-            if control.called_off:  # the next start of the service will find it
+            if active.is_cancelled:  # the next start of the service will find it
                 return
             time.sleep(TRY_AGAIN_S)
         else:

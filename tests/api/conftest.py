@@ -22,11 +22,11 @@ from app.files.machine_file import machine_from_json, machine_to_json
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
-from app.jobs.feed import Feed
+from app.jobs.event_bus import EventBus
 from app.jobs.plans import plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
-from app.jobs.workflow import Workshop
+from app.jobs.workflow import JobContext
 from app.planning.default_path import default_path
 from simulators.scenario import load_machine
 
@@ -123,7 +123,7 @@ def service(
     """Everything behind the routes."""
     shutil.copyfile(empty_catalogue, tmp_path / "catalogue.sqlite")
     database = Database(f"sqlite:///{tmp_path / 'catalogue.sqlite'}")
-    feed = Feed()
+    event_bus = EventBus()
     cell = CellSupervisor(make_cell, first_pause_s=0.02) if has_machine else None
     results = tmp_path / "results"
     results.mkdir()
@@ -132,8 +132,8 @@ def service(
         estimates.append(ScriptedLive(order, show))
         return estimates[-1]
 
-    shop = Workshop(
-        store=Store(database, feed.tell_stored),
+    context = JobContext(
+        store=Store(database, event_bus.publish_stored),
         runs=RunCatalogue(database, tmp_path / "runs"),
         results=results,
         executor=Inline(),
@@ -144,7 +144,7 @@ def service(
         planner=planner,
         discoverer=explorer,
     )
-    dispatcher = Dispatcher(shop, feed)
+    dispatcher = Dispatcher(context, event_bus)
     if cell is not None:
         cell.start()
         wait_until(lambda: cell.status.state == "disconnected")
@@ -152,12 +152,12 @@ def service(
         version="1.2.3",
         simulated=True,
         database=database,
-        store=shop.store,
-        runs=shop.runs,
+        store=context.store,
+        runs=context.runs,
         results=results,
         dispatcher=dispatcher,
-        feed=feed,
-        machine=shop.machine,
+        event_bus=event_bus,
+        machine=context.machine,
         cell=cell,
         max_upload_bytes=MAX_UPLOAD_BYTES,
         max_streams=2,

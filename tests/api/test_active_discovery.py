@@ -115,8 +115,8 @@ def even_in_x() -> Rows:
     position = np.round(LOW + share * (HIGH - LOW), 3)
     step = np.diff(position, axis=0, prepend=position[:1])
     slant = np.linalg.norm(step[1:], axis=1) / np.abs(step[1:, 0])
-    feed = np.round(4800.0 * np.append(1.0, slant), 1)
-    return rows_of(position, dwell_s=0.35, feed_mm_min=feed)
+    event_bus = np.round(4800.0 * np.append(1.0, slant), 1)
+    return rows_of(position, dwell_s=0.35, feed_mm_min=event_bus)
 
 
 def two_sides_of_y() -> Rows:
@@ -185,15 +185,15 @@ def check_what_is_decided(
 @pytest.mark.timeout(180)
 def test_backlash_and_servo_mismatch_are_told_apart_by_the_machine(tmp_path):
     hidden = Backlash("X", 8.0)
-    with shop_that_hides(hidden, tmp_path) as shop:
-        measured = shop.done(kind="measure-otf", path=even_in_x())
-        first = shop.done(kind="discover", run_id=measured["run_id"])
-        check_what_is_asked(shop.found(first), DRIVES)
-        second = shop.done(kind="measure-extra", discovery_id=first["id"])
+    with shop_that_hides(hidden, tmp_path) as context:
+        measured = context.done(kind="measure-otf", path=even_in_x())
+        first = context.done(kind="discover", run_id=measured["run_id"])
+        check_what_is_asked(context.found(first), DRIVES)
+        second = context.done(kind="measure-extra", discovery_id=first["id"])
         assert second["run_ids"] == [measured["run_id"], second["run_id"]]
-        check_what_is_decided(shop.found(second), DRIVES, hidden, "width_um")
-        assert shop.found(second)["ask"] is None
-        model = shop.client.get(second["discovery"]["model"]).json()
+        check_what_is_decided(context.found(second), DRIVES, hidden, "width_um")
+        assert context.found(second)["ask"] is None
+        model = context.client.get(second["discovery"]["model"]).json()
         assert [e["name"] for e in model["effects"]] == ["backlash"]
 
 
@@ -201,14 +201,14 @@ def test_backlash_and_servo_mismatch_are_told_apart_by_the_machine(tmp_path):
 @pytest.mark.timeout(300)
 def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
     hidden = ServoMismatch("X", 0.06)
-    with shop_that_hides(hidden, tmp_path) as shop:
-        measured = shop.done(kind="measure-otf", path=even_in_x())
-        first = shop.found(shop.done(kind="discover", run_id=measured["run_id"]))
+    with shop_that_hides(hidden, tmp_path) as context:
+        measured = context.done(kind="measure-otf", path=even_in_x())
+        first = context.found(context.done(kind="discover", run_id=measured["run_id"]))
         check_what_is_asked(first, DRIVES)
         # So few lines need not determine tables of their own; their Run stands.
-        extra = shop.ended(kind="measure-otf", path=first["ask"]["rows"])
+        extra = context.ended(kind="measure-otf", path=first["ask"]["rows"])
         runs = [measured["run_id"], extra["run_id"]]
-        second = shop.found(shop.done(kind="discover", run_ids=runs))
+        second = context.found(context.done(kind="discover", run_ids=runs))
         check_what_is_decided(second, DRIVES, hidden, "lag_ms")
 
 
@@ -226,12 +226,12 @@ def test_lateral_backlash_and_squareness_are_told_apart_by_the_machine(
     tmp_path, hidden, parameter
 ):
     (tmp_path / "bundle").mkdir()
-    with shop_that_hides(hidden, tmp_path / "data") as shop:
-        before = shop.upload(calibration(tmp_path / "bundle"))
-        model = shop.done(kind="discover", run_id=before)["id"]
+    with shop_that_hides(hidden, tmp_path / "data") as context:
+        before = context.upload(calibration(tmp_path / "bundle"))
+        model = context.done(kind="discover", run_id=before)["id"]
         points = two_sides_of_y()
-        run = shop.done(kind="measure-standstill", points=points)["run_id"]
-        first = shop.done(kind="discover", run_id=run, model_id=model)
-        check_what_is_asked(shop.found(first), LEANS)
-        second = shop.done(kind="measure-extra", discovery_id=first["id"])
-        check_what_is_decided(shop.found(second), LEANS, hidden, parameter)
+        run = context.done(kind="measure-standstill", points=points)["run_id"]
+        first = context.done(kind="discover", run_id=run, model_id=model)
+        check_what_is_asked(context.found(first), LEANS)
+        second = context.done(kind="measure-extra", discovery_id=first["id"])
+        check_what_is_decided(context.found(second), LEANS, hidden, parameter)

@@ -39,7 +39,7 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
     client, armed, cell, estimates, service, until
 ):
     told = []
-    service.feed.listen(told.append)
+    service.event_bus.subscribe(told.append)
     assert cell.order.grows
     first = cell.order.commanded
     asked(cell, estimates)
@@ -57,7 +57,7 @@ def test_a_job_goes_on_with_the_part_that_the_estimate_asks_for(
         "duration_s": 9.5,
         "predicted_um": 1.1,
     }
-    estimates[-1].tell(1.9, done=9)
+    estimates[-1].publish(1.9, done=9)
     job = until(armed, "succeeded")
     assert job["early_end"]["reached_um"] == 1.9
     assert cell.heard[-1] == "conclude"

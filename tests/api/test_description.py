@@ -16,9 +16,9 @@ from pydantic import TypeAdapter
 from app import errors as app_errors
 from app.api import failures
 from app.api.application import create_application
-from app.api.models.job_request import JobRequest
+from app.api.models.job_request import JobRequestBody
 from app.api.openapi import description
-from app.api.problems import kind_of_status
+from app.api.problems import find_kind_of_status
 from app.jobs import errors as job_errors
 from app.jobs.job import Failure
 from drivers.interfaces import errors as device_errors
@@ -85,7 +85,7 @@ def test_the_examples_of_a_job_are_taken(document):
     examples = document["components"]["schemas"]["JobRequest"]["examples"]
     assert len(examples) >= 3
     for example in examples:
-        TypeAdapter(JobRequest).validate_python(example)
+        TypeAdapter(JobRequestBody).validate_python(example)
 
 
 def test_all_paths_but_probes_are_versioned(operations):
@@ -170,7 +170,7 @@ def test_codes_and_titles_read_well():
 
 
 def test_an_error_nobody_foresaw_is_internal_and_tells_nothing():
-    content = failures.problem_of(KeyError("secret"))
+    content = failures.describe_error(KeyError("secret"))
     assert (content["status"], content["code"]) == (500, "internal-error")
     assert "secret" not in str(content)
     assert not failures.is_known(KeyError())
@@ -178,7 +178,7 @@ def test_an_error_nobody_foresaw_is_internal_and_tells_nothing():
 
 
 def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():
-    content = failures.problem_of_failure(Failure("BundleError", "tracker.csv: NaN"))
+    content = failures.describe_failure(Failure("BundleError", "tracker.csv: NaN"))
     assert content["code"] == "bundle"
     assert content["detail"] == "tracker.csv: NaN"
     assert "status" not in content
@@ -186,7 +186,7 @@ def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():
 
 def test_a_failure_named_by_the_machine_keeps_its_code_and_way_out():
     failure = Failure("MachineFault", "the beam is lost", "beam-lost", "lock it")
-    content = failures.problem_of_failure(failure)
+    content = failures.describe_failure(failure)
     assert (content["code"], content["action"]) == ("beam-lost", "lock it")
     assert content["type"] == "/problems/beam-lost"
     assert content["title"] == "Machine, tracker or link failed"
@@ -197,5 +197,5 @@ def test_a_failure_named_by_the_machine_keeps_its_code_and_way_out():
     [(418, "bad-request", 418), (599, "internal-error", 500)],
 )
 def test_a_bare_status_becomes_the_nearest_kind(status, code, shown):
-    kind = kind_of_status(status)
+    kind = find_kind_of_status(status)
     assert (kind.code, kind.status) == (code, shown)

@@ -13,8 +13,8 @@ import pytest
 from scripted_cell import wait_until
 
 from app.api import events
-from app.jobs.feed import Notice
-from app.jobs.job import Kind, NewJob
+from app.jobs.event_bus import JobEvent
+from app.jobs.job import JobKind, NewJob
 from app.jobs.transitions import State
 
 EVENTS = "/api/v1/events"
@@ -70,7 +70,7 @@ def replaced(job, state):
 
 @pytest.fixture
 def job(service):
-    return service.store.create(NewJob(Kind.ANALYSE))[0]
+    return service.store.create(NewJob(JobKind.ANALYSE))[0]
 
 
 def test_a_new_client_sees_where_things_stand_then_what_happens(live, service, job):
@@ -118,12 +118,12 @@ def test_an_identifier_of_nothing_begins_anew(live, service, job, last):
 
 
 def test_a_stream_of_one_job_leaves_others_out(live, service, job):
-    other, _ = service.store.create(NewJob(Kind.ANALYSE))
+    other, _ = service.store.create(NewJob(JobKind.ANALYSE))
     with stream(live, f"/api/v1/jobs/{job.id}/events") as found:
         assert read(found, 1)[0].data["id"] == job.id
-        service.feed.tell(Notice("progress", other.id, {"stage": "aligning"}))
+        service.event_bus.publish(JobEvent("progress", other.id, {"stage": "aligning"}))
         advance(service, other.id, State.RUNNING)
-        service.feed.tell(Notice("progress", job.id, {"stage": "estimating"}))
+        service.event_bus.publish(JobEvent("progress", job.id, {"stage": "estimating"}))
         advance(service, job.id, State.RUNNING)
         heard = read(found, 2, ("job", "progress"))
     assert {event.type for event in heard} == {"job", "progress"}
@@ -145,7 +145,7 @@ def test_progress_and_live_views_name_their_job_and_have_no_identifier(
     with stream(live) as found:
         read(found, 1)
         body = {"tracker_mm": [[1.0, 2.0, 3.0]], "axes": [1.0]}
-        service.feed.tell(Notice("live", job.id, body))
+        service.event_bus.publish(JobEvent("live", job.id, body))
         (seen,) = read(found, 1, ("live",))
     assert seen.data == {"job_id": job.id, **body}
     assert seen.id is None
@@ -178,11 +178,11 @@ def test_a_slow_client_keeps_the_newest_live_events_and_every_kept_one(
     with stream(live) as found:
         read(found, 1)
         for number in range(20_000):
-            service.feed.tell(
-                Notice("live", job.id, {"number": number, "pad": "x" * 99})
+            service.event_bus.publish(
+                JobEvent("live", job.id, {"number": number, "pad": "x" * 99})
             )
         advance(service, job.id, State.RUNNING)
-        service.feed.tell(Notice("live", job.id, {"number": 20_000}))
+        service.event_bus.publish(JobEvent("live", job.id, {"number": 20_000}))
         numbers, states = [], []
         for event in found:
             if event.type == "live":
@@ -216,8 +216,8 @@ def test_an_open_stream_ends_when_the_service_does(live, service):
 def test_a_client_that_goes_away_is_forgotten(live, service):
     with stream(live) as found:
         read(found, 1, ("tick",))
-        assert len(service.feed._listeners) == 1
-    wait_until(lambda: not service.feed._listeners, "the listener's end")
+        assert len(service.event_bus._listeners) == 1
+    wait_until(lambda: not service.event_bus._listeners, "the listener's end")
 
 
 def test_notices_after_the_loop_has_ended_are_harmless(service):
@@ -225,6 +225,8 @@ def test_notices_after_the_loop_has_ended_are_harmless(service):
         return events.Subscription(service, None)
 
     subscription = asyncio.run(subscribe())
-    thread = threading.Thread(target=subscription.put, args=(Notice("live", None, {}),))
+    thread = threading.Thread(
+        target=subscription.put, args=(JobEvent("live", None, {}),)
+    )
     thread.start()
     thread.join()

@@ -43,7 +43,7 @@ def test_a_target_is_not_for_an_analysis(client, finished, is_problem):
 
 
 def test_a_job_says_that_and_why_it_ended_early(client, armed, estimates, until):
-    estimates[-1].tell(1.75, done=6)
+    estimates[-1].publish(1.75, done=6)
     ended = until(armed, "succeeded")
     assert ended["early_end"] == {
         "reason": "target-reached",
@@ -54,7 +54,7 @@ def test_a_job_says_that_and_why_it_ended_early(client, armed, estimates, until)
 
 
 def test_the_event_of_an_early_end_says_why(client, armed, estimates, until, service):
-    estimates[-1].tell(1.75, done=6)
+    estimates[-1].publish(1.75, done=6)
     until(armed, "succeeded")
     *_, last = service.store.events_after(0, job_id=armed["id"])
     end = job_out(job_from_json(last.body)).early_end
@@ -64,7 +64,7 @@ def test_the_event_of_an_early_end_says_why(client, armed, estimates, until, ser
 
 def test_the_newest_estimate_comes_with_its_course(client, armed, estimates):
     for sigma_um, done in ((9.0, 2), (9.0, 2), (4.0, 3)):
-        estimates[-1].tell(sigma_um, done)
+        estimates[-1].publish(sigma_um, done)
     found = client.get(f"/api/v1/jobs/{armed['id']}/estimate").json()
     assert (found["job_id"], found["done"]) == (armed["id"], 3)
     assert found["course"] == {

@@ -144,8 +144,8 @@ def test_a_plan_for_a_machine_that_has_changed_is_refused(
 ):
     axis = dataclasses.replace(MACHINE.axes[0], max_mm=MACHINE.axes[0].max_mm + 1.0)
     changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))
-    shop = dataclasses.replace(service.dispatcher._shop, machine=changed)
-    service.dispatcher._shop = shop
+    context = dataclasses.replace(service.dispatcher._context, machine=changed)
+    service.dispatcher._context = context
     order = {"kind": "measure-otf", "plan_id": plan["id"]}
     problem = is_problem(client.post("/api/v1/jobs", json=order), 422, "plan")
     assert "plan again" in problem["detail"]

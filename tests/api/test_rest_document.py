@@ -196,7 +196,7 @@ def test_a_measurement_ends_at_its_target(curl, follow, make_cell, estimates):
     follow("ready")
     curl(section("Measure a machine")[4])
     assert make_cell.cell.begun.wait(5)
-    estimates[-1].tell(1.42, done=9, total=22)
+    estimates[-1].publish(1.42, done=9, total=22)
     follow("succeeded")
     assert "course" in curl(estimate).json()
     job = curl.client.get(f"/api/v1/jobs/{curl.names['JOB']}").json()

@@ -17,11 +17,11 @@ from app.files.machine_file import machine_from_json
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
-from app.jobs.feed import Feed
+from app.jobs.event_bus import EventBus
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.transitions import State
-from app.jobs.workflow import Workshop
+from app.jobs.workflow import JobContext
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parent))
@@ -104,8 +104,8 @@ def store(database, told):
 
 
 @pytest.fixture
-def feed():
-    return Feed()
+def event_bus():
+    return EventBus()
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -170,13 +170,13 @@ def science():
 
 
 @pytest.fixture
-def shop(sqlite_catalogue, feed, make_cell, science, machine, tmp_path):
+def context(sqlite_catalogue, event_bus, make_cell, science, machine, tmp_path):
     """Everything a job works with; the cell is not started yet."""
     cell = CellSupervisor(make_cell, first_pause_s=0.02)
     results = tmp_path / "results"
     results.mkdir()
-    yield Workshop(
-        store=Store(sqlite_catalogue, feed.tell_stored),
+    yield JobContext(
+        store=Store(sqlite_catalogue, event_bus.publish_stored),
         runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
         results=results,
         executor=Inline(),
@@ -193,23 +193,23 @@ def shop(sqlite_catalogue, feed, make_cell, science, machine, tmp_path):
 
 
 @pytest.fixture
-def dispatcher(shop, feed):
+def dispatcher(context, event_bus):
     """Jobs can be given; the cell runs."""
-    shop.cell.start()
-    dispatcher = Dispatcher(shop, feed)
+    context.cell.start()
+    dispatcher = Dispatcher(context, event_bus)
     yield dispatcher
     dispatcher.close()
 
 
 @pytest.fixture
-def until(shop):
+def until(context):
     """Wait until a job is in a state; return it."""
 
     def wait(job, *states):
         def reached():
-            now = shop.store.get(job.id)
+            now = context.store.get(job.id)
             return now if now.state in states else None
 
-        return wait_until(reached, f"{states}, is {shop.store.get(job.id)}")
+        return wait_until(reached, f"{states}, is {context.store.get(job.id)}")
 
     return wait

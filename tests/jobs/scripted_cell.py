@@ -265,7 +265,7 @@ class ScriptedLive:
     def close(self):
         self.heard.append("close")
 
-    def tell(self, volumetric_uncertainty_um, done, total=10):
+    def publish(self, volumetric_uncertainty_um, done, total=10):
         """Be told a newer estimate."""
         self.newest = {
             "volumetric_uncertainty_um": volumetric_uncertainty_um,

@@ -11,15 +11,15 @@ from scripted_cell import Inline
 
 from app.cli.truth import proof
 from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.dispatcher import Dispatcher, JobRequest
 from app.jobs.errors import StaleVersion
-from app.jobs.job import Kind
+from app.jobs.job import JobKind
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded
 from app.jobs.store import Store
 from app.jobs.transitions import State
-from app.jobs.workflow import Workshop
+from app.jobs.workflow import JobContext
 from app.measurement.cell import Cell, CellConfig
 from app.measurement.recording import open_run
 from app.motion.paths import check_travel
@@ -42,16 +42,18 @@ def wait_until(reached, what):
 class Followed:
     """An adaptive job on a bench, with what was told on the way."""
 
-    def __init__(self, bench, shop, dispatcher, told):
-        self.bench, self.shop, self.dispatcher = bench, shop, dispatcher
+    def __init__(self, bench, context, dispatcher, told):
+        self.bench, self.context, self.dispatcher = bench, context, dispatcher
         self.told = told
 
     def run(self, mode, target_um):
         request = {"mode": mode, "minutes": BUDGET_MIN}
-        wish = Wish(Kind.MEASURE_ADAPTIVE, target_um=target_um, plan_request=request)
-        job, _ = self.dispatcher.create(wish)
+        request = JobRequest(
+            JobKind.MEASURE_ADAPTIVE, target_um=target_um, plan_request=request
+        )
+        job, _ = self.dispatcher.create(request)
         ready = wait_until(lambda: self._in(job.id, State.READY), "the first part")
-        self.first = self.shop.store.plan(job.id)
+        self.first = self.context.store.plan(job.id)
         self.dispatcher.arm(job.id, ready.version)
         return wait_until(lambda: self._ended(job.id), "the end")
 
@@ -59,13 +61,13 @@ class Followed:
         return [notice.body for notice in self.told if notice.type == kind]
 
     def _in(self, job_id, state):
-        job = self.shop.store.get(job_id)
+        job = self.context.store.get(job_id)
         assert not job.is_final, job.failure
         return job if job.state is state else None
 
     def _ended(self, job_id):
         """The operator locks the beam again and presses Resume until it goes on."""
-        job = self.shop.store.get(job_id)
+        job = self.context.store.get(job_id)
         if job.state is State.PAUSED:
             try:
                 self.dispatcher.resume(job_id, job.version)
@@ -80,9 +82,9 @@ def faults():
 
 
 @pytest.fixture
-def followed(faults, machine, sqlite_catalogue, feed, tmp_path):
+def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path):
     told = []
-    feed.listen(told.append)
+    event_bus.subscribe(told.append)
     with Bench(seed=1, speed=SPEED, faults=faults) as bench:
         config = CellConfig(
             "streaming", bench.tracker_options, "modbus", bench.motion_options
@@ -90,8 +92,8 @@ def followed(faults, machine, sqlite_catalogue, feed, tmp_path):
         cell = CellSupervisor(lambda: Cell(config))
         results = tmp_path / "results"
         results.mkdir()
-        shop = Workshop(
-            store=Store(sqlite_catalogue, feed.tell_stored),
+        context = JobContext(
+            store=Store(sqlite_catalogue, event_bus.publish_stored),
             runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
             results=results,
             executor=Inline(),
@@ -101,8 +103,8 @@ def followed(faults, machine, sqlite_catalogue, feed, tmp_path):
             live=LiveEstimation,
         )
         cell.start()
-        dispatcher = Dispatcher(shop, feed)
-        yield Followed(bench, shop, dispatcher, told)
+        dispatcher = Dispatcher(context, event_bus)
+        yield Followed(bench, context, dispatcher, told)
         dispatcher.close()
         cell.close()
 
@@ -113,7 +115,7 @@ def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(followed):
     job = followed.run("otf", target_um=0.8)
     assert job.state is State.SUCCEEDED, job.failure
     assert job.early_end.reached_um <= 0.8
-    run = open_run(followed.shop.runs.file(job.id))
+    run = open_run(followed.context.runs.file(job.id))
     lines = len(run.commanded) - 1
     parts = followed.notices("plan")
     assert parts
@@ -122,8 +124,8 @@ def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(followed):
     assert job.early_end.done < job.early_end.total
     assert float(np.ptp(run.tracker.device_time_s)) < 60.0 * BUDGET_MIN
     check_travel(run.machine, run.commanded)
-    assert followed.shop.runs.get(job.id).complete
-    file = followed.shop.results / job.id / "result.json"
+    assert followed.context.runs.get(job.id).complete
+    file = followed.context.results / job.id / "result.json"
     found = proof(json.loads(file.read_text()), followed.bench.truth_at)
     assert found.left < 0.15
     assert found.covered > 0.8
@@ -137,7 +139,7 @@ def test_standstills_are_chosen_one_by_one(followed):
     parts = followed.notices("plan")
     assert parts
     assert {part["rows"] for part in parts} == {1}
-    run = open_run(followed.shop.runs.file(job.id))
+    run = open_run(followed.context.runs.file(job.id))
     assert run.mode == "standstill"
     assert len(run.commanded) == len(followed.first["position"]) + len(parts)
     predicted = [part["predicted_um"] for part in parts]

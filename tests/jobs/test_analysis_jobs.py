@@ -12,9 +12,9 @@ from app.errors import BundleError, NotFound
 from app.files.bundle import write_bundle
 from app.files.run import Run
 from app.jobs import dispatcher as dispatching
-from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.dispatcher import Dispatcher, JobRequest
 from app.jobs.errors import Aborted, QueueFull
-from app.jobs.job import Kind
+from app.jobs.job import JobKind
 from app.jobs.runs import check_archive, free_bytes, open_recorded
 from app.jobs.workers import Workers
 from app.motion.configurations import Configurations
@@ -41,19 +41,19 @@ def bundle(machine, tmp_path):
 
 
 @pytest.fixture
-def run(shop, bundle):
-    return shop.runs.add_uploaded(bundle, "from the shop floor")
+def run(context, bundle):
+    return context.runs.add_uploaded(bundle, "from the shop floor")
 
 
 @pytest.fixture
-def analysing(shop, feed):
+def analysing(context, event_bus):
     """A dispatcher of a service without a machine."""
-    dispatcher = Dispatcher(replace(shop, machine=None, cell=None), feed)
+    dispatcher = Dispatcher(replace(context, machine=None, cell=None), event_bus)
     yield dispatcher
     dispatcher.close()
 
 
-def test_an_uploaded_run_is_catalogued_with_what_it_holds(shop, run, bundle):
+def test_an_uploaded_run_is_catalogued_with_what_it_holds(context, run, bundle):
     assert (run.name, run.origin, run.mode) == (
         "from the shop floor",
         "uploaded",
@@ -62,149 +62,160 @@ def test_an_uploaded_run_is_catalogued_with_what_it_holds(shop, run, bundle):
     assert (run.samples, run.lost_samples, run.complete) == (10, 3, True)
     assert run.plan["kind"] == "points"
     assert not bundle.exists()
-    assert shop.runs.bundle(run.id) == shop.runs.file(run.id)
-    assert len(open_recorded(shop.runs.file(run.id)).tracker) == 10
+    assert context.runs.bundle(run.id) == context.runs.file(run.id)
+    assert len(open_recorded(context.runs.file(run.id)).tracker) == 10
 
 
-def test_runs_come_newest_first_in_pages(shop, bundle, tmp_path):
+def test_runs_come_newest_first_in_pages(context, bundle, tmp_path):
     kept = bundle.read_bytes()
     made = []
     for number in range(3):
         copy = tmp_path / f"copy{number}.zip"
         copy.write_bytes(kept)
-        made.append(shop.runs.add_uploaded(copy, str(number)))
-    first = shop.runs.page(2)
-    rest = shop.runs.page(2, before_seq=first[-1].seq)
+        made.append(context.runs.add_uploaded(copy, str(number)))
+    first = context.runs.page(2)
+    rest = context.runs.page(2, before_seq=first[-1].seq)
     assert [run.id for run in first + rest] == [run.id for run in reversed(made)]
 
 
-def test_a_run_whose_file_was_removed_is_not_found(shop, run):
-    shop.runs.file(run.id).unlink()
+def test_a_run_whose_file_was_removed_is_not_found(context, run):
+    context.runs.file(run.id).unlink()
     with pytest.raises(NotFound, match="has gone from the folder"):
-        shop.runs.file(run.id)
+        context.runs.file(run.id)
 
 
-def test_an_uploaded_run_is_analysed(analysing, shop, run, science):
-    wish = Wish(Kind.ANALYSE, run_ids=[run.id], perpendicular_only=True)
-    job, _ = analysing.create(wish)
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    ended = shop.store.get(job.id)
+def test_an_uploaded_run_is_analysed(analysing, context, run, science):
+    request = JobRequest(JobKind.ANALYSE, run_ids=[run.id], perpendicular_only=True)
+    job, _ = analysing.create(request)
+    wait_until(lambda: context.store.get(job.id).is_final)
+    ended = context.store.get(job.id)
     assert (ended.state, ended.run_id) == ("succeeded", run.id)
     assert science.calls == [
-        ([str(shop.runs.file(run.id))], str(shop.results / job.id), True)
+        ([str(context.runs.file(run.id))], str(context.results / job.id), True)
     ]
 
 
-def test_several_runs_are_analysed_together(analysing, shop, run, science, bundle):
-    bundle.write_bytes(shop.runs.file(run.id).read_bytes())
-    other = shop.runs.add_uploaded(bundle, "the other side")
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[other.id, run.id]))
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    ended = shop.store.get(job.id)
+def test_several_runs_are_analysed_together(analysing, context, run, science, bundle):
+    bundle.write_bytes(context.runs.file(run.id).read_bytes())
+    other = context.runs.add_uploaded(bundle, "the other side")
+    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[other.id, run.id]))
+    wait_until(lambda: context.store.get(job.id).is_final)
+    ended = context.store.get(job.id)
     assert (ended.run_id, ended.run_ids) == (other.id, (other.id, run.id))
-    files = [str(shop.runs.file(i)) for i in (other.id, run.id)]
+    files = [str(context.runs.file(i)) for i in (other.id, run.id)]
     assert science.calls[0][0] == files
 
 
 def test_one_unknown_run_of_several_is_refused(analysing, run):
     with pytest.raises(NotFound, match="no run nowhere"):
-        analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id, "nowhere"]))
+        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id, "nowhere"]))
 
 
-def test_trials_reach_the_science_with_who_computes_them(shop, run, science, feed):
-    many = replace(shop, machine=None, cell=None, workers=Workers(count=3))
-    dispatcher = Dispatcher(many, feed)
+def test_trials_reach_the_science_with_who_computes_them(
+    context, run, science, event_bus
+):
+    many = replace(context, machine=None, cell=None, workers=Workers(count=3))
+    dispatcher = Dispatcher(many, event_bus)
     plan = TrialPlan(seed=11, digits=2, interval="shortest")
-    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_ids=[run.id], monte_carlo=plan))
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    assert shop.store.get(job.id).monte_carlo == plan
+    job, _ = dispatcher.create(
+        JobRequest(JobKind.ANALYSE, run_ids=[run.id], monte_carlo=plan)
+    )
+    wait_until(lambda: context.store.get(job.id).is_final)
+    assert context.store.get(job.id).monte_carlo == plan
     assert science.trials == [(plan, Workers(count=3))]
     dispatcher.close()
 
 
 def test_an_analysis_of_an_unknown_run_is_refused(analysing):
     with pytest.raises(NotFound, match="no run nowhere"):
-        analysing.create(Wish(Kind.ANALYSE, run_ids=["nowhere"]))
+        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=["nowhere"]))
 
 
-def test_an_analysis_reports_its_stages(analysing, shop, run, feed):
+def test_an_analysis_reports_its_stages(analysing, context, run, event_bus):
     heard = []
-    feed.listen(heard.append)
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
-    wait_until(lambda: shop.store.get(job.id).is_final)
+    event_bus.subscribe(heard.append)
+    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    wait_until(lambda: context.store.get(job.id).is_final)
     stages = [n.body["stage"] for n in heard if n.type == "progress"]
     assert set(stages) == {"aligning", "estimating", "reporting"}
 
 
-def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(shop, run, feed):
+def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(context, run, event_bus):
     def dreaming(run_files, folder, *_, on_progress):
         on_progress(0.5, "dreaming")
 
-    alone = replace(shop, science=dreaming, machine=None, cell=None)
-    dispatcher = Dispatcher(alone, feed)
-    job, _ = dispatcher.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    assert shop.store.get(job.id).stage == "aligning"
+    alone = replace(context, science=dreaming, machine=None, cell=None)
+    dispatcher = Dispatcher(alone, event_bus)
+    job, _ = dispatcher.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    wait_until(lambda: context.store.get(job.id).is_final)
+    assert context.store.get(job.id).stage == "aligning"
     dispatcher.close()
 
 
-def test_a_bad_bundle_fails_the_analysis_with_its_place(analysing, shop, run, science):
+def test_a_bad_bundle_fails_the_analysis_with_its_place(
+    analysing, context, run, science
+):
     science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    failure = shop.store.get(job.id).failure
+    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    wait_until(lambda: context.store.get(job.id).is_final)
+    failure = context.store.get(job.id).failure
     assert failure.family == "BundleError"
     assert failure.detail == "tracker.csv, row 7, column x_mm: is NaN"
 
 
-def test_closing_interrupts_an_analysis(analysing, shop, run, science):
+def test_closing_interrupts_an_analysis(analysing, context, run, science):
     science.hold = threading.Event()
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
+    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: science.calls)
     analysing.close()
-    assert shop.store.get(job.id).state == "interrupted"
+    assert context.store.get(job.id).state == "interrupted"
 
 
-def test_an_executor_that_ends_ends_the_job(analysing, shop, run, science):
+def test_an_executor_that_ends_ends_the_job(analysing, context, run, science):
     science.raises = Aborted("the service is ending")
-    job, _ = analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    assert shop.store.get(job.id).state == "aborted"
+    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    wait_until(lambda: context.store.get(job.id).is_final)
+    assert context.store.get(job.id).state == "aborted"
 
 
 def test_more_jobs_than_can_wait_are_refused(
-    analysing, run, science, monkeypatch, shop
+    analysing, run, science, monkeypatch, context
 ):
     monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
     science.hold = threading.Event()
-    jobs = [analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))[0] for _ in range(2)]
+    jobs = [
+        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))[0]
+        for _ in range(2)
+    ]
     with pytest.raises(QueueFull, match="2 jobs are under way"):
-        analysing.create(Wish(Kind.ANALYSE, run_ids=[run.id]))
+        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
     for job in jobs:
         analysing.abort(job.id)
-    wait_until(lambda: all(shop.store.get(job.id).is_final for job in jobs))
+    wait_until(lambda: all(context.store.get(job.id).is_final for job in jobs))
 
 
-def test_a_measured_run_is_packed_once_as_a_bundle(shop, run, dispatcher, make_cell):
+def test_a_measured_run_is_packed_once_as_a_bundle(context, run, dispatcher, make_cell):
     rows = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}]
-    job, _ = dispatcher.create(Wish(Kind.MEASURE_STANDSTILL, rows=rows))
-    ready = wait_until(lambda: (now := shop.store.get(job.id)).state == "ready" and now)
+    job, _ = dispatcher.create(JobRequest(JobKind.MEASURE_STANDSTILL, rows=rows))
+    ready = wait_until(
+        lambda: (now := context.store.get(job.id)).state == "ready" and now
+    )
     dispatcher.arm(job.id, ready.version)
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    packed = shop.runs.bundle(job.id)
+    wait_until(lambda: context.store.get(job.id).is_final)
+    packed = context.runs.bundle(job.id)
     again = open_recorded(packed)
     assert len(again.tracker) == 50
     assert again.commanded.position.tolist() == [[1.0, 2.0, 3.0]]
     before = packed.stat().st_mtime_ns
-    assert shop.runs.bundle(job.id).stat().st_mtime_ns == before
+    assert context.runs.bundle(job.id).stat().st_mtime_ns == before
 
 
-def test_what_interrupted_uploads_left_is_swept_away(shop, analysing):
-    left = shop.runs.upload_place()
+def test_what_interrupted_uploads_left_is_swept_away(context, analysing):
+    left = context.runs.upload_place()
     assert left.is_file()
-    analysing.sweep()
+    analysing.interrupt_unfinished_jobs()
     assert not left.exists()
 
 

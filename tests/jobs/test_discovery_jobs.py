@@ -13,8 +13,8 @@ from scripted_cell import Explorer, wait_until
 from app.errors import EstimationError, NotFound
 from app.files.bundle import write_bundle, zip_bundle
 from app.files.run import Run
-from app.jobs.dispatcher import Dispatcher, Wish
-from app.jobs.job import Kind
+from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs.job import JobKind
 from app.jobs.models import difference_between, model_file, versions
 from app.jobs.science import discover_recorded
 from app.jobs.transitions import State
@@ -28,7 +28,7 @@ def explorer():
 
 
 @pytest.fixture
-def run(shop, machine, tmp_path):
+def run(context, machine, tmp_path):
     samples = TrackerSamples(
         np.arange(10), np.arange(10) / 500.0, np.ones((10, 3)), np.zeros(10, np.int64)
     )
@@ -39,75 +39,81 @@ def run(shop, machine, tmp_path):
     write_bundle(whole, tmp_path / "bundle")
     packed = tmp_path / "bundle.zip"
     packed.write_bytes(zip_bundle(whole))
-    return shop.runs.add_uploaded(packed, "from the shop floor")
+    return context.runs.add_uploaded(packed, "from the shop floor")
 
 
 @pytest.fixture
-def discovering(shop, feed, explorer):
+def discovering(context, event_bus, explorer):
     """A dispatcher of a service without a machine."""
-    bare = replace(shop, machine=None, cell=None, discoverer=explorer)
-    dispatcher = Dispatcher(bare, feed)
+    bare = replace(context, machine=None, cell=None, discoverer=explorer)
+    dispatcher = Dispatcher(bare, event_bus)
     yield dispatcher
     dispatcher.close()
 
 
-def ended(shop, job):
-    wait_until(lambda: shop.store.get(job.id).is_final)
-    return shop.store.get(job.id)
+def ended(context, job):
+    wait_until(lambda: context.store.get(job.id).is_final)
+    return context.store.get(job.id)
 
 
-def test_a_discovery_ends_with_its_files_and_no_error_tables(shop, run, discovering):
-    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
-    job = ended(shop, job)
+def test_a_discovery_ends_with_its_files_and_no_error_tables(context, run, discovering):
+    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    job = ended(context, job)
     assert (job.state, job.stage) == (State.SUCCEEDED, "reporting")
     assert job.has_discovery
     assert not job.has_result
-    names = {f.name for f in (shop.results / job.id).iterdir()}
+    names = {f.name for f in (context.results / job.id).iterdir()}
     assert names == {"discovery.json", "model.json", "report.html"}
 
 
-def test_it_tells_its_stage_and_can_be_aborted(shop, run, discovering, explorer):
+def test_it_tells_its_stage_and_can_be_aborted(context, run, discovering, explorer):
     explorer.hold = threading.Event()
-    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
-    wait_until(lambda: shop.store.get(job.id).stage == "discovering")
+    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    wait_until(lambda: context.store.get(job.id).stage == "discovering")
     discovering.abort(job.id)
-    job = ended(shop, job)
+    job = ended(context, job)
     assert job.state is State.ABORTED
     assert not job.has_discovery
-    assert not (shop.results / job.id).exists()
+    assert not (context.results / job.id).exists()
 
 
-def test_after_a_restart_it_is_interrupted(shop, feed, run, discovering, explorer):
+def test_after_a_restart_it_is_interrupted(
+    context, event_bus, run, discovering, explorer
+):
     explorer.hold = threading.Event()
-    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
+    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
     wait_until(lambda: explorer.calls)
     discovering.close()
     explorer.hold = None
-    later = Dispatcher(replace(shop, machine=None, cell=None), feed)
-    later.sweep()
-    assert shop.store.get(job.id).state is State.INTERRUPTED
+    later = Dispatcher(replace(context, machine=None, cell=None), event_bus)
+    later.interrupt_unfinished_jobs()
+    assert context.store.get(job.id).state is State.INTERRUPTED
     later.close()
 
 
 def test_a_run_that_cannot_be_fitted_fails_with_the_reason(
-    shop, run, discovering, explorer
+    context, run, discovering, explorer
 ):
     explorer.raises = EstimationError("too few lines")
-    job, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
-    job = ended(shop, job)
+    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    job = ended(context, job)
     assert job.state is State.FAILED
     assert "too few lines" in job.failure.detail
 
 
-def test_it_is_held_against_the_model_of_another_job(shop, run, discovering, explorer):
-    first, _ = discovering.create(Wish(Kind.DISCOVER, [run.id]))
-    ended(shop, first)
-    second, _ = discovering.create(Wish(Kind.DISCOVER, [run.id], model_id=first.id))
-    ended(shop, second)
+def test_it_is_held_against_the_model_of_another_job(
+    context, run, discovering, explorer
+):
+    first, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    ended(context, first)
+    second, _ = discovering.create(
+        JobRequest(JobKind.DISCOVER, [run.id], model_id=first.id)
+    )
+    ended(context, second)
     _, model, model_id = explorer.calls[-1]
-    assert model == str(shop.results / first.id / "model.json")
+    assert model == str(context.results / first.id / "model.json")
     assert model_id == first.id
-    chain = versions(shop.results, second.id)
+    chain = versions(context.results, second.id)
     assert [(one, grown["version"]) for one, grown in chain] == [
         (second.id, 3),
         (first.id, 2),
@@ -115,15 +121,15 @@ def test_it_is_held_against_the_model_of_another_job(shop, run, discovering, exp
 
 
 def test_a_model_that_is_not_there_is_refused_before_the_job_is_made(
-    shop, run, discovering
+    context, run, discovering
 ):
     with pytest.raises(NotFound, match="no job nowhere"):
-        discovering.create(Wish(Kind.DISCOVER, [run.id], model_id="nowhere"))
-    analysed, _ = discovering.create(Wish(Kind.ANALYSE, [run.id]))
-    ended(shop, analysed)
-    found = model_file(shop.results, analysed.id)
+        discovering.create(JobRequest(JobKind.DISCOVER, [run.id], model_id="nowhere"))
+    analysed, _ = discovering.create(JobRequest(JobKind.ANALYSE, [run.id]))
+    ended(context, analysed)
+    found = model_file(context.results, analysed.id)
     assert found.name == "result.json"
-    assert len(shop.store.page(10)) == 1
+    assert len(context.store.page(10)) == 1
 
 
 def test_the_task_writes_what_the_contract_asks_and_models_compare(small_run, tmp_path):

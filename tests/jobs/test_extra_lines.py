@@ -11,8 +11,8 @@ from scripted_cell import Explorer
 from app.errors import NotFound, OutOfTravel, PlanningError
 from app.files.bundle import zip_bundle
 from app.files.run import Run
-from app.jobs.dispatcher import Dispatcher, Wish
-from app.jobs.job import Kind
+from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs.job import JobKind
 from app.jobs.transitions import State
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
@@ -37,24 +37,24 @@ def lives():
 
 
 @pytest.fixture
-def asking(shop, feed, explorer, lives):
+def asking(context, event_bus, explorer, lives):
     """A dispatcher whose discoveries ask for extra lines."""
-    shop.cell.start()
-    full = replace(shop, discoverer=explorer, live=lambda *_: lives.append(1))
-    dispatcher = Dispatcher(full, feed)
+    context.cell.start()
+    full = replace(context, discoverer=explorer, live=lambda *_: lives.append(1))
+    dispatcher = Dispatcher(full, event_bus)
     yield dispatcher
     dispatcher.close()
 
 
 @pytest.fixture
-def run(shop, machine, tmp_path):
+def run(context, machine, tmp_path):
     samples = TrackerSamples(
         np.arange(10), np.arange(10) / 500.0, np.ones((10, 3)), np.zeros(10, np.int64)
     )
     points = Configurations(machine.axis_names, np.ones((1, 3)), np.array([1.0]))
     packed = tmp_path / "bundle.zip"
     packed.write_bytes(zip_bundle(Run("b", machine, points, samples)))
-    return shop.runs.add_uploaded(packed, "from the shop floor")
+    return context.runs.add_uploaded(packed, "from the shop floor")
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def discover(asking, run, until):
     """Discover in the Run and wait for the end."""
 
     def done(**more):
-        job, _ = asking.create(Wish(Kind.DISCOVER, [run.id], **more))
+        job, _ = asking.create(JobRequest(JobKind.DISCOVER, [run.id], **more))
         return until(job, State.SUCCEEDED)
 
     return done
@@ -73,8 +73,8 @@ def drive(asking, until, make_cell):
     """Drive the extra lines of a discovery to the end."""
 
     def done(discovery):
-        wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discovery.id)
-        job = until(asking.create(wish)[0], State.READY)
+        request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discovery.id)
+        job = until(asking.create(request)[0], State.READY)
         make_cell.cell.begun.clear()
         asking.arm(job.id, job.version)
         assert make_cell.cell.begun.wait(5)
@@ -85,7 +85,7 @@ def drive(asking, until, make_cell):
 
 
 def test_the_lines_are_driven_and_all_runs_are_explained_together(
-    shop, run, discover, drive, explorer, make_cell, lives
+    context, run, discover, drive, explorer, make_cell, lives
 ):
     job = drive(discover())
     path = make_cell.cell.order.commanded
@@ -95,13 +95,13 @@ def test_the_lines_are_driven_and_all_runs_are_explained_together(
     assert not job.has_result
     assert job.run_ids == (run.id, job.run_id)
     files, _, _ = explorer.calls[-1]
-    assert files == [str(shop.runs.file(i)) for i in (run.id, job.run_id)]
+    assert files == [str(context.runs.file(i)) for i in (run.id, job.run_id)]
     assert not lives
 
 
 def test_nothing_moves_before_it_is_armed(asking, discover, until, make_cell):
-    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
-    job = until(asking.create(wish)[0], State.READY)
+    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
+    job = until(asking.create(request)[0], State.READY)
     assert "begin" not in make_cell.cell.heard
     asking.abort(job.id)
     assert until(job, State.ABORTED).run_ids
@@ -125,27 +125,29 @@ def test_what_is_still_open_is_asked_again(run, discover, drive, explorer):
 
 def test_where_nothing_is_asked_nothing_is_driven(asking, discover, explorer):
     explorer.rows = []
-    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(PlanningError, match="asks for no extra lines"):
-        asking.create(wish)
+        asking.create(request)
 
 
 def test_a_job_without_a_discovery_is_refused(asking, run, until):
-    analysed = until(asking.create(Wish(Kind.ANALYSE, [run.id]))[0], State.SUCCEEDED)
+    analysed = until(
+        asking.create(JobRequest(JobKind.ANALYSE, [run.id]))[0], State.SUCCEEDED
+    )
     for job_id, said in ((analysed.id, "has no discovery"), ("nowhere", "no job")):
         with pytest.raises(NotFound, match=said):
-            asking.create(Wish(Kind.MEASURE_EXTRA, discovery_id=job_id))
+            asking.create(JobRequest(JobKind.MEASURE_EXTRA, discovery_id=job_id))
 
 
 def test_lines_for_another_machine_are_refused(asking, discover, explorer):
     explorer.machine = {**explorer.machine, "name": "lathe"}
-    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
-        asking.create(wish)
+        asking.create(request)
 
 
 def test_lines_that_leave_the_travel_are_refused(asking, discover, explorer):
     explorer.rows = [ROWS[0], {**ROWS[1], "x_mm": 501.0}]
-    wish = Wish(Kind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(OutOfTravel, match="row 2: X = 501"):
-        asking.create(wish)
+        asking.create(request)

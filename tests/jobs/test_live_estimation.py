@@ -10,10 +10,10 @@ import time
 import numpy as np
 import pytest
 
-from app.jobs.dispatcher import Wish
-from app.jobs.estimates import JOBS
-from app.jobs.feed import Feed, Notice
-from app.jobs.job import Kind
+from app.jobs.dispatcher import JobRequest
+from app.jobs.estimate_history import JOBS
+from app.jobs.event_bus import EventBus, JobEvent
+from app.jobs.job import JobKind
 from app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
 from app.jobs.live_process import LiveOrder
 from app.main import open_service
@@ -152,19 +152,19 @@ def estimate(done, sigma_um=1.0):
 
 
 def test_the_newest_estimates_of_a_few_jobs_are_remembered():
-    feed = Feed()
+    event_bus = EventBus()
     for number in range(JOBS + 1):
-        feed.tell(Notice("estimate", str(number), estimate(number)))
-    assert feed.estimates.newest("0") is None
-    assert feed.estimates.newest("1") == estimate(1)
-    assert feed.estimates.course("0")["done"] == []
+        event_bus.publish(JobEvent("estimate", str(number), estimate(number)))
+    assert event_bus.estimates.newest("0") is None
+    assert event_bus.estimates.newest("1") == estimate(1)
+    assert event_bus.estimates.course("0")["done"] == []
 
 
 def test_the_course_of_the_uncertainty_has_each_estimate_once():
-    feed = Feed()
+    event_bus = EventBus()
     for done, sigma_um in ((2, 9.0), (2, 9.0), (3, 4.0), (3, 4.0), (3, 3.0)):
-        feed.tell(Notice("estimate", "a", estimate(done, sigma_um)))
-    assert feed.estimates.course("a") == {
+        event_bus.publish(JobEvent("estimate", "a", estimate(done, sigma_um)))
+    assert event_bus.estimates.course("a") == {
         "elapsed_s": [10.0, 15.0, 15.0],
         "done": [2, 3, 3],
         "volumetric_uncertainty_um": [9.0, 4.0, 3.0],
@@ -178,8 +178,8 @@ def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
     )
     with open_service(settings) as service:
         wait_until(lambda: service.cell.status.state == "disconnected")
-        wish = Wish(Kind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
-        job, _ = service.dispatcher.create(wish)
+        request = JobRequest(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
+        job, _ = service.dispatcher.create(request)
         wait_until(lambda: service.store.get(job.id).state == "ready")
         service.dispatcher.arm(job.id, service.store.get(job.id).version)
         wait_until(lambda: service.store.get(job.id).is_final, 100.0)
@@ -187,7 +187,7 @@ def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
         assert ended.state == "succeeded"
         assert ended.early_end is not None
         assert ended.early_end.reached_um <= ended.target_um == 20.0
-        last = service.feed.estimates.newest(job.id)
+        last = service.event_bus.estimates.newest(job.id)
         run = service.runs.get(ended.run_id)
         assert service.results.joinpath(job.id, "result.json").is_file()
     assert 4 <= last["done"] < last["total"]
@@ -203,7 +203,7 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
     )
     heard = []
     with open_service(settings) as service:
-        service.feed.listen(
+        service.event_bus.subscribe(
             lambda n: (
                 heard.append((time.monotonic(), n.body))
                 if n.type == "estimate"
@@ -211,12 +211,14 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
             )
         )
         wait_until(lambda: service.cell.status.state == "disconnected")
-        job, _ = service.dispatcher.create(Wish(Kind.MEASURE_OTF, feed_mm_min=8000.0))
+        job, _ = service.dispatcher.create(
+            JobRequest(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
+        )
         wait_until(lambda: service.store.get(job.id).state == "ready")
         service.dispatcher.arm(job.id, service.store.get(job.id).version)
         wait_until(lambda: service.store.get(job.id).is_final, 100.0)
         assert service.store.get(job.id).state == "succeeded"
-        last = service.feed.estimates.newest(job.id)
+        last = service.event_bus.estimates.newest(job.id)
         file = service.results / job.id / "result.json"
         result = json.loads(file.read_text(encoding="utf-8"))
     sigma = [body["volumetric_uncertainty_um"] for _, body in heard]

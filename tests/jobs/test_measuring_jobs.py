@@ -11,7 +11,7 @@ from sqlalchemy import text
 
 from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
 from app.jobs import measuring
-from app.jobs.dispatcher import Dispatcher, Wish
+from app.jobs.dispatcher import Dispatcher, JobRequest
 from app.jobs.errors import (
     CellBusy,
     CellDown,
@@ -19,9 +19,9 @@ from app.jobs.errors import (
     StaleVersion,
     StorageUnavailable,
 )
-from app.jobs.job import EarlyEnd, Kind, NewJob, job_from_json
+from app.jobs.job import EarlyEnd, JobKind, NewJob, job_from_json
 from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
-from app.jobs.rows import Key
+from app.jobs.rows import IdempotencyKey
 from app.jobs.transitions import FINAL, State
 from app.kinematics.machine import Target
 from drivers.interfaces.errors import ConnectionLost
@@ -30,8 +30,8 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
-OTF = Wish(Kind.MEASURE_OTF, rows=ROWS)
-STANDSTILL = Wish(Kind.MEASURE_STANDSTILL)
+OTF = JobRequest(JobKind.MEASURE_OTF, rows=ROWS)
+STANDSTILL = JobRequest(JobKind.MEASURE_STANDSTILL)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def running(dispatcher, ready, make_cell):
 
 
 @pytest.fixture
-def followed(shop, feed, make_cell, until):
+def followed(context, event_bus, make_cell, until):
     """Run a job to its motion with a live estimate; return both."""
     estimates = []
 
@@ -58,11 +58,11 @@ def followed(shop, feed, make_cell, until):
         estimates.append(ScriptedLive(order, show))
         return estimates[-1]
 
-    shop.cell.start()
-    dispatcher = Dispatcher(replace(shop, live=live), feed)
+    context.cell.start()
+    dispatcher = Dispatcher(replace(context, live=live), event_bus)
 
-    def begin(wish):
-        job, _ = dispatcher.create(wish)
+    def begin(request):
+        job, _ = dispatcher.create(request)
         dispatcher.arm(job.id, until(job, "ready").version)
         assert make_cell.cell.begun.wait(5)
         return job, estimates[-1]
@@ -73,9 +73,9 @@ def followed(shop, feed, make_cell, until):
 
 def test_a_measurement_says_why_it_ended_at_its_target(followed, make_cell, until):
     job, live = followed(replace(OTF, target_um=2.0))
-    live.tell(2.1, done=4)
+    live.publish(2.1, done=4)
     make_cell.cell.record(50)
-    live.tell(1.9, done=5)
+    live.publish(1.9, done=5)
     ended = until(job, "succeeded")
     assert make_cell.cell.heard == ["connect", "begin", "conclude"]
     assert ended.target_um == 2.0
@@ -85,7 +85,7 @@ def test_a_measurement_says_why_it_ended_at_its_target(followed, make_cell, unti
 
 def test_a_measurement_without_a_target_goes_to_its_end(followed, make_cell, until):
     job, live = followed(OTF)
-    live.tell(0.001, done=9)
+    live.publish(0.001, done=9)
     make_cell.cell.record(50)
     make_cell.cell.end()
     ended = until(job, "succeeded")
@@ -93,32 +93,34 @@ def test_a_measurement_without_a_target_goes_to_its_end(followed, make_cell, unt
     assert (ended.target_um, ended.early_end) == (None, None)
 
 
-def test_an_early_end_is_told_as_an_event_that_is_kept(followed, shop, until):
+def test_an_early_end_is_told_as_an_event_that_is_kept(followed, context, until):
     job, live = followed(replace(OTF, target_um=2.0))
-    live.tell(1.5, done=3)
+    live.publish(1.5, done=3)
     until(job, "succeeded")
-    bodies = [event.body for event in shop.store.events_after(0, job_id=job.id)]
+    bodies = [event.body for event in context.store.events_after(0, job_id=job.id)]
     assert bodies[0]["early_end"] is None
     assert job_from_json(bodies[-1]).early_end == EarlyEnd(1.5, 3, 10)
 
 
 def test_a_job_is_planned_armed_measured_and_analysed(
-    dispatcher, shop, running, make_cell, until, science
+    dispatcher, context, running, make_cell, until, science
 ):
     make_cell.cell.end()
     job = until(running, "succeeded")
     assert make_cell.cell.heard == ["connect", "begin"]
     assert (job.stage, job.failure, job.desired_state) == ("reporting", None, "running")
     assert job.health.samples == 50
-    run = shop.runs.get(job.run_id)
+    run = context.runs.get(job.run_id)
     assert (run.samples, run.lost_samples, run.complete) == (50, 0, True)
     assert science.calls == [
-        ([str(shop.runs.file(run.id))], str(shop.results / job.id), False)
+        ([str(context.runs.file(run.id))], str(context.results / job.id), False)
     ]
-    assert (shop.results / job.id / "result.json").is_file()
+    assert (context.results / job.id / "result.json").is_file()
 
 
-def test_a_standstill_job_steps_through_its_points(dispatcher, shop, make_cell, until):
+def test_a_standstill_job_steps_through_its_points(
+    dispatcher, context, make_cell, until
+):
     points = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "dwell_s": 0.5}]
     job, _ = dispatcher.create(replace(STANDSTILL, rows=points))
     ready = until(job, "ready")
@@ -129,7 +131,7 @@ def test_a_standstill_job_steps_through_its_points(dispatcher, shop, make_cell, 
     assert make_cell.cell.begun.wait(5)
     make_cell.cell.end()
     assert until(job, "succeeded").kind == "measure-standstill"
-    assert shop.runs.get(job.id).mode == "standstill"
+    assert context.runs.get(job.id).mode == "standstill"
 
 
 def test_nothing_moves_before_the_job_is_armed(ready, make_cell):
@@ -237,20 +239,20 @@ def test_what_moves_again_is_not_wanted_to_stand(
 
 
 def test_what_the_cell_said_before_a_pause_does_not_undo_it(
-    dispatcher, running, make_cell, until, shop
+    dispatcher, running, make_cell, until, context
 ):
     make_cell.cell.deaf.add("pause")
     dispatcher.pause(running.id)
     make_cell.cell.say_state("running")
     make_cell.cell.say_state("paused")
     until(running, "paused")
-    states = [event.body["state"] for event in shop.store.events_after(0)]
+    states = [event.body["state"] for event in context.store.events_after(0)]
     after = states[states.index("pausing") :]
     assert "running" not in after
 
 
-def test_a_pause_that_came_too_early_is_repeated(dispatcher, shop, until, make_cell):
-    shop.confirm_s["pausing"] = 8.0
+def test_a_pause_that_came_too_early_is_repeated(dispatcher, context, until, make_cell):
+    context.confirm_s["pausing"] = 8.0
     job, _ = dispatcher.create(OTF)
     ready = until(job, "ready")
     make_cell.cell.deaf.add("pause")
@@ -263,7 +265,7 @@ def test_a_pause_that_came_too_early_is_repeated(dispatcher, shop, until, make_c
 
 
 def test_a_pause_nobody_confirms_ends_the_cell_and_is_a_fault(
-    dispatcher, running, make_cell, until, shop
+    dispatcher, running, make_cell, until, context
 ):
     first = make_cell.cell
     first.deaf.add("pause")
@@ -272,12 +274,12 @@ def test_a_pause_nobody_confirms_ends_the_cell_and_is_a_fault(
     assert job.failure.code == "not-pausing"
     assert "watchdog" in job.failure.detail
     assert first.closed
-    assert shop.runs.get(job.run_id).samples == 50
+    assert context.runs.get(job.run_id).samples == 50
     wait_until(lambda: make_cell.cell is not first, "another cell")
 
 
 def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason(
-    dispatcher, running, make_cell, until, shop
+    dispatcher, running, make_cell, until, context
 ):
     dispatcher.pause(running.id)
     paused = until(running, "paused")
@@ -285,20 +287,20 @@ def test_a_resume_that_the_tracker_refuses_leaves_the_job_paused_with_the_reason
     dispatcher.resume(running.id, paused.version)
     make_cell.cell.fault("not-resumed", "no valid samples", "lock the beam")
     held = wait_until(
-        lambda: (job := shop.store.get(running.id)).failure and job, "the reason"
+        lambda: (job := context.store.get(running.id)).failure and job, "the reason"
     )
     assert (held.state, held.desired_state) == ("paused", "paused")
     assert (held.failure.code, held.failure.action) == ("not-resumed", "lock the beam")
     make_cell.cell.deaf.clear()
     dispatcher.resume(running.id, held.version)
     job = until(running, "running")
-    wait_until(lambda: shop.store.get(running.id).failure is None, "all well again")
+    wait_until(lambda: context.store.get(running.id).failure is None, "all well again")
     make_cell.cell.end()
     assert until(job, "succeeded").failure is None
 
 
 def test_a_resume_that_is_refused_again_leaves_the_job_paused_again(
-    dispatcher, running, make_cell, until, shop
+    dispatcher, running, make_cell, until, context
 ):
     dispatcher.pause(running.id)
     job = until(running, "paused")
@@ -310,7 +312,7 @@ def test_a_resume_that_is_refused_again_leaves_the_job_paused_again(
     assert job.failure.code == "not-resumed"
 
 
-def test_a_lost_beam_pauses_and_says_why(running, make_cell, until, shop):
+def test_a_lost_beam_pauses_and_says_why(running, make_cell, until, context):
     make_cell.cell.fault()
     make_cell.cell.say_state("pausing")
     make_cell.cell.say_state("paused")
@@ -320,7 +322,7 @@ def test_a_lost_beam_pauses_and_says_why(running, make_cell, until, shop):
 
 @pytest.mark.parametrize("moment", ["ready", "running", "paused"])
 def test_abort_works_at_any_moment_and_keeps_what_was_recorded(
-    dispatcher, ready, make_cell, until, shop, moment
+    dispatcher, ready, make_cell, until, context, moment
 ):
     if moment != "ready":
         dispatcher.arm(ready.id, ready.version)
@@ -336,11 +338,11 @@ def test_abort_works_at_any_moment_and_keeps_what_was_recorded(
         assert "begin" not in make_cell.cell.heard
         assert job.run_id is None
     else:
-        run = shop.runs.get(job.run_id)
+        run = context.runs.get(job.run_id)
         assert (run.samples, run.complete) == (50, False)
 
 
-def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, shop):
+def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, context):
     hold = threading.Event()
     connect = make_cell.cell.connect
     make_cell.cell.connect = lambda: hold.wait(5) and connect()
@@ -349,7 +351,7 @@ def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, sho
     dispatcher.abort(job.id)
     hold.set()
     until(job, "aborted")
-    states = [event.body["state"] for event in shop.store.events_after(0)]
+    states = [event.body["state"] for event in context.store.events_after(0)]
     assert "ready" not in states
 
 
@@ -374,15 +376,15 @@ def test_an_abort_nobody_confirms_ends_the_cell_and_is_a_fault(
 
 
 def test_an_abort_during_the_analysis_ends_it(
-    dispatcher, running, make_cell, until, science, shop
+    dispatcher, running, make_cell, until, science, context
 ):
     science.hold = threading.Event()
     make_cell.cell.end()
     wait_until(lambda: science.calls, "the analysis")
     dispatcher.abort(running.id)
     job = until(running, "aborted")
-    assert shop.runs.get(job.run_id).complete
-    assert not (shop.results / job.id).exists()
+    assert context.runs.get(job.run_id).complete
+    assert not (context.results / job.id).exists()
 
 
 def test_a_job_that_computes_cannot_be_paused(
@@ -398,19 +400,21 @@ def test_a_job_that_computes_cannot_be_paused(
 
 
 def test_stop_ends_every_motion_and_leaves_computing_alone(
-    dispatcher, running, make_cell, until, science, shop
+    dispatcher, running, make_cell, until, science, context
 ):
     make_cell.cell.end()
     first = until(running, "succeeded")
     science.hold = threading.Event()
-    computing, _ = dispatcher.create(Wish(Kind.ANALYSE, run_ids=[first.run_id]))
+    computing, _ = dispatcher.create(
+        JobRequest(JobKind.ANALYSE, run_ids=[first.run_id])
+    )
     wait_until(lambda: len(science.calls) == 2)
     moving, _ = dispatcher.create(OTF)
     ready = until(moving, "ready")
     stopped = dispatcher.stop()
     assert [job.id for job in stopped] == [moving.id]
     until(ready, "aborted")
-    assert shop.store.get(computing.id).state == "running"
+    assert context.store.get(computing.id).state == "running"
     science.hold.set()
     until(computing, "succeeded")
 
@@ -420,8 +424,8 @@ def test_stop_reaches_the_cell_even_if_no_job_is_under_way(dispatcher, make_cell
     wait_until(lambda: make_cell.cell.heard == ["abort"], "the abort")
 
 
-def test_stop_without_a_machine_is_harmless(shop, feed):
-    dispatcher = Dispatcher(replace(shop, machine=None, cell=None), feed)
+def test_stop_without_a_machine_is_harmless(context, event_bus):
+    dispatcher = Dispatcher(replace(context, machine=None, cell=None), event_bus)
     assert dispatcher.stop() == []
     dispatcher.close()
 
@@ -444,13 +448,13 @@ def test_a_measurement_that_fails_fails_the_job_with_the_cells_reason(
 
 
 def test_a_fault_of_the_machine_is_a_fault_of_the_job_and_the_run_is_kept(
-    running, make_cell, until, shop
+    running, make_cell, until, context
 ):
     make_cell.cell.fault("motion-alarm", "servo alarm", "clear it")
     make_cell.cell.end("faulted")
     job = until(running, "faulted")
     assert job.failure.code == "motion-alarm"
-    assert not shop.runs.get(job.run_id).complete
+    assert not context.runs.get(job.run_id).complete
 
 
 def test_a_cell_that_closes_without_a_word_fails_the_job(running, make_cell, until):
@@ -461,13 +465,13 @@ def test_a_cell_that_closes_without_a_word_fails_the_job(running, make_cell, unt
 
 
 def test_a_cell_that_dies_faults_the_job_and_its_run_is_salvaged(
-    running, make_cell, until, shop, dispatcher
+    running, make_cell, until, context, dispatcher
 ):
     first = make_cell.cell
     first.die()
     job = until(running, "faulted")
     assert job.failure.code == "cell-died"
-    run = shop.runs.get(job.run_id)
+    run = context.runs.get(job.run_id)
     assert (run.samples, run.complete) == (50, False)
     wait_until(lambda: make_cell.cell is not first, "another cell")
     again, _ = dispatcher.create(OTF)
@@ -487,10 +491,10 @@ def test_a_device_that_cannot_be_reached_fails_the_job_before_it_is_ready(
 
 
 def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
-    running, make_cell, until, shop
+    running, make_cell, until, context
 ):
     make_cell.cell.end(spoil=b"no database at all")
-    file = shop.runs.measured_file(running.id)
+    file = context.runs.measured_file(running.id)
     job = until(running, "failed")
     assert job.run_id is None
     assert job.failure.family == "NotFound"
@@ -498,13 +502,13 @@ def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
 
 
 def test_science_that_fails_fails_the_job_and_the_run_is_kept(
-    running, make_cell, until, science, shop
+    running, make_cell, until, science, context
 ):
     science.raises = ValueError("matrix")
     make_cell.cell.end()
     job = until(running, "failed")
     assert (job.failure.family, job.failure.detail) == ("ValueError", "matrix")
-    assert shop.runs.get(job.run_id).complete
+    assert context.runs.get(job.run_id).complete
 
 
 @pytest.mark.parametrize(
@@ -518,23 +522,23 @@ def test_science_that_fails_fails_the_job_and_the_run_is_kept(
     ],
 )
 def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
-    dispatcher, shop, rows, problem
+    dispatcher, context, rows, problem
 ):
     with pytest.raises(PlanningError, match=problem):
         dispatcher.create(replace(OTF, rows=rows))
-    assert shop.store.page(10) == []
+    assert context.store.page(10) == []
 
 
-def test_a_path_out_of_travel_is_refused_before_there_is_a_job(dispatcher, shop):
+def test_a_path_out_of_travel_is_refused_before_there_is_a_job(dispatcher, context):
     rows = [ROWS[0], {**ROWS[1], "x_mm": 9999.0}]
     with pytest.raises(OutOfTravel, match="row 2: X = 9999 mm exceeds 500 mm"):
         dispatcher.create(replace(OTF, rows=rows))
-    assert shop.store.page(10) == []
+    assert context.store.page(10) == []
 
 
-def test_without_rows_the_default_path_is_driven(dispatcher, shop, until):
-    job, _ = dispatcher.create(Wish(Kind.MEASURE_OTF, feed_mm_min=1234.0))
-    plan = shop.store.plan(job.id)
+def test_without_rows_the_default_path_is_driven(dispatcher, context, until):
+    job, _ = dispatcher.create(JobRequest(JobKind.MEASURE_OTF, feed_mm_min=1234.0))
+    plan = context.store.plan(job.id)
     assert plan["kind"] == "path"
     assert len(plan["position"]) > 10
     assert set(plan["feed_mm_min"]) == {1234.0}
@@ -544,63 +548,63 @@ def test_without_rows_the_default_path_is_driven(dispatcher, shop, until):
 def test_a_repeated_request_makes_one_job_even_while_the_machine_is_busy(
     dispatcher, ready
 ):
-    key = Key("twice", b"body")
+    key = IdempotencyKey("twice", b"body")
     with pytest.raises(CellBusy):
         dispatcher.create(OTF, key)
     dispatcher.abort(ready.id)
 
 
 def test_the_same_key_finds_its_job_again(dispatcher, until):
-    key = Key("once", b"body")
+    key = IdempotencyKey("once", b"body")
     job, is_new = dispatcher.create(OTF, key)
     until(job, "ready")
     again, is_new_again = dispatcher.create(OTF, key)
     assert (again.id, is_new, is_new_again) == (job.id, True, False)
 
 
-def test_a_service_without_a_machine_measures_nothing(shop, feed):
-    dispatcher = Dispatcher(replace(shop, machine=None, cell=None), feed)
+def test_a_service_without_a_machine_measures_nothing(context, event_bus):
+    dispatcher = Dispatcher(replace(context, machine=None, cell=None), event_bus)
     with pytest.raises(NoMachine, match="machine_file"):
         dispatcher.create(OTF)
     dispatcher.close()
 
 
 def test_closing_stops_motion_first_and_leaves_the_job_interrupted(
-    dispatcher, running, make_cell, shop
+    dispatcher, running, make_cell, context
 ):
     dispatcher.close()
     assert "abort" in make_cell.cell.heard
-    job = shop.store.get(running.id)
+    job = context.store.get(running.id)
     assert job.state == "interrupted"
-    assert shop.runs.get(job.run_id).samples == 50
+    assert context.runs.get(job.run_id).samples == 50
     with pytest.raises(CellDown, match="ending"):
         dispatcher.create(OTF)
 
 
 def test_after_a_restart_what_had_not_ended_is_interrupted_and_nothing_moves(
-    dispatcher, running, make_cell, shop, feed
+    dispatcher, running, make_cell, context, event_bus
 ):
     """The catalogue as a killed service leaves it: the job runs, the Run is torn."""
     make_cell.cell.tear()
     heard = list(make_cell.cell.heard)
-    after = Dispatcher(shop, feed)
-    after.sweep()
-    job = shop.store.get(running.id)
+    after = Dispatcher(context, event_bus)
+    after.interrupt_unfinished_jobs()
+    job = context.store.get(running.id)
     assert job.state == "interrupted"
     assert job.failure.family == "Interrupted"
     assert "was running" in job.failure.detail
-    assert shop.runs.get(job.run_id).samples == 50
+    assert context.runs.get(job.run_id).samples == 50
     assert make_cell.cell.heard == heard
-    after.sweep()
-    assert shop.store.get(running.id).version == job.version
+    after.interrupt_unfinished_jobs()
+    assert context.store.get(running.id).version == job.version
     make_cell.cell.die()
 
 
 def test_progress_and_live_views_are_told_but_not_kept(
-    dispatcher, feed, running, make_cell, shop, until
+    dispatcher, event_bus, running, make_cell, context, until
 ):
     heard = []
-    forget = feed.listen(heard.append)
+    forget = event_bus.subscribe(heard.append)
 
     def told():
         # At most ten a second are passed on.
@@ -613,7 +617,7 @@ def test_progress_and_live_views_are_told_but_not_kept(
     assert {n.type for n in heard} == {"progress", "live"}
     assert notice.job_id == running.id
     assert notice.body["progress"]["position"] == [1.0, 2.0, 3.0]
-    assert {e.type for e in shop.store.events_after(0)} == {"job"}
+    assert {e.type for e in context.store.events_after(0)} == {"job"}
     count = len(heard)
     make_cell.cell.end()
     assert until(running, "succeeded").health.samples > 50
@@ -621,10 +625,10 @@ def test_progress_and_live_views_are_told_but_not_kept(
 
 
 def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
-    dispatcher, running, make_cell, shop, until
+    dispatcher, running, make_cell, context, until
 ):
     """The machine is told first; the books follow when they can."""
-    with shop.store._database.engine.connect() as raw:
+    with context.store._database.engine.connect() as raw:
         connection = raw.execution_options(truepath_writes=True)
         with connection.begin():
             connection.execute(text("SELECT 1"))
@@ -633,26 +637,26 @@ def test_a_catalogue_that_is_locked_does_not_stop_an_abort(
             wait_until(lambda: "abort" in make_cell.cell.heard, "the abort")
     thread.join()
     until(running, *FINAL)
-    assert shop.store.get(running.id).state == "aborted"
+    assert context.store.get(running.id).state == "aborted"
 
 
 @pytest.fixture
-def failing(shop):
+def failing(context):
     """While it is set, nothing can be written down."""
-    failing, change = threading.Event(), shop.store.change
+    failing, change = threading.Event(), context.store.change
 
     def may_fail(*arguments, **options):
         if failing.is_set():
             raise StorageUnavailable("the disk is full")
         return change(*arguments, **options)
 
-    shop.store.change = may_fail
+    context.store.change = may_fail
     yield failing
     failing.clear()
 
 
 def test_a_catalogue_that_fails_while_the_machine_moves_stops_it(
-    running, make_cell, until, failing, shop
+    running, make_cell, until, failing, context
 ):
     failing.set()
     make_cell.cell.say_state("paused")
@@ -660,7 +664,7 @@ def test_a_catalogue_that_fails_while_the_machine_moves_stops_it(
     failing.clear()
     job = until(running, "failed")
     assert job.failure.family == "StorageUnavailable"
-    assert shop.runs.get(running.id).samples == 50
+    assert context.runs.get(running.id).samples == 50
 
 
 def test_a_cell_that_does_not_stop_when_the_catalogue_fails_is_ended(
@@ -677,27 +681,27 @@ def test_a_cell_that_does_not_stop_when_the_catalogue_fails_is_ended(
 
 
 def test_a_job_whose_end_cannot_be_put_down_is_left_to_the_next_start(
-    dispatcher, running, failing, shop
+    dispatcher, running, failing, context
 ):
     failing.set()
     dispatcher.close()
-    assert shop.store.get(running.id).state == "running"
+    assert context.store.get(running.id).state == "running"
     failing.clear()
-    dispatcher.sweep()
-    assert shop.store.get(running.id).state == "interrupted"
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(running.id).state == "interrupted"
 
 
 def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(
-    running, make_cell, until, shop
+    running, make_cell, until, context
 ):
     def full(*_):
         raise StorageUnavailable("the disk is full")
 
-    note, shop.store.note = shop.store.note, full
+    note, context.store.note = context.store.note, full
     make_cell.cell.record(10)
     make_cell.cell.end()
     assert until(running, "succeeded").health.samples == 60
-    shop.store.note = note
+    context.store.note = note
 
 
 def test_a_run_that_is_not_closed_in_time_is_a_fault(
@@ -709,7 +713,7 @@ def test_a_run_that_is_not_closed_in_time_is_a_fault(
 
 
 def test_a_job_that_ended_can_only_be_looked_at(
-    dispatcher, running, make_cell, until, shop
+    dispatcher, running, make_cell, until, context
 ):
     make_cell.cell.end()
     job = until(running, "succeeded")
@@ -726,43 +730,43 @@ def test_a_job_that_ended_can_only_be_looked_at(
         dispatcher.abort("nobody")
 
 
-def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, shop):
-    job, _ = shop.store.create(NewJob(Kind.MEASURE_OTF, plan={}))
-    shop.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
-    ready = shop.store.change(job.id, lambda job: replace(job, state=State.READY))
+def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
+    job, _ = context.store.create(NewJob(JobKind.MEASURE_OTF, plan={}))
+    context.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
+    ready = context.store.change(job.id, lambda job: replace(job, state=State.READY))
     with pytest.raises(IllegalTransition, match="not under way any more"):
         dispatcher.arm(job.id, ready.version)
 
 
-def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, shop):
-    job, _ = shop.store.create(NewJob(Kind.MEASURE_OTF, plan={}))
-    shop.runs.measured_file(job.id).write_bytes(b"no database at all")
-    dispatcher.sweep()
-    job = shop.store.get(job.id)
+def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):
+    job, _ = context.store.create(NewJob(JobKind.MEASURE_OTF, plan={}))
+    context.runs.measured_file(job.id).write_bytes(b"no database at all")
+    dispatcher.interrupt_unfinished_jobs()
+    job = context.store.get(job.id)
     assert (job.state, job.run_id) == ("interrupted", None)
 
 
 def test_a_job_that_is_created_as_the_service_ends_never_begins(
-    dispatcher, shop, make_cell
+    dispatcher, context, make_cell
 ):
-    create = shop.store.create
+    create = context.store.create
 
     def late(*arguments):
         dispatcher.close()
         return create(*arguments)
 
-    shop.store.create = late
+    context.store.create = late
     job, _ = dispatcher.create(OTF)
-    assert shop.store.get(job.id).state == "queued"
-    dispatcher.sweep()
-    assert shop.store.get(job.id).state == "interrupted"
+    assert context.store.get(job.id).state == "queued"
+    dispatcher.interrupt_unfinished_jobs()
+    assert context.store.get(job.id).state == "interrupted"
 
 
 def test_a_standstill_job_without_rows_measures_the_default_points(
-    dispatcher, shop, until
+    dispatcher, context, until
 ):
     job, _ = dispatcher.create(STANDSTILL)
-    assert shop.store.plan(job.id)["kind"] == "points"
+    assert context.store.plan(job.id)["kind"] == "points"
     until(job, "ready")
 
 
@@ -772,14 +776,14 @@ def test_more_rows_than_a_controller_takes_are_refused(dispatcher):
         dispatcher.create(replace(OTF, rows=rows))
 
 
-def test_the_targets_of_rows_are_the_machines(shop, machine):
+def test_the_targets_of_rows_are_the_machines(context, machine):
     two = replace(
         machine,
         targets=(Target("T1", "tool", (0, 0, 0)), Target("T2", "tool", (0, 0, 50))),
     )
     rows = [{**ROWS[0], "target": "T1"}, {**ROWS[0], "target": "T2"}]
-    path = plan_motion(two, Kind.MEASURE_OTF, rows)
+    path = plan_motion(two, JobKind.MEASURE_OTF, rows)
     assert path.target == ("T1", "T2")
     assert commanded_from_plan(plan_json(path)).target == ("T1", "T2")
     with pytest.raises(PlanningError, match="row 1: target '' is unknown"):
-        plan_motion(two, Kind.MEASURE_OTF, [ROWS[0], rows[1]])
+        plan_motion(two, JobKind.MEASURE_OTF, [ROWS[0], rows[1]])

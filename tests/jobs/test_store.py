@@ -12,7 +12,7 @@ from app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from app.jobs.job import (
     Failure,
     Health,
-    Kind,
+    JobKind,
     NewJob,
     Progress,
     Stage,
@@ -20,13 +20,13 @@ from app.jobs.job import (
     job_json,
     new_id,
 )
-from app.jobs.rows import Key
+from app.jobs.rows import IdempotencyKey
 from app.jobs.schema import events, idempotency_keys
 from app.jobs.store import KEEP_KEYS_S, Store
 from app.jobs.transitions import State
 
-ANALYSE = NewJob(Kind.ANALYSE)
-MEASURE = NewJob(Kind.MEASURE_OTF, plan={"kind": "path", "axes": ["X"]})
+ANALYSE = NewJob(JobKind.ANALYSE)
+MEASURE = NewJob(JobKind.MEASURE_OTF, plan={"kind": "path", "axes": ["X"]})
 
 
 def to(state):
@@ -133,49 +133,49 @@ def test_a_change_behind_the_back_of_the_process_is_seen(store, database):
 
 
 def test_the_same_key_and_body_make_one_job(store):
-    key = Key("k-1", b'{"kind": "analyse"}')
+    key = IdempotencyKey("k-1", b'{"kind": "analyse"}')
     job, is_new = store.create(ANALYSE, key)
     again, is_new_again = store.create(ANALYSE, key)
     assert (is_new, is_new_again) == (True, False)
     assert again.id == job.id
     assert store.by_key(key) == job
-    assert store.by_key(Key("k-2", b"")) is None
+    assert store.by_key(IdempotencyKey("k-2", b"")) is None
 
 
 def test_the_same_key_with_another_body_is_refused(store):
-    store.create(ANALYSE, Key("k-1", b"one"))
+    store.create(ANALYSE, IdempotencyKey("k-1", b"one"))
     with pytest.raises(KeyReused, match="'k-1' has made job"):
-        store.create(ANALYSE, Key("k-1", b"two"))
+        store.create(ANALYSE, IdempotencyKey("k-1", b"two"))
     with pytest.raises(KeyReused):
-        store.by_key(Key("k-1", b"two"))
+        store.by_key(IdempotencyKey("k-1", b"two"))
 
 
 def test_a_job_that_is_refused_leaves_no_key(store):
     store.create(MEASURE)
-    key = Key("k-1", b"body")
+    key = IdempotencyKey("k-1", b"body")
     with pytest.raises(CellBusy):
         store.create(MEASURE, key)
     assert store.by_key(key) is None
 
 
 def test_old_keys_and_events_are_forgotten(store, database):
-    job, _ = store.create(ANALYSE, Key("old", b""))
-    store.create(ANALYSE, Key("young", b""))
+    job, _ = store.create(ANALYSE, IdempotencyKey("old", b""))
+    store.create(ANALYSE, IdempotencyKey("young", b""))
     past = int(time.time()) - KEEP_KEYS_S - 5
     query = update(idempotency_keys).where(idempotency_keys.c.key == "old")
     database.write(lambda c: c.execute(query.values(created_s=past)).rowcount)
     for _ in range(3):
         store.change(job.id, lambda job: replace(job, perpendicular_only=True))
     store.prune(keep_events=2)
-    assert store.by_key(Key("old", b"")) is None
-    assert store.by_key(Key("young", b"")) is not None
+    assert store.by_key(IdempotencyKey("old", b"")) is None
+    assert store.by_key(IdempotencyKey("young", b"")) is not None
     assert len(store.events_after(0)) == 2
 
 
 def test_progress_is_kept_without_a_new_version(store, told):
     job, _ = store.create(MEASURE)
     progress = Progress(3, 10, "lines", 12.5, 4.0, (1.0, 2.0, 3.0))
-    store.note(job.id, Stage.MEASURING, progress, Health(1000, 2, 1))
+    store.keep_progress(job.id, Stage.MEASURING, progress, Health(1000, 2, 1))
     kept = store.get(job.id)
     assert (kept.version, kept.stage) == (1, "measuring")
     assert kept.progress == progress

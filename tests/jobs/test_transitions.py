@@ -7,14 +7,14 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from app.errors import IllegalTransition
 from app.jobs.transitions import (
-    ACTS,
     FINAL,
-    SETTLED,
     TRANSITIONS,
+    VERB_SATISFIED,
+    VERB_TRANSITIONS,
     State,
     Verb,
-    after_verb,
-    check_follows,
+    apply_verb,
+    check_transition,
     may_follow,
 )
 
@@ -38,34 +38,34 @@ def test_every_state_can_be_reached_from_the_first():
 
 @pytest.mark.parametrize("state", sorted(set(State) - FINAL))
 def test_abort_is_accepted_in_every_state_that_is_not_final(state):
-    assert after_verb(Verb.ABORT, state) is State.ABORTING
+    assert apply_verb(Verb.ABORT, state) is State.ABORTING
 
 
 @pytest.mark.parametrize("state", sorted(FINAL))
 def test_abort_leaves_an_ended_job_as_it_is(state):
-    assert after_verb(Verb.ABORT, state) is state
+    assert apply_verb(Verb.ABORT, state) is state
 
 
 @pytest.mark.parametrize("verb", sorted(Verb))
 def test_a_verb_leads_only_where_the_table_goes(verb):
-    for state, after in ACTS[verb].items():
+    for state, after in VERB_TRANSITIONS[verb].items():
         assert may_follow(state, after)
 
 
 @pytest.mark.parametrize("verb", sorted(Verb))
 @pytest.mark.parametrize("state", sorted(State))
 def test_a_verb_said_twice_is_said_once_or_refused(verb, state):
-    if state not in ACTS[verb] and state not in SETTLED[verb]:
+    if state not in VERB_TRANSITIONS[verb] and state not in VERB_SATISFIED[verb]:
         with pytest.raises(IllegalTransition, match=f"cannot {verb} a job that is"):
-            after_verb(verb, state)
+            apply_verb(verb, state)
         return
-    once = after_verb(verb, state)
+    once = apply_verb(verb, state)
     if verb is not Verb.ARM:
-        assert after_verb(verb, once) is once
+        assert apply_verb(verb, once) is once
 
 
 def test_only_arming_starts_a_measurement():
-    starts = [verb for verb in Verb if State.READY in ACTS[verb]]
+    starts = [verb for verb in Verb if State.READY in VERB_TRANSITIONS[verb]]
     assert sorted(starts) == [Verb.ABORT, Verb.ARM]
 
 
@@ -73,7 +73,7 @@ def test_a_final_state_is_never_left():
     for state in FINAL:
         for after in State:
             with pytest.raises(IllegalTransition):
-                check_follows(state, after)
+                check_transition(state, after)
 
 
 class AnyJob(RuleBasedStateMachine):
@@ -88,7 +88,7 @@ class AnyJob(RuleBasedStateMachine):
     def user(self, verb: Verb) -> None:
         before = self.state
         try:
-            self.state = after_verb(verb, before)
+            self.state = apply_verb(verb, before)
         except IllegalTransition:
             assert verb is not Verb.ABORT
         self.armed |= verb is Verb.ARM and before is State.READY
@@ -104,7 +104,7 @@ class AnyJob(RuleBasedStateMachine):
 
     @invariant()
     def abort_is_always_obeyed(self) -> None:
-        after = after_verb(Verb.ABORT, self.state)
+        after = apply_verb(Verb.ABORT, self.state)
         assert after is State.ABORTING or after in FINAL
 
     @invariant()

@@ -21,7 +21,7 @@ Identifier = Annotated[
 ]
 
 
-class Taken(BaseModel):
+class RequestBody(BaseModel):
     """What clients send: nothing else is in it."""
 
     model_config = ConfigDict(extra="forbid", str_max_length=200)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
-from app.api.failures import problem_of_failure
+from app.api.failures import describe_failure
 from app.api.models.base import JOB_ID, PREFIX
 from app.api.models.monte_carlo import MonteCarloOut, monte_carlo_out
 from app.api.models.problem import Problem
@@ -115,8 +115,10 @@ class JobPage(BaseModel):
     next: str | None = Field(description="`after` of the next page.")
 
 
-class Stopped(BaseModel):
+class StoppedJobs(BaseModel):
     """The jobs that a blanket abort has reached."""
+
+    model_config = ConfigDict(title="Stopped")
 
     jobs: list[JobOut]
 
@@ -144,7 +146,7 @@ def job_out(job: Job) -> JobOut:
         run_ids=list(job.run_ids),
         result=_result_links(job.id) if job.has_result else None,
         discovery=_discovery_links(job.id) if job.has_discovery else None,
-        error=Problem(**problem_of_failure(failure)) if failure else None,
+        error=Problem(**describe_failure(failure)) if failure else None,
         links=_job_links(job),
     )
 

@@ -6,12 +6,19 @@ from typing import Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from app.api.models.base import JOB_ID, OTHER_ID, Feed, Identifier, Taken, TargetUm
+from app.api.models.base import (
+    JOB_ID,
+    OTHER_ID,
+    Feed,
+    Identifier,
+    RequestBody,
+    TargetUm,
+)
 from app.api.models.monte_carlo import MonteCarlo
 from app.api.models.plan import Point, Waypoint
 from app.api.models.planning import PlanRequest
-from app.jobs.dispatcher import Wish
-from app.jobs.job import Kind
+from app.jobs.dispatcher import JobRequest
+from app.jobs.job import JobKind
 from app.jobs.plans import MAX_ROWS
 
 MAX_RUNS = 50
@@ -26,10 +33,11 @@ _ALLOWED = {
 }
 
 
-class JobRequest(Taken):
+class JobRequestBody(RequestBody):
     """What is to be done."""
 
     model_config = ConfigDict(
+        title="JobRequest",
         extra="forbid",
         json_schema_extra={
             "examples": [
@@ -153,11 +161,11 @@ class JobRequest(Taken):
         usual = {"minutes": ADAPTIVE_MINUTES}
         return usual | asked | {"perpendicular_only": self.perpendicular_only}
 
-    def wish(self) -> Wish:
+    def to_job_request(self) -> JobRequest:
         """Return the request as the dispatcher takes it."""
         rows = self.path if self.path is not None else self.points
-        return Wish(
-            kind=Kind(self.kind),
+        return JobRequest(
+            kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],
             rows=None
             if rows is None

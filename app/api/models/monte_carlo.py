@@ -6,11 +6,11 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from app.api.models.base import Taken
+from app.api.models.base import RequestBody
 from app.numerics.adaptive_trials import TrialPlan
 
 
-class MonteCarlo(Taken):
+class MonteCarlo(RequestBody):
     """Trials of JCGM 101 (GUM Supplement 1): the same seed gives the same answer."""
 
     seed: int = Field(1, ge=0, le=2**53 - 1)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
-from app.api.models.base import Deg, Dwell, Feed, Mm, Taken
+from app.api.models.base import Deg, Dwell, Feed, Mm, RequestBody
 
 
-class Point(Taken):
+class Point(RequestBody):
     """Axis positions to stand at: a row of `points.csv`."""
 
     x_mm: Mm | None = None

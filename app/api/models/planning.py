@@ -12,7 +12,7 @@ from app.api.models.base import (
     Feed,
     Identifier,
     Mm,
-    Taken,
+    RequestBody,
     TargetUm,
 )
 from app.api.models.plan import PlanOut, Point, Waypoint
@@ -36,7 +36,7 @@ _Place = Annotated[list[Mm], Field(min_length=3, max_length=3)]
 _Range = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
-class Box(Taken):
+class Box(RequestBody):
     """A closed box."""
 
     name: str | None = Field(None, min_length=1)
@@ -50,7 +50,7 @@ class Box(Taken):
         return self
 
 
-class TrackerSite(Taken):
+class TrackerSite(RequestBody):
     """Where the tracker stands, in the frame that it stands on, and its range."""
 
     position_mm: _Place
@@ -64,7 +64,7 @@ class TrackerSite(Taken):
         return self
 
 
-class WorkspaceIn(Taken):
+class WorkspaceIn(RequestBody):
     """What limits a plan beside the travel, as in a workspace file."""
 
     keep_out: list[Box] = Field(
@@ -82,7 +82,7 @@ class WorkspaceIn(Taken):
         return self
 
 
-class PlanRequest(Taken):
+class PlanRequest(RequestBody):
     """What a plan is to reach, and within what."""
 
     model_config = ConfigDict(
@@ -138,7 +138,7 @@ class PlanRequest(Taken):
         return self.model_dump(exclude_none=True, exclude={"model_id"})
 
 
-class PlanCheck(Taken):
+class PlanCheck(RequestBody):
     """Rows to check without a job: of `path`, or of `points`."""
 
     model_config = ConfigDict(

@@ -19,14 +19,14 @@ class _Remembered:
     course: list[tuple[Any, ...]] = field(default_factory=list)
 
 
-class Estimates:
+class EstimateHistory:
     """Keeps what `estimate` notices say. Any thread may call it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._jobs: OrderedDict[str, _Remembered] = OrderedDict()
 
-    def note(self, job_id: str, body: Mapping[str, Any]) -> None:
+    def add(self, job_id: str, body: Mapping[str, Any]) -> None:
         """Keep an estimate; one that is only told again adds nothing to the course."""
         step = tuple(body[name] for name in COURSE)
         with self._lock:

@@ -11,8 +11,8 @@ from typing import Any
 import structlog
 
 from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
+from app.jobs.event_bus import EventBus, JobEvent
 from app.jobs.executor import Computation
-from app.jobs.feed import Feed, Notice
 from app.jobs.job import (
     EarlyEnd,
     Failure,
@@ -24,21 +24,21 @@ from app.jobs.job import (
     progress_json,
 )
 from app.jobs.store import Store
-from app.jobs.transitions import State, Verb, after_verb, may_follow
+from app.jobs.transitions import State, Verb, apply_verb, may_follow
 
 log = structlog.get_logger(__name__)
 
-_WISHES = {
+_DESIRED_STATES = {
     Verb.ARM: str(State.RUNNING),
     Verb.PAUSE: str(State.PAUSED),
     Verb.RESUME: str(State.RUNNING),
     Verb.ABORT: str(State.ABORTED),
 }
-KEEP_EVERY_S = 1.0
-TELL_EVERY_S = 0.1
+STORE_EVERY_S = 1.0
+PUBLISH_EVERY_S = 0.1
 
 
-class Control:
+class ActiveJob:
     """Wishes come in from requests: `obey`, `arm`, `abort`, `interrupt`.
 
     The job's thread reads them at its checkpoints and writes down how far it is.
@@ -48,21 +48,21 @@ class Control:
         self,
         job: Job,
         store: Store,
-        feed: Feed,
+        event_bus: EventBus,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.job_id, self.kind = job.id, job.kind
-        self._store, self._feed, self._clock = store, feed, clock
+        self._store, self._event_bus, self._clock = store, event_bus, clock
         self._changed = threading.Condition()
         self._state, self._since = job.state, clock()
         self._wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
         self._computation: Computation | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
-        self._kept_at = self._told_at = -float("inf")
+        self._stored_at = self._published_at = -float("inf")
 
     @property
-    def called_off(self) -> bool:
+    def is_cancelled(self) -> bool:
         """Whether the job has to end now."""
         return self._aborted or self._interrupted
 
@@ -81,19 +81,19 @@ class Control:
         """How long the job has been in that state."""
         return self._clock() - self._since
 
-    def obey(self, verb: Verb, version: int | None = None) -> Job:
+    def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
         """Put down what a user asks for. Raises IllegalTransition, StaleVersion.
 
         A job that stands by itself may still be told to: it then stays so.
         """
 
         def change(job: Job) -> Job:
-            state, wish = after_verb(verb, job.state), _WISHES[verb]
-            if state is job.state and (job.is_final or job.desired_state == wish):
+            state, desired = apply_verb(verb, job.state), _DESIRED_STATES[verb]
+            if state is job.state and (job.is_final or job.desired_state == desired):
                 return job
-            return replace(job, state=state, desired_state=wish)
+            return replace(job, state=state, desired_state=desired)
 
-        return self._noted(self._store.change(self.job_id, change, version=version))
+        return self._remember(self._store.change(self.job_id, change, version=version))
 
     def arm(self) -> None:
         """Let a ready job go on."""
@@ -103,11 +103,11 @@ class Control:
 
     def abort(self) -> None:
         """End the job because somebody asked. Writes nothing down: that may wait."""
-        self._call_off(interrupted=False)
+        self._cancel(interrupted=False)
 
     def interrupt(self) -> None:
         """End the job because the service ends."""
-        self._call_off(interrupted=True)
+        self._cancel(interrupted=True)
 
     def checkpoint(self) -> None:
         """Raise Aborted or Interrupted if the job has to end."""
@@ -119,7 +119,7 @@ class Control:
     def wait_until_armed(self) -> None:
         """Wait for `arm`. Raises as `checkpoint`."""
         with self._changed:
-            while not self._armed and not self.called_off:
+            while not self._armed and not self.is_cancelled:
                 self._changed.wait()
         self.checkpoint()
 
@@ -163,9 +163,9 @@ class Control:
 
         if stage is not self._stage:
             self._stage, self._progress = stage, Progress()
-        return self._noted(self._store.change(self.job_id, change))
+        return self._remember(self._store.change(self.job_id, change))
 
-    def complain(self, failure: Failure | None) -> None:
+    def show_failure(self, failure: Failure | None) -> None:
         """Show why the job stands, or that it does so no longer.
 
         A complaint while resuming means that the machine is held still.
@@ -183,7 +183,7 @@ class Control:
                 job, state=paused, desired_state=str(paused), failure=failure
             )
 
-        self._noted(self._store.change(self.job_id, change))
+        self._remember(self._store.change(self.job_id, change))
 
     def end(self, state: State, failure: Failure | None = None) -> Job:
         """Enter a final state, unless the job is in one.
@@ -206,9 +206,9 @@ class Control:
                 health=self._health,
             )
 
-        return self._noted(self._store.change(self.job_id, change))
+        return self._remember(self._store.change(self.job_id, change))
 
-    def conclude(self, early_end: EarlyEnd) -> None:
+    def note_early_end(self, early_end: EarlyEnd) -> None:
         """Note that the measurement leaves out the rest of its plan, and why."""
 
         def change(job: Job) -> Job:
@@ -224,7 +224,7 @@ class Control:
 
         self._store.change(self.job_id, change)
 
-    def report(
+    def report_progress(
         self,
         progress: Progress,
         *,
@@ -236,52 +236,54 @@ class Control:
         self._stage = stage or self._stage
         self._progress, self._health = progress, health or self._health
         now = self._clock()
-        if is_new_stage or now - self._told_at >= TELL_EVERY_S:
-            self._told_at = now
-            self._tell()
-        if is_new_stage or now - self._kept_at >= KEEP_EVERY_S:
-            self._kept_at = now
-            self._keep()
+        if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
+            self._published_at = now
+            self._publish_progress()
+        if is_new_stage or now - self._stored_at >= STORE_EVERY_S:
+            self._stored_at = now
+            self._store_progress()
 
-    def count(self, samples: int, lost_samples: int) -> None:
+    def set_sample_counts(self, samples: int, lost_samples: int) -> None:
         """Note what the Run holds: progress may have stopped a little earlier."""
         self._health = replace(self._health, samples=samples, lost_samples=lost_samples)
 
-    def show(self, live: Json) -> None:
+    def publish_live(self, live: Json) -> None:
         """Show where tracker and axes are, for the eye only."""
-        self._feed.tell(Notice("live", self.job_id, live))
+        self._event_bus.publish(JobEvent("live", self.job_id, live))
 
-    def show_estimate(self, estimate: Json) -> None:
+    def publish_estimate(self, estimate: Json) -> None:
         """Show the estimate so far."""
-        self._feed.tell(Notice("estimate", self.job_id, estimate))
+        self._event_bus.publish(JobEvent("estimate", self.job_id, estimate))
 
-    def show_plan(self, part: Json) -> None:
+    def publish_plan(self, part: Json) -> None:
         """Show that the measurement goes on with a further part."""
-        self._feed.tell(Notice("plan", self.job_id, part))
+        self._event_bus.publish(JobEvent("plan", self.job_id, part))
 
-    def _noted(self, job: Job) -> Job:
+    def _remember(self, job: Job) -> Job:
         with self._changed:
             if job.state is not self._state:
                 self._state, self._since = job.state, self._clock()
             self._wants_pause = job.wants_pause
         return job
 
-    def _tell(self) -> None:
+    def _publish_progress(self) -> None:
         body = {
             "stage": str(self._stage),
             "progress": progress_json(self._progress),
             "health": asdict(self._health),
         }
-        self._feed.tell(Notice("progress", self.job_id, body))
+        self._event_bus.publish(JobEvent("progress", self.job_id, body))
 
-    def _keep(self) -> None:
+    def _store_progress(self) -> None:
         try:
-            self._store.note(self.job_id, self._stage, self._progress, self._health)
+            self._store.keep_progress(
+                self.job_id, self._stage, self._progress, self._health
+            )
         except StorageUnavailable as error:
             # Progress is a convenience: the measurement goes on without it.
             log.warning("progress not kept", job_id=self.job_id, reason=str(error))
 
-    def _call_off(self, *, interrupted: bool) -> None:
+    def _cancel(self, *, interrupted: bool) -> None:
         with self._changed:
             if interrupted:
                 self._interrupted = True

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.jobs.estimates import Estimates
+from app.jobs.estimate_history import EstimateHistory
 from app.jobs.rows import StoredEvent
 
 
 @dataclass(frozen=True, slots=True)
-class Notice:
+class JobEvent:
     """One event: `job` is kept, with its identifier.
 
     `progress`, `live`, `estimate` and `plan` are not.
@@ -24,10 +24,10 @@ class Notice:
     id: int | None = None
 
 
-Listener = Callable[[Notice], None]
+Listener = Callable[[JobEvent], None]
 
 
-class Feed:
+class EventBus:
     """Fans notices out.
 
     Listeners are called by the thread that tells: they return at once.
@@ -38,9 +38,9 @@ class Feed:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
-        self.estimates = Estimates()
+        self.estimates = EstimateHistory()
 
-    def listen(self, listener: Listener) -> Callable[[], None]:
+    def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Add a listener; call what is returned to remove it."""
         with self._lock:
             self._listeners += (listener,)
@@ -51,13 +51,13 @@ class Feed:
 
         return forget
 
-    def tell(self, notice: Notice) -> None:
+    def publish(self, notice: JobEvent) -> None:
         """Pass a notice to every listener."""
         if notice.type == "estimate" and notice.job_id is not None:
-            self.estimates.note(notice.job_id, notice.body)
+            self.estimates.add(notice.job_id, notice.body)
         for listener in self._listeners:
             listener(notice)
 
-    def tell_stored(self, event: StoredEvent) -> None:
+    def publish_stored(self, event: StoredEvent) -> None:
         """Pass on an event that the catalogue has kept."""
-        self.tell(Notice(event.type, event.job_id, event.body, event.id))
+        self.publish(JobEvent(event.type, event.job_id, event.body, event.id))
