@@ -697,11 +697,11 @@ def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(
     def full(*_):
         raise StorageUnavailable("the disk is full")
 
-    note, context.store.note = context.store.note, full
+    keep, context.store.keep_progress = context.store.keep_progress, full
     make_cell.cell.record(10)
     make_cell.cell.end()
     assert until(running, "succeeded").health.samples == 60
-    context.store.note = note
+    context.store.keep_progress = keep
 
 
 def test_a_run_that_is_not_closed_in_time_is_a_fault(
