@@ -25,6 +25,7 @@ from app.api.service import Service
 from app.errors import BadInput
 from app.files.machine_file import machine_from_json, read_machine
 from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.context import JobContext
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import InUse
@@ -35,7 +36,6 @@ from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded, prepare
 from app.jobs.store import Store
 from app.jobs.workers import workers_of
-from app.jobs.workflow import JobContext
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell, CellConfig
 from app.plugins import load

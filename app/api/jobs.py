@@ -12,8 +12,8 @@ from pydantic.json_schema import SkipJsonSchema
 
 from app.api.conditional import Version, etag
 from app.api.models.base import PREFIX
-from app.api.models.job import JobOut, JobPage, StoppedJobs, job_out
-from app.api.models.job_request import JobRequestBody
+from app.api.models.job import JobOut, JobPage, Stopped, job_out
+from app.api.models.job_request import JobRequest
 from app.api.models.plan import PlanOut
 from app.api.paging import After, Limit, cursor, link_next, place
 from app.api.problems import answers
@@ -44,7 +44,7 @@ _STOPPING = CapacityLimiter(8)
     responses=answers(404, 409, 422),
 )
 def create_job(
-    request: JobRequestBody,
+    request: JobRequest,
     response: Response,
     service: ServiceDep,
     idempotency_key: IdempotencyKeyHeader = None,
@@ -52,7 +52,7 @@ def create_job(
     """Take on a job. A measuring job then waits, `ready`, until it is armed."""
     body = request.model_dump_json(exclude_defaults=True).encode()
     key = IdempotencyKey(idempotency_key, body) if idempotency_key else None
-    job, _ = service.dispatcher.create(request.to_job_request(), key)
+    job, _ = service.dispatcher.create(request.to_requested_job(), key)
     response.headers["Location"] = f"{PREFIX}/jobs/{job.id}"
     return _out(job, response)
 
@@ -129,10 +129,10 @@ async def abort_job(job_id: str, response: Response, service: ServiceDep) -> Job
 
 
 @stop.post("/stop", operation_id="stop_motion", status_code=202)
-async def stop_motion(service: ServiceDep) -> StoppedJobs:
+async def stop_motion(service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
-    return StoppedJobs(jobs=[job_out(job) for job in jobs])
+    return Stopped(jobs=[job_out(job) for job in jobs])
 
 
 @router.get("/{job_id}/plan", operation_id="get_job_plan", responses=answers(404))

@@ -44,7 +44,7 @@ def get_machine(service: ServiceDep) -> MachineOut:
 def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.cell is None:
-        raise NoMachine("no machine is set up; give the service a machine_file")
+        raise NoMachine
     return connection_out(service.cell.connect())
 
 

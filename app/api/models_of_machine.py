@@ -21,8 +21,13 @@ from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job, JobKind
-from app.jobs.models import difference_between, model_file, read_growth, versions
 from app.jobs.transitions import State
+from app.results.model_history import (
+    find_model_file,
+    read_difference,
+    read_growth,
+    read_versions,
+)
 
 router = APIRouter(prefix="/models", tags=["models"])
 
@@ -59,7 +64,7 @@ def get_model(model_id: str, service: ServiceDep) -> FileResponse:
     """Return `model.json`; `truepath predict`, `export` and `discover` take it."""
     job = _discovered(service, model_id)
     return FileResponse(
-        model_file(service.results, job.id),
+        find_model_file(service.results, job.id),
         media_type="application/json",
         filename="model.json",
     )
@@ -73,7 +78,7 @@ def list_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
     job = _discovered(service, model_id)
     return [
         model_out(service.store.get(one), growth)
-        for one, growth in versions(service.results, job.id)
+        for one, growth in read_versions(service.results, job.id)
     ]
 
 
@@ -99,8 +104,8 @@ def get_difference(
         changes, before = growth["difference"], growth["parent"]["source"]
     else:
         other = service.store.get(against)
-        files = (model_file(service.results, i) for i in (other.id, job.id))
-        changes, before = difference_between(*files), other.id
+        files = (find_model_file(service.results, i) for i in (other.id, job.id))
+        changes, before = read_difference(*files), other.id
     told = [ChangeOut(**change) for change in changes]
     return ModelDifference(before=before, after=job.id, changes=told)
 

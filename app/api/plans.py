@@ -22,11 +22,11 @@ from app.api.nc_programs import PROGRAM, Dialect, program_response
 from app.api.problems import answers
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
-from app.jobs.dispatcher import JobRequest
 from app.jobs.errors import NoMachine
 from app.jobs.job import Job, JobKind
 from app.jobs.plan_orders import checked_rows
 from app.jobs.plans import commanded_from_plan
+from app.jobs.requested_job import RequestedJob
 from app.jobs.rows import IdempotencyKey
 
 router = APIRouter(prefix="/plans", tags=["plans"])
@@ -52,14 +52,14 @@ def create_plan(
     order = request.order()
     body = b"plan " + request.model_dump_json(exclude_defaults=True).encode()
     key = IdempotencyKey(idempotency_key, body) if idempotency_key else None
-    request = JobRequest(
+    requested = RequestedJob(
         JobKind.PLAN,
         perpendicular_only=request.perpendicular_only,
         target_um=request.target_um,
         model_id=request.model_id,
         plan_request=order,
     )
-    job, _ = service.dispatcher.create(request, key)
+    job, _ = service.dispatcher.create(requested, key)
     response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
     return _out(job, response, service)
 
@@ -70,7 +70,7 @@ def create_plan(
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
     if service.machine is None:
-        raise NoMachine("no machine is set up; give the service a machine_file")
+        raise NoMachine
     kind = JobKind.MEASURE_STANDSTILL if check.path is None else JobKind.MEASURE_OTF
     workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
     rows, duration_s = checked_rows(

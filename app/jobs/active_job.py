@@ -23,6 +23,7 @@ from app.jobs.job import (
     Stage,
     progress_json,
 )
+from app.jobs.outcome import Outcome
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb, apply_verb, may_follow
 
@@ -185,11 +186,12 @@ class ActiveJob:
 
         self._remember(self._store.change(self.job_id, change))
 
-    def end(self, state: State, failure: Failure | None = None) -> Job:
-        """Enter a final state, unless the job is in one.
+    def end(self, outcome: Outcome) -> Job:
+        """Enter the final state of an outcome, unless the job has ended.
 
         An abort under way wins over success and failure.
         """
+        state, failure = outcome.state, outcome.failure
 
         def change(job: Job) -> Job:
             if job.is_final:

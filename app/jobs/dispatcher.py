@@ -4,61 +4,27 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import structlog
 
-from app.errors import IllegalTransition, NotFound
+from app.errors import IllegalTransition
 from app.jobs.active_job import ActiveJob
-from app.jobs.errors import CellDown, NoMachine, QueueFull
+from app.jobs.context import JobContext
+from app.jobs.errors import CellDown, QueueFull
 from app.jobs.event_bus import EventBus
-from app.jobs.extra_lines import extra_lines
-from app.jobs.job import Failure, Job, JobKind, Json, NewJob, Stage
-from app.jobs.models import model_file
-from app.jobs.plan_orders import driven_plan, refuse_several_targets
-from app.jobs.plans import Row, plan_json, plan_motion
+from app.jobs.job import Job, Stage
+from app.jobs.outcome import describe_interruption
+from app.jobs.requested_job import RequestedJob, check_requested_job
 from app.jobs.rows import IdempotencyKey
 from app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
-from app.jobs.workflow import JobContext, run_job
-from app.kinematics.machine import Machine
-from app.numerics.adaptive_trials import TrialPlan
+from app.jobs.workflow import run_job
 
 log = structlog.get_logger(__name__)
 
 MAX_WAITING = 100
-
-
-@dataclass(frozen=True, slots=True)
-class JobRequest:
-    """What a user wants done.
-
-    run_ids : the Runs to analyse together
-    rows : path or points in the columns of the bundle
-    target_um : volumetric uncertainty (k = 1) at which the measurement may end
-    monte_carlo : trials to hold the uncertainty of an analysis against
-    plan_id : of a plan whose rows are driven
-    model_id : of the job whose model or result Runs are held against, analysed with,
-        or planned for
-    discovery_id : of the job whose discovery asks for the extra lines to drive
-    plan_request : what is asked of a plan or an adaptive measurement, as
-        `plan_orders` states it
-    """
-
-    kind: JobKind
-    run_ids: Sequence[str] = ()
-    rows: Sequence[Row] | None = None
-    feed_mm_min: float | None = None
-    perpendicular_only: bool = False
-    target_um: float | None = None
-    monte_carlo: TrialPlan | None = None
-    plan_id: str | None = None
-    model_id: str | None = None
-    discovery_id: str | None = None
-    plan_request: Json | None = None
 
 
 class Dispatcher:
@@ -82,7 +48,7 @@ class Dispatcher:
         self._context.store.prune()
 
     def create(
-        self, request: JobRequest, key: IdempotencyKey | None = None
+        self, request: RequestedJob, key: IdempotencyKey | None = None
     ) -> tuple[Job, bool]:
         """Take a job on; False if this key has made it before.
 
@@ -92,7 +58,7 @@ class Dispatcher:
         earlier = self._context.store.by_key(key) if key is not None else None
         if earlier is not None:
             return earlier, False
-        new = self._checked(request)
+        new = check_requested_job(request, self._context)
         if self._closing:
             raise CellDown("the service is ending")
         if len(self._active) >= MAX_WAITING:
@@ -160,67 +126,6 @@ class Dispatcher:
         for thread in threads:
             thread.join(max(0.0, deadline - time.monotonic()))
 
-    def _checked(self, request: JobRequest) -> NewJob:
-        if request.kind is JobKind.PLAN:
-            if self._context.machine is None:
-                raise NoMachine("no machine is set up; give the service a machine_file")
-            only, order = request.perpendicular_only, {"request": self._order(request)}
-            return NewJob(request.kind, None, only, request.target_um, order)
-        if not request.kind.measures:
-            first, *further = [self._context.runs.get(i).id for i in request.run_ids]
-            return NewJob(
-                request.kind,
-                first,
-                request.perpendicular_only,
-                plan={"request": self._order(request)},
-                monte_carlo=request.monte_carlo,
-                further_run_ids=tuple(further),
-            )
-        machine = self._context.machine
-        if machine is None or self._context.cell is None:
-            raise NoMachine("no machine is set up; give the service a machine_file")
-        if request.kind is JobKind.MEASURE_EXTRA:
-            return self._asked_for(request.discovery_id or "", machine)
-        plan: dict[str, Any] = {}
-        if request.kind is JobKind.MEASURE_ADAPTIVE:
-            refuse_several_targets(machine, dict(request.plan_request or {}))
-        elif request.plan_id is None:
-            rows, feed_mm_min = request.rows, request.feed_mm_min
-            plan = plan_json(plan_motion(machine, request.kind, rows, feed_mm_min))
-        else:
-            plan = dict(self._planned(request.plan_id, request.kind, machine))
-        plan["request"] = self._order(request)
-        only, target_um = request.perpendicular_only, request.target_um
-        return NewJob(request.kind, None, only, target_um, plan)
-
-    def _planned(self, plan_id: str, kind: JobKind, machine: Machine) -> Json:
-        """Return the rows of a plan, checked anew against mode, machine and travel."""
-        job, plan = self._context.store.get(plan_id), self._context.store.plan(plan_id)
-        if job.kind is not JobKind.PLAN:
-            raise NotFound(f"there is no plan {plan_id}")
-        if plan is None:
-            raise IllegalTransition(f"plan {plan_id} is {job.state}; it has no rows")
-        return driven_plan(machine, kind, plan)
-
-    def _asked_for(self, discovery_id: str, machine: Machine) -> NewJob:
-        """Return the job that drives the extra lines and discovers in all Runs."""
-        job = self._context.store.get(discovery_id)
-        if not job.has_discovery:
-            raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
-        model_id = self._context.store.plan_request(job.id).get("model_id")
-        rows = extra_lines(machine, self._context.results / job.id, job.id)
-        plan = {**rows, "request": {"model_id": model_id}}
-        return NewJob(JobKind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)
-
-    def _order(self, request: JobRequest) -> dict[str, Any]:
-        """Return what is asked beside the rows; a model has to be there."""
-        order = dict(request.plan_request or {})
-        if request.model_id is not None:
-            job = self._context.store.get(request.model_id)
-            model_file(self._context.results, job.id)
-            order["model_id"] = job.id
-        return order
-
     def _begin(self, job: Job) -> None:
         active = ActiveJob(job, self._context.store, self._event_bus)
         name = f"job-{job.id[-6:]}"
@@ -254,12 +159,12 @@ class Dispatcher:
                 record = self._context.runs.add_measured(job.id)
             except Exception:
                 log.exception("the Run cannot be read; its file is kept")
-        text = f"the service ended while the job was {job.state}"
+        end = describe_interruption(f"the service ended while the job was {job.state}")
         after = replace(
             job,
-            state=State.INTERRUPTED,
+            state=end.state,
             run_id=record.id if record is not None else job.run_id,
-            failure=Failure("Interrupted", text),
+            failure=end.failure,
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))

@@ -20,6 +20,9 @@ class KeyReused(JobError):
 class NoMachine(JobError):
     """The service has no machine file, so it has nothing to drive."""
 
+    def __init__(self) -> None:
+        super().__init__("no machine is set up; give the service a machine_file")
+
 
 class DeviceSettings(JobError):
     """A driver cannot be made with its options: unknown driver, wrong option."""

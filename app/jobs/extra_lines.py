@@ -10,9 +10,9 @@ from app.errors import BundleError, PlanningError
 from app.files.machine_file import machine_from_json
 from app.files.one_machine import one_machine
 from app.jobs.job import JobKind
-from app.jobs.models import DISCOVERY, model_file
 from app.jobs.plans import plan_json, plan_motion
 from app.kinematics.machine import Machine
+from app.results.model_history import DISCOVERY, find_model_file
 
 
 def extra_lines(machine: Machine, folder: Path, job_id: str) -> dict[str, Any]:
@@ -30,7 +30,9 @@ def extra_lines(machine: Machine, folder: Path, job_id: str) -> dict[str, Any]:
             f"discovery {job_id} asks for no extra lines: no names compete, and no "
             "evidence is thin"
         )
-    model = json.loads(model_file(folder.parent, job_id).read_text(encoding="utf-8"))
+    model = json.loads(
+        find_model_file(folder.parent, job_id).read_text(encoding="utf-8")
+    )
     try:
         measured = machine_from_json(model["machine"], file=f"model {job_id}")
         one_machine([measured, machine], [f"model {job_id}", "this service"])

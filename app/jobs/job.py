@@ -34,9 +34,19 @@ class JobKind(StrEnum):
     PLAN = "plan"
 
     @property
+    def plans(self) -> bool:
+        """Whether the job chooses itself what to drive."""
+        return self in (JobKind.PLAN, JobKind.MEASURE_ADAPTIVE)
+
+    @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
         return self not in (JobKind.ANALYSE, JobKind.DISCOVER, JobKind.PLAN)
+
+    @property
+    def analyses(self) -> bool:
+        """Whether the job ends with error tables."""
+        return self is not JobKind.PLAN and not self.discovers
 
     @property
     def discovers(self) -> bool:
@@ -157,8 +167,7 @@ class Job:
     @property
     def has_result(self) -> bool:
         """Whether error tables stand."""
-        silent = self.kind is JobKind.PLAN or self.kind.discovers
-        return self.state is State.SUCCEEDED and not silent
+        return self.state is State.SUCCEEDED and self.kind.analyses
 
     @property
     def has_discovery(self) -> bool:

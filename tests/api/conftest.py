@@ -20,13 +20,13 @@ from app.api.application import create_application
 from app.api.service import Service
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.context import JobContext
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.event_bus import EventBus
 from app.jobs.plans import plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
-from app.jobs.workflow import JobContext
 from app.planning.default_path import default_path
 from simulators.scenario import load_machine
 

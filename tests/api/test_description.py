@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 from app import errors as app_errors
 from app.api import failures
 from app.api.application import create_application
-from app.api.models.job_request import JobRequestBody
+from app.api.models.job_request import JobRequest
 from app.api.openapi import description
 from app.api.problems import find_kind_of_status
 from app.jobs import errors as job_errors
@@ -85,7 +85,7 @@ def test_the_examples_of_a_job_are_taken(document):
     examples = document["components"]["schemas"]["JobRequest"]["examples"]
     assert len(examples) >= 3
     for example in examples:
-        TypeAdapter(JobRequestBody).validate_python(example)
+        TypeAdapter(JobRequest).validate_python(example)
 
 
 def test_all_paths_but_probes_are_versioned(operations):

@@ -15,13 +15,13 @@ import pytest
 
 from app.files.machine_file import machine_from_json
 from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.context import JobContext
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.event_bus import EventBus
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.jobs.transitions import State
-from app.jobs.workflow import JobContext
 from simulators.scenario import load_machine
 
 sys.path.append(str(Path(__file__).parent))

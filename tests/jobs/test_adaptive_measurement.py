@@ -11,15 +11,16 @@ from scripted_cell import Inline
 
 from app.cli.truth import proof
 from app.jobs.cell_supervisor import CellSupervisor
-from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs.context import JobContext
+from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import StaleVersion
 from app.jobs.job import JobKind
 from app.jobs.live_estimation import LiveEstimation
+from app.jobs.requested_job import RequestedJob
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded
 from app.jobs.store import Store
 from app.jobs.transitions import State
-from app.jobs.workflow import JobContext
 from app.measurement.cell import Cell, CellConfig
 from app.measurement.recording import open_run
 from app.motion.paths import check_travel
@@ -48,7 +49,7 @@ class Followed:
 
     def run(self, mode, target_um):
         request = {"mode": mode, "minutes": BUDGET_MIN}
-        request = JobRequest(
+        request = RequestedJob(
             JobKind.MEASURE_ADAPTIVE, target_um=target_um, plan_request=request
         )
         job, _ = self.dispatcher.create(request)

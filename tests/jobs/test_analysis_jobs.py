@@ -12,9 +12,10 @@ from app.errors import BundleError, NotFound
 from app.files.bundle import write_bundle
 from app.files.run import Run
 from app.jobs import dispatcher as dispatching
-from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import Aborted, QueueFull
 from app.jobs.job import JobKind
+from app.jobs.requested_job import RequestedJob
 from app.jobs.runs import check_archive, free_bytes, open_recorded
 from app.jobs.workers import Workers
 from app.motion.configurations import Configurations
@@ -85,7 +86,7 @@ def test_a_run_whose_file_was_removed_is_not_found(context, run):
 
 
 def test_an_uploaded_run_is_analysed(analysing, context, run, science):
-    request = JobRequest(JobKind.ANALYSE, run_ids=[run.id], perpendicular_only=True)
+    request = RequestedJob(JobKind.ANALYSE, run_ids=[run.id], perpendicular_only=True)
     job, _ = analysing.create(request)
     wait_until(lambda: context.store.get(job.id).is_final)
     ended = context.store.get(job.id)
@@ -98,7 +99,7 @@ def test_an_uploaded_run_is_analysed(analysing, context, run, science):
 def test_several_runs_are_analysed_together(analysing, context, run, science, bundle):
     bundle.write_bytes(context.runs.file(run.id).read_bytes())
     other = context.runs.add_uploaded(bundle, "the other side")
-    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[other.id, run.id]))
+    job, _ = analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[other.id, run.id]))
     wait_until(lambda: context.store.get(job.id).is_final)
     ended = context.store.get(job.id)
     assert (ended.run_id, ended.run_ids) == (other.id, (other.id, run.id))
@@ -108,7 +109,7 @@ def test_several_runs_are_analysed_together(analysing, context, run, science, bu
 
 def test_one_unknown_run_of_several_is_refused(analysing, run):
     with pytest.raises(NotFound, match="no run nowhere"):
-        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id, "nowhere"]))
+        analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id, "nowhere"]))
 
 
 def test_trials_reach_the_science_with_who_computes_them(
@@ -118,7 +119,7 @@ def test_trials_reach_the_science_with_who_computes_them(
     dispatcher = Dispatcher(many, event_bus)
     plan = TrialPlan(seed=11, digits=2, interval="shortest")
     job, _ = dispatcher.create(
-        JobRequest(JobKind.ANALYSE, run_ids=[run.id], monte_carlo=plan)
+        RequestedJob(JobKind.ANALYSE, run_ids=[run.id], monte_carlo=plan)
     )
     wait_until(lambda: context.store.get(job.id).is_final)
     assert context.store.get(job.id).monte_carlo == plan
@@ -128,13 +129,13 @@ def test_trials_reach_the_science_with_who_computes_them(
 
 def test_an_analysis_of_an_unknown_run_is_refused(analysing):
     with pytest.raises(NotFound, match="no run nowhere"):
-        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=["nowhere"]))
+        analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=["nowhere"]))
 
 
 def test_an_analysis_reports_its_stages(analysing, context, run, event_bus):
     heard = []
     event_bus.subscribe(heard.append)
-    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    job, _ = analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).is_final)
     stages = [n.body["stage"] for n in heard if n.type == "progress"]
     assert set(stages) == {"aligning", "estimating", "reporting"}
@@ -146,7 +147,7 @@ def test_a_stage_nobody_knows_leaves_the_stage_as_it_is(context, run, event_bus)
 
     alone = replace(context, science=dreaming, machine=None, cell=None)
     dispatcher = Dispatcher(alone, event_bus)
-    job, _ = dispatcher.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    job, _ = dispatcher.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).is_final)
     assert context.store.get(job.id).stage == "aligning"
     dispatcher.close()
@@ -156,7 +157,7 @@ def test_a_bad_bundle_fails_the_analysis_with_its_place(
     analysing, context, run, science
 ):
     science.raises = BundleError("is NaN", file="tracker.csv", row=7, column="x_mm")
-    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    job, _ = analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).is_final)
     failure = context.store.get(job.id).failure
     assert failure.family == "BundleError"
@@ -165,7 +166,7 @@ def test_a_bad_bundle_fails_the_analysis_with_its_place(
 
 def test_closing_interrupts_an_analysis(analysing, context, run, science):
     science.hold = threading.Event()
-    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    job, _ = analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: science.calls)
     analysing.close()
     assert context.store.get(job.id).state == "interrupted"
@@ -173,7 +174,7 @@ def test_closing_interrupts_an_analysis(analysing, context, run, science):
 
 def test_an_executor_that_ends_ends_the_job(analysing, context, run, science):
     science.raises = Aborted("the service is ending")
-    job, _ = analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+    job, _ = analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     wait_until(lambda: context.store.get(job.id).is_final)
     assert context.store.get(job.id).state == "aborted"
 
@@ -184,11 +185,11 @@ def test_more_jobs_than_can_wait_are_refused(
     monkeypatch.setattr(dispatching, "MAX_WAITING", 2)
     science.hold = threading.Event()
     jobs = [
-        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))[0]
+        analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))[0]
         for _ in range(2)
     ]
     with pytest.raises(QueueFull, match="2 jobs are under way"):
-        analysing.create(JobRequest(JobKind.ANALYSE, run_ids=[run.id]))
+        analysing.create(RequestedJob(JobKind.ANALYSE, run_ids=[run.id]))
     for job in jobs:
         analysing.abort(job.id)
     wait_until(lambda: all(context.store.get(job.id).is_final for job in jobs))
@@ -196,7 +197,7 @@ def test_more_jobs_than_can_wait_are_refused(
 
 def test_a_measured_run_is_packed_once_as_a_bundle(context, run, dispatcher, make_cell):
     rows = [{"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}]
-    job, _ = dispatcher.create(JobRequest(JobKind.MEASURE_STANDSTILL, rows=rows))
+    job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_STANDSTILL, rows=rows))
     ready = wait_until(
         lambda: (now := context.store.get(job.id)).state == "ready" and now
     )

@@ -13,12 +13,13 @@ from scripted_cell import Explorer, wait_until
 from app.errors import EstimationError, NotFound
 from app.files.bundle import write_bundle, zip_bundle
 from app.files.run import Run
-from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs.dispatcher import Dispatcher
 from app.jobs.job import JobKind
-from app.jobs.models import difference_between, model_file, versions
+from app.jobs.requested_job import RequestedJob
 from app.jobs.science import discover_recorded
 from app.jobs.transitions import State
 from app.motion.configurations import Configurations
+from app.results.model_history import find_model_file, read_difference, read_versions
 from drivers.interfaces.records import TrackerSamples
 
 
@@ -57,7 +58,7 @@ def ended(context, job):
 
 
 def test_a_discovery_ends_with_its_files_and_no_error_tables(context, run, discovering):
-    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    job, _ = discovering.create(RequestedJob(JobKind.DISCOVER, [run.id]))
     job = ended(context, job)
     assert (job.state, job.stage) == (State.SUCCEEDED, "reporting")
     assert job.has_discovery
@@ -68,7 +69,7 @@ def test_a_discovery_ends_with_its_files_and_no_error_tables(context, run, disco
 
 def test_it_tells_its_stage_and_can_be_aborted(context, run, discovering, explorer):
     explorer.hold = threading.Event()
-    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    job, _ = discovering.create(RequestedJob(JobKind.DISCOVER, [run.id]))
     wait_until(lambda: context.store.get(job.id).stage == "discovering")
     discovering.abort(job.id)
     job = ended(context, job)
@@ -81,7 +82,7 @@ def test_after_a_restart_it_is_interrupted(
     context, event_bus, run, discovering, explorer
 ):
     explorer.hold = threading.Event()
-    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    job, _ = discovering.create(RequestedJob(JobKind.DISCOVER, [run.id]))
     wait_until(lambda: explorer.calls)
     discovering.close()
     explorer.hold = None
@@ -95,7 +96,7 @@ def test_a_run_that_cannot_be_fitted_fails_with_the_reason(
     context, run, discovering, explorer
 ):
     explorer.raises = EstimationError("too few lines")
-    job, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    job, _ = discovering.create(RequestedJob(JobKind.DISCOVER, [run.id]))
     job = ended(context, job)
     assert job.state is State.FAILED
     assert "too few lines" in job.failure.detail
@@ -104,16 +105,16 @@ def test_a_run_that_cannot_be_fitted_fails_with_the_reason(
 def test_it_is_held_against_the_model_of_another_job(
     context, run, discovering, explorer
 ):
-    first, _ = discovering.create(JobRequest(JobKind.DISCOVER, [run.id]))
+    first, _ = discovering.create(RequestedJob(JobKind.DISCOVER, [run.id]))
     ended(context, first)
     second, _ = discovering.create(
-        JobRequest(JobKind.DISCOVER, [run.id], model_id=first.id)
+        RequestedJob(JobKind.DISCOVER, [run.id], model_id=first.id)
     )
     ended(context, second)
     _, model, model_id = explorer.calls[-1]
     assert model == str(context.results / first.id / "model.json")
     assert model_id == first.id
-    chain = versions(context.results, second.id)
+    chain = read_versions(context.results, second.id)
     assert [(one, grown["version"]) for one, grown in chain] == [
         (second.id, 3),
         (first.id, 2),
@@ -124,10 +125,10 @@ def test_a_model_that_is_not_there_is_refused_before_the_job_is_made(
     context, run, discovering
 ):
     with pytest.raises(NotFound, match="no job nowhere"):
-        discovering.create(JobRequest(JobKind.DISCOVER, [run.id], model_id="nowhere"))
-    analysed, _ = discovering.create(JobRequest(JobKind.ANALYSE, [run.id]))
+        discovering.create(RequestedJob(JobKind.DISCOVER, [run.id], model_id="nowhere"))
+    analysed, _ = discovering.create(RequestedJob(JobKind.ANALYSE, [run.id]))
     ended(context, analysed)
-    found = model_file(context.results, analysed.id)
+    found = find_model_file(context.results, analysed.id)
     assert found.name == "result.json"
     assert len(context.store.page(10)) == 1
 
@@ -151,6 +152,6 @@ def test_the_task_writes_what_the_contract_asks_and_models_compare(small_run, tm
     content = json.loads((second / "model.json").read_text())
     assert (content["version"], content["parent"]["source"]) == (3, "one")
     assert len(content["parent"]["sha256"]) == 64
-    changes = difference_between(model, second / "model.json")
+    changes = read_difference(model, second / "model.json")
     assert changes == content["difference"]
     assert not [p for p in tmp_path.iterdir() if p.suffix == ".part"]

@@ -11,8 +11,9 @@ from scripted_cell import Explorer
 from app.errors import NotFound, OutOfTravel, PlanningError
 from app.files.bundle import zip_bundle
 from app.files.run import Run
-from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs.dispatcher import Dispatcher
 from app.jobs.job import JobKind
+from app.jobs.requested_job import RequestedJob
 from app.jobs.transitions import State
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
@@ -62,7 +63,7 @@ def discover(asking, run, until):
     """Discover in the Run and wait for the end."""
 
     def done(**more):
-        job, _ = asking.create(JobRequest(JobKind.DISCOVER, [run.id], **more))
+        job, _ = asking.create(RequestedJob(JobKind.DISCOVER, [run.id], **more))
         return until(job, State.SUCCEEDED)
 
     return done
@@ -73,7 +74,7 @@ def drive(asking, until, make_cell):
     """Drive the extra lines of a discovery to the end."""
 
     def done(discovery):
-        request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discovery.id)
+        request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discovery.id)
         job = until(asking.create(request)[0], State.READY)
         make_cell.cell.begun.clear()
         asking.arm(job.id, job.version)
@@ -100,7 +101,7 @@ def test_the_lines_are_driven_and_all_runs_are_explained_together(
 
 
 def test_nothing_moves_before_it_is_armed(asking, discover, until, make_cell):
-    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     job = until(asking.create(request)[0], State.READY)
     assert "begin" not in make_cell.cell.heard
     asking.abort(job.id)
@@ -125,29 +126,29 @@ def test_what_is_still_open_is_asked_again(run, discover, drive, explorer):
 
 def test_where_nothing_is_asked_nothing_is_driven(asking, discover, explorer):
     explorer.rows = []
-    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(PlanningError, match="asks for no extra lines"):
         asking.create(request)
 
 
 def test_a_job_without_a_discovery_is_refused(asking, run, until):
     analysed = until(
-        asking.create(JobRequest(JobKind.ANALYSE, [run.id]))[0], State.SUCCEEDED
+        asking.create(RequestedJob(JobKind.ANALYSE, [run.id]))[0], State.SUCCEEDED
     )
     for job_id, said in ((analysed.id, "has no discovery"), ("nowhere", "no job")):
         with pytest.raises(NotFound, match=said):
-            asking.create(JobRequest(JobKind.MEASURE_EXTRA, discovery_id=job_id))
+            asking.create(RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=job_id))
 
 
 def test_lines_for_another_machine_are_refused(asking, discover, explorer):
     explorer.machine = {**explorer.machine, "name": "lathe"}
-    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(PlanningError, match=r"another machine.*name is demo.*lathe"):
         asking.create(request)
 
 
 def test_lines_that_leave_the_travel_are_refused(asking, discover, explorer):
     explorer.rows = [ROWS[0], {**ROWS[1], "x_mm": 501.0}]
-    request = JobRequest(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
+    request = RequestedJob(JobKind.MEASURE_EXTRA, discovery_id=discover().id)
     with pytest.raises(OutOfTravel, match="row 2: X = 501"):
         asking.create(request)

@@ -10,12 +10,12 @@ import time
 import numpy as np
 import pytest
 
-from app.jobs.dispatcher import JobRequest
 from app.jobs.estimate_history import JOBS
 from app.jobs.event_bus import EventBus, JobEvent
 from app.jobs.job import JobKind
 from app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
 from app.jobs.live_process import LiveOrder
+from app.jobs.requested_job import RequestedJob
 from app.main import open_service
 from app.settings import load_settings
 from drivers.interfaces.records import TrackerSamples
@@ -178,7 +178,7 @@ def test_a_measurement_ends_early_and_in_order_at_its_target(tmp_path):
     )
     with open_service(settings) as service:
         wait_until(lambda: service.cell.status.state == "disconnected")
-        request = JobRequest(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
+        request = RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=6000.0, target_um=20.0)
         job, _ = service.dispatcher.create(request)
         wait_until(lambda: service.store.get(job.id).state == "ready")
         service.dispatcher.arm(job.id, service.store.get(job.id).version)
@@ -212,7 +212,7 @@ def test_tables_tighten_live_and_end_at_the_result(tmp_path):
         )
         wait_until(lambda: service.cell.status.state == "disconnected")
         job, _ = service.dispatcher.create(
-            JobRequest(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
+            RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=8000.0)
         )
         wait_until(lambda: service.store.get(job.id).state == "ready")
         service.dispatcher.arm(job.id, service.store.get(job.id).version)

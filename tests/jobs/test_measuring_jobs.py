@@ -10,8 +10,8 @@ from scripted_cell import ScriptedLive, wait_until
 from sqlalchemy import text
 
 from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
-from app.jobs import measuring
-from app.jobs.dispatcher import Dispatcher, JobRequest
+from app.jobs import cell_measurement
+from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import (
     CellBusy,
     CellDown,
@@ -21,6 +21,7 @@ from app.jobs.errors import (
 )
 from app.jobs.job import EarlyEnd, JobKind, NewJob, job_from_json
 from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
+from app.jobs.requested_job import RequestedJob
 from app.jobs.rows import IdempotencyKey
 from app.jobs.transitions import FINAL, State
 from app.kinematics.machine import Target
@@ -30,8 +31,8 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
-OTF = JobRequest(JobKind.MEASURE_OTF, rows=ROWS)
-STANDSTILL = JobRequest(JobKind.MEASURE_STANDSTILL)
+OTF = RequestedJob(JobKind.MEASURE_OTF, rows=ROWS)
+STANDSTILL = RequestedJob(JobKind.MEASURE_STANDSTILL)
 
 
 @pytest.fixture
@@ -193,7 +194,7 @@ def test_a_hold_at_the_machines_panel_is_a_pause(running, make_cell, until):
 def test_a_stop_of_the_cells_own_never_becomes_a_users_pause(
     running, make_cell, until, monkeypatch, confirmed
 ):
-    monkeypatch.setattr(measuring, "INSIST_S", 0.0)
+    monkeypatch.setattr(cell_measurement, "INSIST_S", 0.0)
     cell = make_cell.cell
     cell.fault("tracker-silent", "no sample", "nothing")
     cell.say_state("pausing")
@@ -224,7 +225,7 @@ def test_a_users_pause_outlasts_a_stop_of_the_cells_own(
 def test_what_moves_again_is_not_wanted_to_stand(
     dispatcher, running, make_cell, until, monkeypatch
 ):
-    monkeypatch.setattr(measuring, "INSIST_S", 0.0)
+    monkeypatch.setattr(cell_measurement, "INSIST_S", 0.0)
     dispatcher.pause(running.id)
     until(running, "paused")
     cell = make_cell.cell
@@ -406,7 +407,7 @@ def test_stop_ends_every_motion_and_leaves_computing_alone(
     first = until(running, "succeeded")
     science.hold = threading.Event()
     computing, _ = dispatcher.create(
-        JobRequest(JobKind.ANALYSE, run_ids=[first.run_id])
+        RequestedJob(JobKind.ANALYSE, run_ids=[first.run_id])
     )
     wait_until(lambda: len(science.calls) == 2)
     moving, _ = dispatcher.create(OTF)
@@ -537,7 +538,7 @@ def test_a_path_out_of_travel_is_refused_before_there_is_a_job(dispatcher, conte
 
 
 def test_without_rows_the_default_path_is_driven(dispatcher, context, until):
-    job, _ = dispatcher.create(JobRequest(JobKind.MEASURE_OTF, feed_mm_min=1234.0))
+    job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=1234.0))
     plan = context.store.plan(job.id)
     assert plan["kind"] == "path"
     assert len(plan["position"]) > 10
@@ -670,7 +671,7 @@ def test_a_catalogue_that_fails_while_the_machine_moves_stops_it(
 def test_a_cell_that_does_not_stop_when_the_catalogue_fails_is_ended(
     running, make_cell, until, failing, monkeypatch
 ):
-    monkeypatch.setattr(measuring, "CLOSE_RUN_S", 0.2)
+    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 0.2)
     first = make_cell.cell
     first.deaf.add("abort")
     failing.set()
@@ -707,7 +708,7 @@ def test_progress_that_cannot_be_kept_does_not_stop_the_measurement(
 def test_a_run_that_is_not_closed_in_time_is_a_fault(
     running, make_cell, until, monkeypatch
 ):
-    monkeypatch.setattr(measuring, "CLOSE_RUN_S", 0.2)
+    monkeypatch.setattr(cell_measurement, "CLOSE_RUN_S", 0.2)
     make_cell.cell.say_state("finished")
     assert until(running, "faulted").failure.code == "run-not-closed"
 
@@ -717,7 +718,7 @@ def test_a_job_that_ended_can_only_be_looked_at(
 ):
     make_cell.cell.end()
     job = until(running, "succeeded")
-    wait_until(lambda: job.id not in dispatcher._controls)
+    wait_until(lambda: job.id not in dispatcher._active)
     assert dispatcher.abort(job.id) == job
     for verb in (
         dispatcher.pause,

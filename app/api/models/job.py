@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from app.api.failures import describe_failure
 from app.api.models.base import JOB_ID, PREFIX
@@ -115,10 +115,8 @@ class JobPage(BaseModel):
     next: str | None = Field(description="`after` of the next page.")
 
 
-class StoppedJobs(BaseModel):
+class Stopped(BaseModel):
     """The jobs that a blanket abort has reached."""
-
-    model_config = ConfigDict(title="Stopped")
 
     jobs: list[JobOut]
 

@@ -17,9 +17,9 @@ from app.api.models.base import (
 from app.api.models.monte_carlo import MonteCarlo
 from app.api.models.plan import Point, Waypoint
 from app.api.models.planning import PlanRequest
-from app.jobs.dispatcher import JobRequest
 from app.jobs.job import JobKind
 from app.jobs.plans import MAX_ROWS
+from app.jobs.requested_job import RequestedJob
 
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
@@ -33,11 +33,10 @@ _ALLOWED = {
 }
 
 
-class JobRequestBody(RequestBody):
+class JobRequest(RequestBody):
     """What is to be done."""
 
     model_config = ConfigDict(
-        title="JobRequest",
         extra="forbid",
         json_schema_extra={
             "examples": [
@@ -161,10 +160,10 @@ class JobRequestBody(RequestBody):
         usual = {"minutes": ADAPTIVE_MINUTES}
         return usual | asked | {"perpendicular_only": self.perpendicular_only}
 
-    def to_job_request(self) -> JobRequest:
+    def to_requested_job(self) -> RequestedJob:
         """Return the request as the dispatcher takes it."""
         rows = self.path if self.path is not None else self.points
-        return JobRequest(
+        return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],
             rows=None

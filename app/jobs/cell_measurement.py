@@ -47,12 +47,12 @@ _GO_AND_LOOK = (
 )
 
 
-class Measuring:
+class CellMeasurement:
     """The events of one measurement, taken in order by the job's thread."""
 
     def __init__(
         self,
-        active: ActiveJob,
+        job: ActiveJob,
         cell: CellSupervisor,
         *,
         confirm_s: Mapping[State, float] = CONFIRM_S,
@@ -62,7 +62,7 @@ class Measuring:
     ) -> None:
         self._growth = growth
         self._target_um, self._is_concluded = target_um, False
-        self._active, self._cell, self._live = active, cell, live
+        self._job, self._cell, self._live = job, cell, live
         self._confirm_s = confirm_s
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
         self._fault: Mapping[str, Any] = {}
@@ -78,7 +78,7 @@ class Measuring:
         has to look. What was recorded is on disk in any case.
         """
         if not self._cell.begin(order, self._events.put, self._is_called_off):
-            self._active.checkpoint()
+            self._job.checkpoint()
         try:
             self._follow()
         except Exception:
@@ -90,7 +90,7 @@ class Measuring:
         self._judge()
 
     def _is_called_off(self) -> bool:
-        return self._active.is_cancelled
+        return self._job.is_cancelled
 
     def _follow(self) -> None:
         while True:
@@ -108,7 +108,7 @@ class Measuring:
                 return
             if event.kind == "closed":
                 body = event.body
-                self._active.set_sample_counts(body["samples"], body["lost_samples"])
+                self._job.set_sample_counts(body["samples"], body["lost_samples"])
                 return
             self._take(event)
 
@@ -127,11 +127,11 @@ class Measuring:
     def _take(self, event: CellEvent) -> None:
         body = event.body
         if event.kind == "progress":
-            self._active.report_progress(
+            self._job.report_progress(
                 _progress(body), stage=Stage.MEASURING, health=_health(body)
             )
         elif event.kind == "live":
-            self._active.publish_live(body)
+            self._job.publish_live(body)
         elif event.kind == "block" and self._live is not None:
             self._live.offer(body["samples"])
         elif event.kind == "part" and self._growth is not None:
@@ -143,10 +143,10 @@ class Measuring:
 
     def _take_fault(self, body: Mapping[str, Any]) -> None:
         """Show what is wrong. The cell says by its state whether this is the end."""
-        log.error("fault", job_id=self._active.job_id, **body)
+        log.error("fault", job_id=self._job.job_id, **body)
         self._fault = body
         code, text, action = _fault_texts(body)
-        self._active.show_failure(Failure("MachineFault", text, code, action))
+        self._job.show_failure(Failure("MachineFault", text, code, action))
 
     def _follow_state(self, name: str) -> None:
         if name in _ENDS:
@@ -158,10 +158,10 @@ class Measuring:
             return
         # What the cell said before a pause reached it must not undo the pause.
         late = state is State.RUNNING
-        job = self._active.enter(state, Stage.MEASURING, unless_pausing=late)
+        job = self._job.enter(state, Stage.MEASURING, unless_pausing=late)
         if job.state is State.RUNNING:
             self._fault = {}
-            self._active.show_failure(None)
+            self._job.show_failure(None)
 
     def _insist(self) -> None:
         """Repeat what has not been confirmed: it may have come before it could act.
@@ -173,9 +173,9 @@ class Measuring:
         if self._outcome or now < self._insist_at:
             return
         self._insist_at = now + INSIST_S
-        if self._active.is_cancelled:
+        if self._job.is_cancelled:
             self._cell.abort()
-        elif self._active.state is State.PAUSING and self._active.wants_pause:
+        elif self._job.state is State.PAUSING and self._job.wants_pause:
             self._cell.pause()
 
     def _conclude_at_target(self) -> None:
@@ -183,7 +183,7 @@ class Measuring:
         if self._is_concluded or self._target_um is None or self._live is None:
             return
         newest = self._live.newest
-        if newest is None or self._active.state is not State.RUNNING:
+        if newest is None or self._job.state is not State.RUNNING:
             return
         reached_um = newest["volumetric_uncertainty_um"]
         if reached_um <= self._target_um:
@@ -191,12 +191,12 @@ class Measuring:
             self._is_concluded = True
             self._cell.conclude()
             early_end = EarlyEnd(reached_um, newest["done"], newest["total"])
-            self._active.note_early_end(early_end)
+            self._job.note_early_end(early_end)
 
     def _watch_the_clock(self) -> None:
-        state = self._active.state
+        state = self._job.state
         limit_s = float("inf") if self._outcome else self._confirm_s.get(state)
-        overdue = limit_s is not None and self._active.state_lasts_s > limit_s
+        overdue = limit_s is not None and self._job.state_lasts_s > limit_s
         if overdue and not self._given_up:
             self._give_up(f"not-{state}", f"the cell has not confirmed {state} in time")
         if time.monotonic() > self._close_by:
@@ -204,7 +204,7 @@ class Measuring:
             self._give_up("run-not-closed", "the cell has not closed its Run in time")
 
     def _give_up(self, code: str, text: str) -> None:
-        log.error("cell given up", job_id=self._active.job_id, code=code)
+        log.error("cell given up", job_id=self._job.job_id, code=code)
         self._given_up = True
         self._fault = {
             "code": code,
@@ -227,7 +227,7 @@ class Measuring:
         code, text, action = _fault_texts(self._fault)
         if self._outcome == "faulted":
             raise MachineFault(code or "fault", text or "the machine faulted", action)
-        self._active.checkpoint()
+        self._job.checkpoint()
         if self._outcome == "finished":
             return
         if self._outcome == "aborted":

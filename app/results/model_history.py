@@ -13,7 +13,7 @@ from app.errors import NotFound
 MODEL, RESULT, DISCOVERY = "model.json", "result.json", "discovery.json"
 
 
-def model_file(results: Path, job_id: str) -> Path:
+def find_model_file(results: Path, job_id: str) -> Path:
     """Return the model of a discovery, or the result of an analysis.
 
     Raises NotFound if the job has left neither.
@@ -37,7 +37,7 @@ def read_growth(results: Path, job_id: str) -> Mapping[str, Any]:
     return {**content["model"], "effects": content["effects"], "gap": content["gap"]}
 
 
-def versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
+def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Return a model and those it came from, the newest first, as far as they stand."""
     found = [(job_id, read_growth(results, job_id))]
     seen = {job_id}
@@ -49,7 +49,7 @@ def versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, Any]]]:
         seen.add(source)
 
 
-def difference_between(before: Path, after: Path) -> list[dict[str, str]]:
+def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
     """Return what differs between two model or result files. Raises BundleError."""
     # Imported where it computes: the service itself carries no science.
     from app.results.model_difference import ModelState, difference

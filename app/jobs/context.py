@@ -1,0 +1,61 @@
+"""What every job works with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.errors import NoMachine
+from app.jobs.executor import Executor, Task
+from app.jobs.live_estimation import LiveEstimation, Show
+from app.jobs.live_process import LiveOrder
+from app.jobs.plan_orders import plan_measurement
+from app.jobs.runs import RunCatalogue
+from app.jobs.science import discover_recorded
+from app.jobs.store import Store
+from app.jobs.transitions import State
+from app.jobs.workers import Workers
+from app.kinematics.machine import Machine
+
+
+@dataclass(frozen=True, slots=True)
+class JobContext:
+    """What every job works with.
+
+    machine, cell : None where the service drives no machine
+    planner : task `(machine, order, *, on_progress)` that returns the plan as JSON
+    science : task `(run_files, folder, perpendicular_only, monte_carlo, workers,
+        model_file, model_id, *, on_progress)`
+    discoverer : task `(run_files, folder, model_file, model_id, *, on_progress)`
+    workers : who computes what an analysis can cut into blocks
+    results : folder of results, one folder a job
+    confirm_s : time in which the cell has to confirm each state; None for the usual
+    live : makes what estimates while the machine moves; None for no live estimate
+    """
+
+    store: Store
+    runs: RunCatalogue
+    results: Path
+    executor: Executor
+    science: Task
+    workers: Workers = field(default_factory=Workers)
+    machine: Machine | None = None
+    cell: CellSupervisor | None = None
+    confirm_s: Mapping[State, float] | None = None
+    live: Callable[[LiveOrder, Show], LiveEstimation] | None = None
+    planner: Task = plan_measurement
+    discoverer: Task = discover_recorded
+
+    def require_machine(self) -> Machine:
+        """Return the machine. Raises NoMachine."""
+        if self.machine is None:
+            raise NoMachine
+        return self.machine
+
+    def require_cell(self) -> CellSupervisor:
+        """Return the cell that drives the machine. Raises NoMachine."""
+        if self.machine is None or self.cell is None:
+            raise NoMachine
+        return self.cell

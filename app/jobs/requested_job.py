@@ -1,0 +1,125 @@
+"""What a user asks for, and the job that a valid request becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from app.errors import IllegalTransition, NotFound
+from app.jobs.context import JobContext
+from app.jobs.extra_lines import extra_lines
+from app.jobs.job import JobKind, Json, NewJob
+from app.jobs.plan_orders import driven_plan, refuse_several_targets
+from app.jobs.plans import Row, plan_json, plan_motion
+from app.numerics.adaptive_trials import TrialPlan
+from app.results.model_history import find_model_file
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedJob:
+    """What a user asks for.
+
+    run_ids : the Runs to analyse together
+    rows : path or points in the columns of the bundle
+    target_um : volumetric uncertainty (k = 1) at which the measurement may end
+    monte_carlo : trials to hold the uncertainty of an analysis against
+    plan_id : of a plan whose rows are driven
+    model_id : of the job whose model or result Runs are held against, analysed with,
+        or planned for
+    discovery_id : of the job whose discovery asks for the extra lines to drive
+    plan_request : what is asked of a plan or an adaptive measurement, as
+        `plan_orders` states it
+    """
+
+    kind: JobKind
+    run_ids: Sequence[str] = ()
+    rows: Sequence[Row] | None = None
+    feed_mm_min: float | None = None
+    perpendicular_only: bool = False
+    target_um: float | None = None
+    monte_carlo: TrialPlan | None = None
+    plan_id: str | None = None
+    model_id: str | None = None
+    discovery_id: str | None = None
+    plan_request: Json | None = None
+
+
+def check_requested_job(request: RequestedJob, context: JobContext) -> NewJob:
+    """Return the job that a request asks for.
+
+    Raises BadInput for a plan that must not be driven, NotFound for an unknown Run, job
+    or model, NoMachine.
+    """
+    match request.kind:
+        case JobKind.ANALYSE | JobKind.DISCOVER:
+            return _make_science_job(request, context)
+        case JobKind.MEASURE_EXTRA:
+            return _make_extra_job(request, context)
+        case _:
+            return _make_planned_job(request, context)
+
+
+def _make_science_job(request: RequestedJob, context: JobContext) -> NewJob:
+    first, *further = [context.runs.get(run_id).id for run_id in request.run_ids]
+    return NewJob(
+        request.kind,
+        first,
+        request.perpendicular_only,
+        plan={"request": _make_plan_order(request, context)},
+        monte_carlo=request.monte_carlo,
+        further_run_ids=tuple(further),
+    )
+
+
+def _make_planned_job(request: RequestedJob, context: JobContext) -> NewJob:
+    """Return a job that plans, or drives rows that are known from the start."""
+    plan = {
+        **_find_rows(request, context),
+        "request": _make_plan_order(request, context),
+    }
+    only, target_um = request.perpendicular_only, request.target_um
+    return NewJob(request.kind, None, only, target_um, plan)
+
+
+def _find_rows(request: RequestedJob, context: JobContext) -> Json:
+    """Return the rows to drive, checked; none where the job plans them itself."""
+    machine, kind = context.require_machine(), request.kind
+    if kind is JobKind.PLAN:
+        return {}
+    context.require_cell()
+    if kind is JobKind.MEASURE_ADAPTIVE:
+        refuse_several_targets(machine, dict(request.plan_request or {}))
+        return {}
+    if request.plan_id is None:
+        return plan_json(plan_motion(machine, kind, request.rows, request.feed_mm_min))
+    job, plan = context.store.get(request.plan_id), context.store.plan(request.plan_id)
+    if job.kind is not JobKind.PLAN:
+        raise NotFound(f"there is no plan {request.plan_id}")
+    if plan is None:
+        raise IllegalTransition(
+            f"plan {request.plan_id} is {job.state}; it has no rows"
+        )
+    return driven_plan(machine, kind, plan)
+
+
+def _make_extra_job(request: RequestedJob, context: JobContext) -> NewJob:
+    """Return the job that drives the extra lines and discovers in all Runs."""
+    machine = context.require_machine()
+    context.require_cell()
+    job = context.store.get(request.discovery_id or "")
+    if not job.has_discovery:
+        raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
+    model_id = context.store.plan_request(job.id).get("model_id")
+    rows = extra_lines(machine, context.results / job.id, job.id)
+    plan = {**rows, "request": {"model_id": model_id}}
+    return NewJob(JobKind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)
+
+
+def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:
+    """Return what is asked beside the rows; a model that is named has to exist."""
+    order = dict(request.plan_request or {})
+    if request.model_id is not None:
+        job = context.store.get(request.model_id)
+        find_model_file(context.results, job.id)
+        order["model_id"] = job.id
+    return order

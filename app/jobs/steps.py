@@ -1,0 +1,211 @@
+"""The steps of a job, each one verb; `workflow.py` says which follow which."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from app.errors import MeasurementFailed
+from app.jobs.active_job import ActiveJob
+from app.jobs.cell_measurement import CONFIRM_S, CellMeasurement
+from app.jobs.context import JobContext
+from app.jobs.errors import StorageUnavailable
+from app.jobs.executor import Task
+from app.jobs.growth import Growth
+from app.jobs.job import Job, JobKind, Json, Progress, Stage
+from app.jobs.live_estimation import LiveEstimation
+from app.jobs.live_process import LiveOrder
+from app.jobs.plan_orders import first_part
+from app.jobs.plans import commanded_from_plan, plan_json
+from app.jobs.transitions import State
+from app.measurement.cell import Order
+from app.motion.configurations import Commanded
+from app.motion.paths import check_travel
+from app.results.model_history import find_model_file
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class JobSteps:
+    """One job, the user's requests for it, and what it works with."""
+
+    job: Job
+    active: ActiveJob
+    context: JobContext
+
+    def enter_preparing(self) -> None:
+        """Require a machine with devices and begin to prepare."""
+        self.context.require_cell()
+        self.active.enter(State.PREPARING, Stage.PLANNING)
+
+    def plan(self) -> None:
+        """Choose what to drive, or the first part of it, and store it with the job."""
+        state = State.PREPARING if self.job.kind.measures else State.RUNNING
+        order = self._plan_order()
+        if self.job.kind is JobKind.MEASURE_ADAPTIVE:
+            order = first_part(self.context.require_machine(), order)
+        planner = self.context.planner
+        plan = self._compute(
+            state, Stage.PLANNING, planner, self.context.require_machine(), order
+        )
+        self.context.store.keep_plan(self.job.id, plan)
+
+    def read_commanded(self) -> Commanded:
+        """Return what the machine will drive, checked against its travel."""
+        commanded = commanded_from_plan(self.context.store.plan(self.job.id) or {})
+        check_travel(self.context.require_machine(), commanded)
+        return commanded
+
+    def connect_cell(self) -> None:
+        """Open the ports of the devices."""
+        self.context.require_cell().connect()
+        self.active.checkpoint()
+
+    def wait_until_armed(self) -> None:
+        """Wait for the user to allow motion."""
+        self.active.enter(State.READY, Stage.MEASURING)
+        self.active.wait_until_armed()
+
+    def measure(self, commanded: Commanded) -> None:
+        """Drive the machine; what was recorded is in the catalogue in any case."""
+        live = self._start_live_estimate(commanded)
+        try:
+            if live is None:
+                self._drive(commanded, None)
+                return
+            with closing(live):
+                self._drive(commanded, live)
+                live.finish()
+        finally:
+            self._catalogue_run()
+
+    def analyse(self, run_ids: Sequence[str]) -> None:
+        """Compute error tables from Runs."""
+        job, context = self.job, self.context
+        how = job.perpendicular_only, job.monte_carlo, context.workers
+        self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
+
+    def discover(self, run_ids: Sequence[str]) -> None:
+        """Find what a model of Runs lacks: the one named, or the one fitted to them."""
+        self._conclude(run_ids, Stage.DISCOVERING, self.context.discoverer)
+
+    @property
+    def _is_adaptive(self) -> bool:
+        return self.job.kind is JobKind.MEASURE_ADAPTIVE
+
+    def _drive(self, commanded: Commanded, live: LiveEstimation | None) -> None:
+        machine = self.context.require_machine()
+        order = Order(
+            run_name=f"{machine.name} {self.job.created}",
+            run_file=str(self.context.runs.measured_file(self.job.id)),
+            machine=machine,
+            commanded=commanded,
+            rate_hz=machine.tracker.rate_hz,
+            live=live is not None,
+            grows=self._is_adaptive,
+        )
+        CellMeasurement(
+            self.active,
+            self.context.require_cell(),
+            confirm_s=self.context.confirm_s or CONFIRM_S,
+            live=live,
+            target_um=self.job.target_um,
+            growth=self._make_growth(commanded, live),
+        ).run(order)
+
+    def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
+        """Start the live estimate. The measurement goes on without it if need be.
+
+        A few extra lines on their own would say little about the machine.
+        """
+        if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
+            return None
+        only = self.job.perpendicular_only
+        order = LiveOrder(
+            self.context.require_machine(), commanded, only, self._plan_order()
+        )
+        live = self.context.live(order, self.active.publish_estimate)
+        try:
+            live.start()
+        except OSError:
+            log.exception("no live estimate")
+            return None
+        return live
+
+    def _make_growth(
+        self, commanded: Commanded, live: LiveEstimation | None
+    ) -> Growth | None:
+        """Return what adds further parts; None for a job that is planned whole."""
+        if not self._is_adaptive:
+            return None
+        if live is None:
+            raise MeasurementFailed("an adaptive measurement needs its live estimate")
+        cell = self.context.require_cell()
+        return Growth(live, commanded, cell.extend, cell.conclude, self._store_part)
+
+    def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
+        self.active.publish_plan(part)
+        try:
+            self.context.store.keep_plan(self.job.id, plan_json(rows))
+        except StorageUnavailable:
+            log.exception("the extended plan is not stored; the Run holds it")
+
+    def _catalogue_run(self) -> None:
+        """Add to the catalogue what was recorded, complete or not."""
+        try:
+            record = self.context.runs.add_measured(self.job.id)
+        except Exception:
+            # How the measurement ended matters more than what became of its file.
+            log.exception("the Run cannot be read; its file is kept")
+            return
+        if record is not None:
+            self.active.link_run(record.id)
+
+    def _conclude(
+        self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
+    ) -> None:
+        """Let a task write its files about Runs and, where one is named, a model."""
+        files = [str(self.context.runs.file(run_id)) for run_id in run_ids]
+        folder = str(self.context.results / self.job.id)
+        model = self._find_model()
+        self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+
+    def _find_model(self) -> tuple[str | None, str | None]:
+        """Return file and identifier of the model that the job builds on, if any."""
+        model_id = self.context.store.plan_request(self.job.id).get("model_id")
+        if model_id is None:
+            return None, None
+        return str(find_model_file(self.context.results, model_id)), model_id
+
+    def _plan_order(self) -> Json:
+        """Return what is asked of a plan, with the file of the model it builds on."""
+        file, _ = self._find_model()
+        request = self.context.store.plan_request(self.job.id)
+        return {**request, "model_file": file}
+
+    def _compute(
+        self, state: State, stage: Stage, task: Task, *arguments: object
+    ) -> Any:
+        """Return what the executor computes; enter state and stage as it begins."""
+
+        def enter() -> None:
+            self.active.enter(state, stage)
+
+        computation = self.context.executor.submit(
+            task,
+            *arguments,
+            on_progress=self._report_progress,
+            started=enter,
+        )
+        found = self.active.compute(computation)
+        self.active.checkpoint()
+        return found
+
+    def _report_progress(self, share: float, name: str) -> None:
+        stage = Stage(name) if name in set(Stage) else None
+        self.active.report_progress(Progress(share, 1.0), stage=stage)
