@@ -37,7 +37,8 @@ from app.jobs.science import analyse_recorded, prepare
 from app.jobs.store import Store
 from app.jobs.workers import workers_of
 from app.kinematics.machine import Machine
-from app.measurement.cell import Cell, CellConfig
+from app.measurement.cell import Cell
+from app.measurement.messages import CellConfig
 from app.plugins import load
 from app.service_log import configure_log
 from app.settings import Settings

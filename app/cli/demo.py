@@ -23,7 +23,8 @@ from app.files.run import Run
 from app.jobs.plan_orders import first_part, plan_measurement
 from app.jobs.plans import commanded_from_plan
 from app.kinematics.machine import Machine
-from app.measurement.cell import Cell, CellConfig, Order
+from app.measurement.cell import Cell
+from app.measurement.messages import CellConfig, MeasurementOrder
 from app.measurement.recording import open_run
 from app.motion.configurations import Commanded
 from app.motion.paths import check_travel, travel_time_s
@@ -94,11 +95,13 @@ class Demo:
         config = CellConfig(
             "streaming", bench.tracker_options, "modbus", bench.motion_options
         )
-        order = Order("demo", str(run_file), machine, path, grows=self.adaptive)
+        order = MeasurementOrder(
+            "demo", str(run_file), machine, path, grows=self.adaptive
+        )
         target_um, cell = self.target_um, Cell(config)
         with progress("measure") as report:
             closed = follow(cell, order, report, target_um=target_um, request=request)
-        return open_run(run_file), int(closed["lost_samples"])
+        return open_run(run_file), closed.lost_samples
 
     def _request(self) -> dict[str, Any] | None:
         """Return within what an adaptive measurement is planned."""

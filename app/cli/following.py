@@ -13,21 +13,31 @@ from app.errors import MeasurementFailed
 from app.jobs.growth import Growth
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.live_process import LiveOrder
-from app.measurement.cell import Cell, CellEvent, Order
+from app.measurement.cell import Cell
+from app.measurement.messages import (
+    BlockRecorded,
+    CellState,
+    FaultReported,
+    MeasurementOrder,
+    MeasurementProgress,
+    PartRequested,
+    RunClosed,
+    StateChanged,
+)
 from app.motion.configurations import Commanded
 
 SILENCE_S = 30.0  # without a word from the cell process: something is broken
-_ENDED_BADLY = frozenset({"aborted", "failed", "faulted"})
+_ENDED_BADLY = frozenset({CellState.ABORTED, CellState.FAILED, CellState.FAULTED})
 
 
 def follow(
     cell: Cell,
-    order: Order,
+    order: MeasurementOrder,
     report: Report,
     *,
     target_um: float | None = None,
     request: Mapping[str, Any] | None = None,
-) -> Mapping[str, Any]:
+) -> RunClosed:
     """Measure and return what the cell said of the closed Run.
 
     target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
@@ -54,7 +64,7 @@ def follow(
 
 @contextmanager
 def _live_estimation(
-    order: Order, target_um: float | None, request: Mapping[str, Any] | None
+    order: MeasurementOrder, target_um: float | None, request: Mapping[str, Any] | None
 ) -> Iterator[LiveEstimation | None]:
     if target_um is None and not order.grows:
         yield None
@@ -74,28 +84,29 @@ def _until_closed(
     live: LiveEstimation | None,
     target_um: float,
     growth: Growth | None,
-) -> Mapping[str, Any]:
+) -> RunClosed:
     concluded = False
     said = MeasurementFailed("the measurement ended early")
-    outcome = ""
+    has_ended_badly = False
     heard_s = time.monotonic()
     while time.monotonic() - heard_s < SILENCE_S:
         for event in cell.poll(0.2):
             heard_s = time.monotonic()
-            if event.kind == "block" and live is not None:
-                live.offer(event.body["samples"])
-            elif event.kind == "part" and growth is not None:
-                growth.ask()
-            elif event.kind == "progress":
-                report(*_progress(event))
-            elif event.kind == "fault":
-                said = MeasurementFailed(_fault(event))
-            elif event.kind == "state" and event.body["state"] in _ENDED_BADLY:
-                outcome = event.body["state"]
-            elif event.kind == "closed":
-                if outcome:
-                    raise said
-                return event.body
+            match event:
+                case BlockRecorded(samples) if live is not None:
+                    live.offer(samples)
+                case PartRequested() if growth is not None:
+                    growth.ask()
+                case MeasurementProgress():
+                    report(*_progress(event))
+                case FaultReported(text=text, action=action):
+                    said = MeasurementFailed("; ".join(filter(None, [text, action])))
+                case StateChanged(state) if state in _ENDED_BADLY:
+                    has_ended_badly = True
+                case RunClosed():
+                    if has_ended_badly:
+                        raise said
+                    return event
         if not concluded and _has_reached(live, target_um):
             cell.conclude()
             concluded = True
@@ -116,13 +127,7 @@ def _has_reached(live: LiveEstimation | None, target_um: float) -> bool:
     return newest is not None and newest["volumetric_uncertainty_um"] <= target_um
 
 
-def _progress(event: CellEvent) -> tuple[float, str, str]:
-    body = event.body
-    share = body["done"] / body["total"] if body["total"] else 0.0
-    lost = f"{body['samples']} samples, {body['lost_samples']} lost"
-    return min(share, 1.0), body["stage"], lost
-
-
-def _fault(event: CellEvent) -> str:
-    text, action = event.body.get("text", ""), event.body.get("action", "")
-    return "; ".join(filter(None, [text, action]))
+def _progress(event: MeasurementProgress) -> tuple[float, str, str]:
+    share = event.done / event.total if event.total else 0.0
+    lost = f"{event.samples} samples, {event.lost_samples} lost"
+    return min(share, 1.0), event.stage, lost

@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import asdict
 
 import structlog
 
@@ -21,7 +21,18 @@ from app.jobs.growth import Growth
 from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation
 from app.jobs.transitions import State
-from app.measurement.cell import CellEvent, Order
+from app.measurement.messages import (
+    BlockRecorded,
+    CellEvent,
+    CellState,
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    PartRequested,
+    RunClosed,
+    StateChanged,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -35,12 +46,14 @@ INSIST_S = 1.0
 _HEAR_S = 0.1
 
 _STATES = {
-    "running": State.RUNNING,
-    "pausing": State.PAUSING,
-    "paused": State.PAUSED,
-    "resuming": State.RESUMING,
+    CellState.RUNNING: State.RUNNING,
+    CellState.PAUSING: State.PAUSING,
+    CellState.PAUSED: State.PAUSED,
+    CellState.RESUMING: State.RESUMING,
 }
-_ENDS = frozenset({"finished", "aborted", "failed", "faulted"})
+_ENDS = frozenset(
+    {CellState.FINISHED, CellState.ABORTED, CellState.FAILED, CellState.FAULTED}
+)
 _GO_AND_LOOK = (
     "Make sure that the machine stands, look at the log for the cause, then measure "
     "again; what was recorded is kept."
@@ -65,13 +78,13 @@ class CellMeasurement:
         self._job, self._cell, self._live = job, cell, live
         self._confirm_s = confirm_s
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
-        self._fault: Mapping[str, Any] = {}
-        self._outcome = ""
+        self._fault: FaultReported | None = None
+        self._outcome: CellState | None = None
         self._close_by = float("inf")
         self._insist_at = time.monotonic() + INSIST_S
         self._given_up = False
 
-    def run(self, order: Order) -> None:
+    def run(self, order: MeasurementOrder) -> None:
         """Measure. Returns when the path has been driven and the Run is closed.
 
         Raises Aborted, Interrupted, MeasurementEnded, or MachineFault where somebody
@@ -106,9 +119,8 @@ class CellMeasurement:
             if event is None:
                 self._note_death()
                 return
-            if event.kind == "closed":
-                body = event.body
-                self._job.set_sample_counts(body["samples"], body["lost_samples"])
+            if isinstance(event, RunClosed):
+                self._job.set_sample_counts(event.samples, event.lost_samples)
                 return
             self._take(event)
 
@@ -120,47 +132,48 @@ class CellMeasurement:
                 event = self._events.get(timeout=left_s)
             except queue.Empty:
                 break
-            if event is None or event.kind == "closed":
+            if event is None or isinstance(event, RunClosed):
                 return
         self._cell.condemn()
 
     def _take(self, event: CellEvent) -> None:
-        body = event.body
-        if event.kind == "progress":
-            self._job.report_progress(
-                _progress(body), stage=Stage.MEASURING, health=_health(body)
-            )
-        elif event.kind == "live":
-            self._job.publish_live(body)
-        elif event.kind == "block" and self._live is not None:
-            self._live.offer(body["samples"])
-        elif event.kind == "part" and self._growth is not None:
-            self._growth.ask()
-        elif event.kind == "fault":
-            self._take_fault(body)
-        elif event.kind == "state":
-            self._follow_state(str(body["state"]))
+        match event:
+            case MeasurementProgress():
+                self._job.report_progress(
+                    _progress(event), stage=Stage.MEASURING, health=_health(event)
+                )
+            case LivePoints():
+                self._job.publish_live(asdict(event))
+            case BlockRecorded(samples) if self._live is not None:
+                self._live.offer(samples)
+            case PartRequested() if self._growth is not None:
+                self._growth.ask()
+            case FaultReported():
+                self._take_fault(event)
+            case StateChanged(state):
+                self._follow_state(state)
 
-    def _take_fault(self, body: Mapping[str, Any]) -> None:
+    def _take_fault(self, fault: FaultReported) -> None:
         """Show what is wrong. The cell says by its state whether this is the end."""
-        log.error("fault", job_id=self._job.job_id, **body)
-        self._fault = body
-        code, text, action = _fault_texts(body)
-        self._job.show_failure(Failure("MachineFault", text, code, action))
+        log.error("fault", job_id=self._job.job_id, **asdict(fault))
+        self._fault = fault
+        self._job.show_failure(
+            Failure("MachineFault", fault.text, fault.code, fault.action)
+        )
 
-    def _follow_state(self, name: str) -> None:
-        if name in _ENDS:
-            self._outcome = name
+    def _follow_state(self, reported: CellState) -> None:
+        if reported in _ENDS:
+            self._outcome = reported
             self._close_by = time.monotonic() + CLOSE_RUN_S
             return
-        state = _STATES.get(name)
+        state = _STATES.get(reported)
         if state is None:
             return
         # What the cell said before a pause reached it must not undo the pause.
         late = state is State.RUNNING
         job = self._job.enter(state, Stage.MEASURING, unless_pausing=late)
         if job.state is State.RUNNING:
-            self._fault = {}
+            self._fault = None
             self._job.show_failure(None)
 
     def _insist(self) -> None:
@@ -206,60 +219,45 @@ class CellMeasurement:
     def _give_up(self, code: str, text: str) -> None:
         log.error("cell given up", job_id=self._job.job_id, code=code)
         self._given_up = True
-        self._fault = {
-            "code": code,
-            "text": f"{text}; its process was ended and the machine's watchdog holds",
-            "action": _GO_AND_LOOK,
-        }
+        ended = f"{text}; its process was ended and the machine's watchdog holds"
+        self._fault = FaultReported(code, ended, _GO_AND_LOOK)
         self._cell.condemn()
 
     def _note_death(self) -> None:
-        self._outcome = "faulted"
-        if not self._fault:
-            self._fault = {
-                "code": "cell-died",
-                "text": "the cell process has died; the machine's watchdog holds",
-                "action": _GO_AND_LOOK,
-            }
+        self._outcome = CellState.FAULTED
+        self._fault = self._fault or FaultReported(
+            "cell-died",
+            "the cell process has died; the machine's watchdog holds",
+            _GO_AND_LOOK,
+        )
 
     def _judge(self) -> None:
         """Return if all is well, else raise what the outcome means."""
-        code, text, action = _fault_texts(self._fault)
-        if self._outcome == "faulted":
+        fault = self._fault or FaultReported("", "", "")
+        code, text, action = fault.code, fault.text, fault.action
+        if self._outcome is CellState.FAULTED:
             raise MachineFault(code or "fault", text or "the machine faulted", action)
         self._job.checkpoint()
-        if self._outcome == "finished":
-            return
-        if self._outcome == "aborted":
-            raise Aborted("aborted at the machine")
-        if self._outcome == "failed":
-            raise MeasurementEnded(code or "failed", text or "it failed", action)
+        match self._outcome:
+            case CellState.FINISHED:
+                return
+            case CellState.ABORTED:
+                raise Aborted("aborted at the machine")
+            case CellState.FAILED:
+                raise MeasurementEnded(code or "failed", text or "it failed", action)
         raise MeasurementFailed("the cell closed its Run without saying why")
 
 
-def _fault_texts(body: Mapping[str, Any]) -> tuple[str, str, str]:
-    return (
-        str(body.get("code", "")),
-        str(body.get("text", "")),
-        str(body.get("action", "")),
-    )
-
-
-def _progress(body: Mapping[str, Any]) -> Progress:
-    remaining_s = body.get("remaining_s")
+def _progress(event: MeasurementProgress) -> Progress:
     return Progress(
-        done=float(body.get("done") or 0),
-        total=float(body.get("total") or 0),
-        unit=str(body.get("unit") or ""),
-        eta_s=None if remaining_s is None else float(remaining_s),
-        elapsed_s=float(body.get("elapsed_s") or 0),
-        position=tuple(float(x) for x in body.get("position") or ()),
+        done=float(event.done),
+        total=float(event.total),
+        unit=event.unit,
+        eta_s=event.remaining_s,
+        elapsed_s=event.elapsed_s,
+        position=event.position,
     )
 
 
-def _health(body: Mapping[str, Any]) -> Health:
-    return Health(
-        samples=int(body.get("samples") or 0),
-        lost_samples=int(body.get("lost_samples") or 0),
-        crc_errors=int(body.get("crc_errors") or 0),
-    )
+def _health(event: MeasurementProgress) -> Health:
+    return Health(event.samples, event.lost_samples, event.crc_errors)

@@ -22,7 +22,13 @@ import structlog
 
 from app.errors import MeasurementFailed, TruepathError
 from app.jobs.errors import CellDown, DeviceSettings
-from app.measurement.cell import CellEvent, Order
+from app.measurement.messages import (
+    CellEvent,
+    CellState,
+    FaultReported,
+    MeasurementOrder,
+    StateChanged,
+)
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import Identity
 
@@ -33,7 +39,9 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LIVED_WELL_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
 
-_MOVING = frozenset({"running", "pausing", "paused", "resuming"})
+_MOVING = frozenset(
+    {CellState.RUNNING, CellState.PAUSING, CellState.PAUSED, CellState.RESUMING}
+)
 
 
 class CellHandle(Protocol):
@@ -45,7 +53,7 @@ class CellHandle(Protocol):
     def process_id(self) -> int | None: ...  # noqa: D102
     def start(self) -> None: ...  # noqa: D102
     def connect(self) -> Mapping[str, Identity]: ...  # noqa: D102
-    def begin(self, order: Order) -> None: ...  # noqa: D102
+    def begin(self, order: MeasurementOrder) -> None: ...  # noqa: D102
     def pause(self) -> None: ...  # noqa: D102
     def resume(self) -> None: ...  # noqa: D102
     def abort(self) -> None: ...  # noqa: D102
@@ -118,7 +126,9 @@ class CellSupervisor:
         except TimeoutError as error:
             raise CellDown("the cell process does not answer; see the log") from error
 
-    def begin(self, order: Order, hear: Hear, unless: Callable[[], bool]) -> bool:
+    def begin(
+        self, order: MeasurementOrder, hear: Hear, unless: Callable[[], bool]
+    ) -> bool:
         """Begin a measurement; False if it was called off before the cell was asked.
 
         hear : told every event from now on by the cell thread; must return at once
@@ -224,17 +234,20 @@ class CellSupervisor:
                 return
 
     def _take(self, event: CellEvent) -> None:
-        if event.kind == "state":
-            self._note_state(str(event.body["state"]))
-        elif event.kind == "fault":
-            self._status = replace(self._status, text=str(event.body.get("text", "")))
+        match event:
+            case StateChanged(state):
+                self._note_state(state)
+            case FaultReported(text=text):
+                self._status = replace(self._status, text=text)
         if self._hear is not None:
             self._hear(event)
 
-    def _note_state(self, state: str) -> None:
-        text = "" if state in _MOVING or state == "ready" else self._status.text
-        devices = {} if state == "faulted" else self._status.devices
-        self._status = replace(self._status, state=state, text=text, devices=devices)
+    def _note_state(self, state: CellState) -> None:
+        text = "" if state in _MOVING or state is CellState.READY else self._status.text
+        devices = {} if state is CellState.FAULTED else self._status.devices
+        self._status = replace(
+            self._status, state=str(state), text=text, devices=devices
+        )
 
     def _connect(self, cell: CellHandle) -> Mapping[str, Mapping[str, str]]:
         if self._hear is not None:

@@ -22,7 +22,7 @@ from app.jobs.live_process import LiveOrder
 from app.jobs.plan_orders import first_part
 from app.jobs.plans import commanded_from_plan, plan_json
 from app.jobs.transitions import State
-from app.measurement.cell import Order
+from app.measurement.messages import MeasurementOrder
 from app.motion.configurations import Commanded
 from app.motion.paths import check_travel
 from app.results.model_history import find_model_file
@@ -100,7 +100,7 @@ class JobSteps:
 
     def _drive(self, commanded: Commanded, live: LiveEstimation | None) -> None:
         machine = self.context.require_machine()
-        order = Order(
+        order = MeasurementOrder(
             run_name=f"{machine.name} {self.job.created}",
             run_file=str(self.context.runs.measured_file(self.job.id)),
             machine=machine,

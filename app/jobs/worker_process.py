@@ -91,9 +91,11 @@ class WorkerProcess:
             self._is_busy = False
             if answer is None:
                 self.kill()
-        if isinstance(answer, Raised):
-            raise answer.error
-        return answer.value
+        match answer:
+            case Returned(value):
+                return value
+            case Raised(error):
+                raise error
 
     def kill(self) -> None:
         """End the process, whatever it does. Idempotent, any thread."""

@@ -12,15 +12,31 @@ import time
 from app.child_process import ChildProcess
 from app.errors import MeasurementFailed, TruepathError
 from app.kinematics.machine import Machine
-from app.measurement.cell_process import Command, run_cell
-from app.measurement.orders import CellConfig, CellEvent, CellState, Order
+from app.measurement.cell_process import run_cell
+from app.measurement.messages import (
+    Abort,
+    Begin,
+    CellCommand,
+    CellConfig,
+    CellEvent,
+    CellState,
+    Close,
+    Conclude,
+    Connect,
+    Connected,
+    ConnectRefused,
+    Extend,
+    FaultReported,
+    MeasurementOrder,
+    Pause,
+    Resume,
+    StateChanged,
+)
 from app.motion.configurations import Commanded
 from app.motion.paths import check_travel
 from drivers.interfaces import errors as device_errors
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.records import Identity
-
-__all__ = ["Cell", "CellConfig", "CellEvent", "CellState", "Order"]
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +53,7 @@ class Cell:
         self._process = ChildProcess("cell", run_cell, config, ends_with_parent=False)
         self._events: list[CellEvent] = []
         self._machine: Machine | None = None  # of the order under way
-        self._started = self._told_death = self._closed = False
+        self._started = self._is_death_reported = self._closed = False
 
     @property
     def alive(self) -> bool:
@@ -59,61 +75,61 @@ class Cell:
 
         Raises a DeviceError, or MeasurementFailed if the cell does not answer.
         """
-        self._send(Command("connect"))
+        self._send(Connect())
         deadline_s = time.monotonic() + CONNECT_S
         while (left_s := deadline_s - time.monotonic()) > 0:
-            for event in self._received(left_s):
-                match event.kind:
-                    case "connected":
-                        return dict(event.body)
-                    case "refused":
-                        raise _refusal(event)
+            for event in self._receive(left_s):
+                match event:
+                    case Connected(devices):
+                        return dict(devices)
+                    case ConnectRefused():
+                        raise _error_of(event)
                     case _:
                         self._events.append(event)
             if not self.alive:
                 raise MeasurementFailed("the cell process has died while connecting")
         raise MeasurementFailed(f"the cell process did not answer in {CONNECT_S:g} s")
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: MeasurementOrder) -> None:
         """Begin to measure. Raises OutOfTravel before anything is sent."""
         check_travel(order.machine, order.commanded)
         self._machine = order.machine
-        self._send(Command("begin", order))
+        self._send(Begin(order))
 
     def pause(self) -> None:
         """Feed hold; acknowledged by the state `paused`."""
-        self._send(Command("pause"))
+        self._send(Pause())
 
     def resume(self) -> None:
         """Go on; acknowledged by the state `running`."""
-        self._send(Command("resume"))
+        self._send(Resume())
 
     def conclude(self) -> None:
         """Finish the line or point under way and end; acknowledged by `finished`."""
-        self._send(Command("conclude"))
+        self._send(Conclude())
 
     def extend(self, part: Commanded) -> None:
         """Go on with a further part. Raises OutOfTravel before anything is sent."""
         if self._machine is None:
             raise MeasurementFailed("no measurement is under way; begin one first")
         check_travel(self._machine, part)
-        self._send(Command("extend", part=part))
+        self._send(Extend(part))
 
     def abort(self) -> None:
         """Stop and forget the path; acknowledged by the state `aborted`."""
-        self._send(Command("abort"))
+        self._send(Abort())
 
     def poll(self, timeout_s: float) -> list[CellEvent]:
         """Return what the cell has said, waiting for a first event at most so long.
 
-        The death of the process is told once, as a fault `cell-died` and the state
+        The death of the process is reported once, as a fault `cell-died` and the state
         `faulted`.
         """
         events, self._events = self._events, []
-        events += self._received(0.0 if events else timeout_s)
+        events += self._receive(0.0 if events else timeout_s)
         if not events and self._started and not self._closed and not self.alive:
-            events += self._death()
-        return [e for e in events if e.kind not in ("connected", "refused")]
+            events += self._report_death()
+        return [e for e in events if not isinstance(e, Connected | ConnectRefused)]
 
     def close(self) -> None:
         """End the process: what moves stands first. Idempotent; by force if need be."""
@@ -127,19 +143,19 @@ class Cell:
     def _end_process(self) -> None:
         if self._process.alive:
             try:
-                self._process.link.send(Command("close"))
+                self._process.link.send(Close())
             except OSError:
                 log.warning("the cell does not listen any more")
         deadline_s = time.monotonic() + CLOSE_S
         while self._process.alive and time.monotonic() < deadline_s:
-            self._events += self._received(0.05)  # it may wait for us to listen
+            self._events += self._receive(0.05)  # it may wait for us to listen
             self._process.join(0.05)
         if self._process.alive:
             log.error("the cell process does not end; it is ended by force")
             self._process.terminate()
             self._process.join(FORCE_S)
 
-    def _send(self, command: Command) -> None:
+    def _send(self, command: CellCommand) -> None:
         if not self.alive:
             raise MeasurementFailed("the cell process is not alive; start another")
         try:
@@ -147,7 +163,7 @@ class Cell:
         except OSError as error:
             raise MeasurementFailed("the cell process has died") from error
 
-    def _received(self, timeout_s: float) -> list[CellEvent]:
+    def _receive(self, timeout_s: float) -> list[CellEvent]:
         events: list[CellEvent] = []
         try:
             while self._process.link.poll(0.0 if events else timeout_s):
@@ -157,24 +173,21 @@ class Cell:
             self._process.join(timeout_s)
         return events
 
-    def _death(self) -> list[CellEvent]:
-        if self._told_death:
+    def _report_death(self) -> list[CellEvent]:
+        if self._is_death_reported:
             return []
-        self._told_death = True
+        self._is_death_reported = True
         text = f"the cell process has died (exit code {self._process.exit_code})"
         action = "the machine's watchdog holds the feed; look at it, then start again"
-        fault = {"code": "cell-died", "text": text, "action": action}
-        now_ns = time.monotonic_ns()
         return [
-            CellEvent("fault", fault, now_ns),
-            CellEvent("state", {"state": "faulted", "text": text}, now_ns),
+            FaultReported("cell-died", text, action),
+            StateChanged(CellState.FAULTED, text),
         ]
 
 
-def _refusal(event: CellEvent) -> Exception:
+def _error_of(refusal: ConnectRefused) -> Exception:
     """Return the error of the cell as one of the same family."""
-    text = str(event.body["text"])
-    families: dict[str, type[DeviceError]] = {
+    families: dict[str, type[Exception]] = {
         family.__name__: family
         for family in (
             device_errors.ConnectionLost,
@@ -187,5 +200,4 @@ def _refusal(event: CellEvent) -> Exception:
             DeviceError,
         )
     }
-    family = families.get(str(event.body["family"]))
-    return TruepathError(text) if family is None else family(text)
+    return families.get(refusal.family, TruepathError)(refusal.text)

@@ -11,7 +11,6 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from types import FrameType
@@ -21,9 +20,26 @@ from app.errors import TruepathError
 from app.measurement.faults import fault_of
 from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement
-from app.measurement.orders import CellConfig, CellState, Order
+from app.measurement.messages import (
+    Abort,
+    Begin,
+    CellCommand,
+    CellConfig,
+    CellState,
+    Close,
+    Conclude,
+    Connect,
+    Connected,
+    ConnectRefused,
+    Extend,
+    FaultReported,
+    MeasurementOrder,
+    Pause,
+    Resume,
+    RunClosed,
+    StateChanged,
+)
 from app.measurement.outbox import Outbox
-from app.motion.configurations import Commanded
 from app.plugins import load
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
@@ -35,15 +51,6 @@ log = logging.getLogger(__name__)
 TRACKERS, CONTROLLERS = "truepath.trackers", "truepath.motion_controllers"
 LOOK_S = 0.5
 END_S = 20.0
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """What the parent asks of the cell."""
-
-    verb: str
-    order: Order | None = None
-    part: Commanded | None = None
 
 
 def run_cell(config: CellConfig, link: Connection) -> None:
@@ -86,21 +93,19 @@ class _Cell:
         self._measurement: Measurement | None = None
         self._thread: threading.Thread | None = None
 
-    def obey(self, command: Command) -> bool:
+    def obey(self, command: CellCommand) -> bool:
         """Do what is asked; False if it was to end."""
-        match command.verb:
-            case "connect":
+        match command:
+            case Connect():
                 self._answer_connect()
-            case "begin" if command.order is not None:
-                self._begin(command.order)
-            case "pause" | "resume" | "abort" | "conclude" as verb if (
-                self._measurement is not None
-            ):
-                self._pass_on(verb, self._measurement)
-            case "extend" if self._measurement is not None and command.part is not None:
-                self._measurement.extend(command.part)
-            case "close":
+            case Begin(order):
+                self._begin(order)
+            case Extend(part) if self._measurement is not None:
+                self._measurement.extend(part)
+            case Close():
                 return False
+            case _ if self._measurement is not None:
+                self._pass_on(command, self._measurement)
         return True
 
     def end(self) -> None:
@@ -122,11 +127,11 @@ class _Cell:
             if not self._measuring:
                 self._connect()
         except (DeviceError, TruepathError, TypeError, ValueError) as error:
-            body = {"family": type(error).__name__, "text": str(error)}
-            self._outbox.report("refused", body)
+            refusal = ConnectRefused(type(error).__name__, str(error))
+            self._outbox.report(refusal)
             self._state(CellState.FAILED, str(error))
             return
-        self._outbox.report("connected", dict(self._identities))
+        self._outbox.report(Connected(dict(self._identities)))
 
     def _connect(self) -> None:
         self._state(CellState.CONNECTING)
@@ -146,7 +151,7 @@ class _Cell:
         self._tracker, self._motion = tracker, motion
         return tracker, motion
 
-    def _begin(self, order: Order) -> None:
+    def _begin(self, order: MeasurementOrder) -> None:
         if self._measuring:
             text = "a measurement is under way"
             self._fault("busy", text, "wait for its end, or abort it")
@@ -154,16 +159,7 @@ class _Cell:
             text = "tracker and controller are not connected"
             self._fault("not-connected", text, "connect first")
             self._state(CellState.FAILED, text)
-            self._outbox.report(
-                "closed",
-                {
-                    "run_file": "",
-                    "samples": 0,
-                    "lost_samples": 0,
-                    "sha256": "",
-                    "outcome": str(CellState.FAILED),
-                },
-            )
+            self._outbox.report(RunClosed("", 0, 0, "", CellState.FAILED))
         else:
             self._measurement = Measurement(
                 order,
@@ -176,27 +172,28 @@ class _Cell:
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
 
-    def _pass_on(self, verb: str, measurement: Measurement) -> None:
-        verbs = {
-            "pause": measurement.pause,
-            "resume": measurement.resume,
-            "abort": measurement.abort,
-            "conclude": measurement.conclude,
+    def _pass_on(self, command: CellCommand, measurement: Measurement) -> None:
+        verbs: dict[type[CellCommand], Callable[[], None]] = {
+            Pause: measurement.pause,
+            Resume: measurement.resume,
+            Abort: measurement.abort,
+            Conclude: measurement.conclude,
         }
         try:
             if self._measuring:
-                verbs[verb]()
+                verbs[type(command)]()
         except DeviceError as error:
-            # The engine insists on the wish, and notices the lost link.
+            # The engine insists on the command, and notices the lost link.
             fault = fault_of(error)
-            log.warning("%s did not reach the controller: %s", verb, error)
+            name = type(command).__name__.lower()
+            log.warning("%s did not reach the controller: %s", name, error)
             self._fault(fault.code, fault.text, fault.action)
 
     def _state(self, state: CellState, text: str = "") -> None:
-        self._outbox.report("state", {"state": str(state), "text": text})
+        self._outbox.report(StateChanged(state, text))
 
     def _fault(self, code: str, text: str, action: str) -> None:
-        self._outbox.report("fault", {"code": code, "text": text, "action": action})
+        self._outbox.report(FaultReported(code, text, action))
 
     def _quietly(self, step: Callable[[], Any] | None) -> None:
         if step is None:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from enum import StrEnum
 
-from app.measurement.orders import CellState
+from app.measurement.messages import CellState
 from drivers.interfaces.records import MotionState
 
 _S = CellState

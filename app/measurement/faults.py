@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from app.errors import MeasurementFailed, TruepathError
+from app.measurement.messages import FaultReported
 from drivers.interfaces.errors import (
     BeamLost,
     ConnectionLost,
@@ -29,6 +30,11 @@ class Fault(MeasurementFailed):
     def __init__(self, code: str, text: str, action: str, *, latched: bool) -> None:
         self.code, self.text, self.action, self.latched = code, text, action, latched
         super().__init__(f"{text}; {action}")
+
+    @property
+    def event(self) -> FaultReported:
+        """The fault as the cell reports it."""
+        return FaultReported(self.code, self.text, self.action)
 
 
 _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.measurement.orders import Report
+from app.measurement.messages import LivePoints, ReportEvent
 from drivers.interfaces.records import TrackerSamples
 
 SPACING_S = 0.1
@@ -13,7 +13,7 @@ SPACING_S = 0.1
 class LiveView:
     """Reports points some 0.1 s apart (device's clock) as blocks are committed."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: ReportEvent) -> None:
         self._report = report
         self._last_slot = -np.inf
         self.axes: tuple[float, ...] = ()
@@ -29,11 +29,5 @@ class LiveView:
         if not len(chosen):
             return
         self._last_slot = float(slot[chosen[-1]])
-        self._report(
-            "live",
-            {
-                "tracker_mm": np.round(samples.position_mm[chosen], 4).tolist(),
-                "axes": list(self.axes),
-                "device_time_s": float(time_s[-1]),
-            },
-        )
+        points = np.round(samples.position_mm[chosen], 4).tolist()
+        self._report(LivePoints(points, list(self.axes), float(time_s[-1])))

@@ -17,8 +17,15 @@ from app.measurement.control import Control
 from app.measurement.faults import Aborted, Fault, fault_of
 from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
+from app.measurement.messages import (
+    BlockRecorded,
+    CellState,
+    MeasurementOrder,
+    ReportEvent,
+    RunClosed,
+    StateChanged,
+)
 from app.measurement.on_the_fly import stream_path
-from app.measurement.orders import CellState, Order, Report
 from app.measurement.parts import More, extended
 from app.measurement.progress import schedule_of
 from app.measurement.recorder import ClosedRun, Committed, Recorder
@@ -46,11 +53,11 @@ class Measurement:
 
     def __init__(
         self,
-        order: Order,
+        order: MeasurementOrder,
         tracker: Tracker,
         motion: MotionController,
         devices: Mapping[str, Identity],
-        report: Report,
+        report: ReportEvent,
         *,
         limits: Limits | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -121,15 +128,9 @@ class Measurement:
             self._stop(self._motion.hold)
         closed = self._close(state, text)
         self._control.end(state, text)
+        file = str(closed.file) if closed.file.exists() else ""
         self._report(
-            "closed",
-            {
-                "run_file": str(closed.file) if closed.file.exists() else "",
-                "samples": closed.samples,
-                "lost_samples": closed.lost_samples,
-                "sha256": closed.sha256,
-                "outcome": str(state),
-            },
+            RunClosed(file, closed.samples, closed.lost_samples, closed.sha256, state)
         )
 
     def _measure(self) -> None:
@@ -203,7 +204,7 @@ class Measurement:
         def show(samples: TrackerSamples) -> None:
             view.show(samples)
             if self._order.live:
-                self._report("block", {"samples": samples})
+                self._report(BlockRecorded(samples))
 
         return show
 
@@ -237,13 +238,12 @@ class Measurement:
         return closed
 
     def _tell(self, fault: Fault) -> None:
-        body = {"code": fault.code, "text": fault.text, "action": fault.action}
-        self._report("fault", body)
+        self._report(fault.event)
         self._note(fault.code, fault.text)
 
     def _state_changed(self, state: CellState, text: str) -> None:
         self._note("state", f"{state}: {text}" if text else str(state))
-        self._report("state", {"state": str(state), "text": text})
+        self._report(StateChanged(state, text))
 
     def _note(self, kind: str, text: str) -> None:
         if self._recorder is not None:

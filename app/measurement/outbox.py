@@ -3,45 +3,46 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from multiprocessing.connection import Connection
-from typing import Any
 
-from app.measurement.orders import CellEvent
+from app.measurement.messages import (
+    BlockRecorded,
+    CellEvent,
+    LivePoints,
+    MeasurementProgress,
+)
 
-_LATEST_ONLY = frozenset({"live", "progress"})
-MAX_WAITING = 1000
+_LATEST_ONLY = (LivePoints, MeasurementProgress)
 MAX_BLOCKS = 100
 
 
 class Outbox:
     """A thread that sends, so that nobody else ever waits for the parent.
 
-    Of `live` and `progress` only the latest waits while the parent is slow, of `block`
-    about ten seconds; every other event is kept, in order.
+    While the parent is slow, only the latest LivePoints and MeasurementProgress wait
+    and about ten seconds of blocks. Every other event is kept, in order, however many:
+    a state or a fault is never dropped.
     """
 
     def __init__(self, link: Connection) -> None:
         self._link = link
-        self._waiting: deque[CellEvent] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[CellEvent] = deque()
         self._changed = threading.Condition()
         self._closing = False
         self.dropped_blocks = 0
         self._thread = threading.Thread(target=self._send, name="outbox", daemon=True)
         self._thread.start()
 
-    def report(self, kind: str, body: dict[str, Any]) -> None:
+    def report(self, event: CellEvent) -> None:
         """Send an event as soon as the parent takes it. Any thread; never waits."""
-        event = CellEvent(kind, body, time.monotonic_ns())
         with self._changed:
-            if kind == "block" and self._blocks_waiting() >= MAX_BLOCKS:
+            if isinstance(event, BlockRecorded) and self._count_blocks() >= MAX_BLOCKS:
                 self.dropped_blocks += 1
                 return
-            if kind in _LATEST_ONLY:
-                self._waiting = deque(
-                    (e for e in self._waiting if e.kind != kind), maxlen=MAX_WAITING
-                )
+            if isinstance(event, _LATEST_ONLY):
+                kind = type(event)
+                self._waiting = deque(e for e in self._waiting if type(e) is not kind)
             self._waiting.append(event)
             self._changed.notify()
 
@@ -52,8 +53,8 @@ class Outbox:
             self._changed.notify()
         self._thread.join(timeout_s)
 
-    def _blocks_waiting(self) -> int:
-        return sum(event.kind == "block" for event in self._waiting)
+    def _count_blocks(self) -> int:
+        return sum(isinstance(event, BlockRecorded) for event in self._waiting)
 
     def _send(self) -> None:
         """Body of the thread. Ends with the parent, too."""

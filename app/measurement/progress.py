@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.measurement.messages import MeasurementProgress
 from app.motion.configurations import Configurations
 from app.motion.paths import line_times_s
 from drivers.interfaces.records import Path
@@ -116,7 +116,7 @@ class Course:
             self._active_s += now_s - self._seen_s
         self._seen_s = now_s
 
-    def news(self) -> dict[str, Any] | None:
+    def news(self) -> MeasurementProgress | None:
         """Return what there is to tell, None if it was told a moment ago."""
         now_s = self._clock()
         if now_s - self._told_s < self._period_s:
@@ -127,11 +127,11 @@ class Course:
         if finished:
             done = self._schedule.done_at_end(self.row, is_cut_short=self.is_cut_short)
         left_s = self._schedule.remaining_s(self.row, self._active_s)
-        return {
-            "done": done,
-            "total": self._schedule.total,
-            "unit": self._schedule.unit,
-            "stage": self.stage,
-            "elapsed_s": round(now_s - self._begun_s, 3),
-            "remaining_s": 0.0 if finished else round(left_s, 3),
-        }
+        return MeasurementProgress(
+            done=done,
+            total=self._schedule.total,
+            unit=self._schedule.unit,
+            stage=self.stage,
+            elapsed_s=round(now_s - self._begun_s, 3),
+            remaining_s=0.0 if finished else round(left_s, 3),
+        )

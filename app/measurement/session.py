@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from app.measurement.control import Control, HoldReason
 from app.measurement.faults import NO_BEAM, UNSTOPPED, Fault
-from app.measurement.orders import Report
+from app.measurement.messages import PartRequested, ReportEvent
 from app.measurement.progress import Schedule
 from app.measurement.recorder import Recorder
 from app.measurement.watch import Watch
@@ -48,7 +48,7 @@ class Session:
         motion: MotionController,
         recorder: Recorder,
         control: Control,
-        report: Report,
+        report: ReportEvent,
     ) -> None:
         self.motion, self.limits = motion, watch.limits
         self._watch, self._course, self._clock = watch, watch.course, watch.clock
@@ -138,7 +138,7 @@ class Session:
         """Stand and ask for a further part; None if enough is known."""
         if not self.is_concluding:
             self.record_for(self.limits.settle_s)  # what the last row told goes first
-            self._report("part", {"row": self._course.row})
+            self._report(PartRequested(self._course.row))
         while not self.is_concluding:
             self._watch.tick()
             if not self._control.standing and not self._parts.empty():

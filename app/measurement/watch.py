@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from app.errors import MeasurementFailed
 from app.measurement.control import Control, HoldReason
@@ -26,8 +27,8 @@ from app.measurement.faults import (
 )
 from app.measurement.limits import Limits
 from app.measurement.live_view import LiveView
+from app.measurement.messages import CellState, ReportEvent
 from app.measurement.motion_watch import MotionWatch
-from app.measurement.orders import CellState, Report
 from app.measurement.progress import Course, Schedule
 from app.measurement.pump import Pump
 from app.measurement.recorder import Recorder
@@ -55,7 +56,7 @@ class Watch:
         recorder: Recorder,
         control: Control,
         view: LiveView,
-        report: Report,
+        report: ReportEvent,
         schedule: Schedule,
         *,
         limits: Limits | None = None,
@@ -125,9 +126,7 @@ class Watch:
     def tell(self, fault: Fault) -> None:
         """Report a fault that the measurement may survive, and write it down."""
         self._note(fault.code, fault.text)
-        self._report(
-            "fault", {"code": fault.code, "text": fault.text, "action": fault.action}
-        )
+        self._report(fault.event)
 
     def _check_disk(self) -> None:
         if self._recorder.failure or self._recorder.low_space:
@@ -211,16 +210,17 @@ class Watch:
             self._is_machine_told = True
 
     def _tell_progress(self) -> None:
-        news = self.course.news()
-        if news is None:
-            return
-        health = {
-            "position": list(self._machine.position),
-            "samples": self._recorder.samples,
-            "lost_samples": self._recorder.lost_samples,
-            "crc_errors": self._tracker.health.crc_errors,
-        }
-        self._report("progress", news | health)
+        progress = self.course.news()
+        if progress is not None:
+            self._report(
+                replace(
+                    progress,
+                    position=self._machine.position,
+                    samples=self._recorder.samples,
+                    lost_samples=self._recorder.lost_samples,
+                    crc_errors=self._tracker.health.crc_errors,
+                )
+            )
 
     def _note(self, kind: str, text: str) -> None:
         with contextlib.suppress(MeasurementFailed):

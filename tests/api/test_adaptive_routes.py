@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scripted_cell import wait_until
 
+from app.measurement.messages import PartRequested
 from app.planning.part_choice import Part
 from drivers.interfaces.records import Path
 
@@ -31,7 +32,7 @@ def cell(armed, make_cell):
 
 
 def asked(cell, estimates, times=1):
-    cell.say("part", row=0)
+    cell.say(PartRequested(0))
     wait_until(lambda: estimates[-1].heard.count("ask") == times, "the question")
 
 

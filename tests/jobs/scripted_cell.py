@@ -14,7 +14,16 @@ import numpy as np
 
 from app.jobs.errors import Aborted
 from app.jobs.executor import Computation, Executor
-from app.measurement.cell import CellEvent, Order
+from app.measurement.messages import (
+    CellEvent,
+    CellState,
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
 from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
 from app.motion.configurations import Configurations
@@ -50,7 +59,7 @@ class ScriptedCell:
         self.process_id = process_id
         self.heard: list[str] = []
         self.parts: list[Path | Configurations] = []
-        self.order: Order | None = None
+        self.order: MeasurementOrder | None = None
         self.started, self.begun = threading.Event(), threading.Event()
         self.committed = 0
         self.closed = False
@@ -136,14 +145,14 @@ class ScriptedCell:
 
     # What the test does.
 
-    def say(self, kind, **body):
-        self._events.put(CellEvent(kind, body, time.monotonic_ns()))
+    def say(self, event):
+        self._events.put(event)
 
     def say_state(self, state):
-        self.say("state", state=state, text="")
+        self.say(StateChanged(CellState(state)))
 
     def fault(self, code="beam-lost", text="the beam is lost", action="lock it"):
-        self.say("fault", code=code, text=text, action=action)
+        self.say(FaultReported(code, text, action))
 
     def record(self, n):
         """Record some samples and tell of them."""
@@ -154,24 +163,18 @@ class ScriptedCell:
         self._recorder.put_tracker(samples)
         self._samples += n
         self.say(
-            "progress",
-            done=self._samples // 50,
-            total=10,
-            unit="lines",
-            stage="measuring",
-            position=[1.0, 2.0, 3.0],
-            samples=self._samples,
-            lost_samples=0,
-            crc_errors=0,
-            elapsed_s=self._samples / 500.0,
-            remaining_s=1.5,
+            MeasurementProgress(
+                done=self._samples // 50,
+                total=10,
+                unit="lines",
+                stage="measuring",
+                position=(1.0, 2.0, 3.0),
+                samples=self._samples,
+                elapsed_s=self._samples / 500.0,
+                remaining_s=1.5,
+            )
         )
-        self.say(
-            "live",
-            tracker_mm=[[1.0, 2.0, 3.0]],
-            axes=[1.0, 2.0, 3.0],
-            device_time_s=0.1,
-        )
+        self.say(LivePoints([[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0], 0.1))
 
     def end(self, state="finished", spoil=None):
         """Close the Run, let `spoil` have its file, say how it ended."""
@@ -182,12 +185,13 @@ class ScriptedCell:
             closed.file.write_bytes(spoil)
         self.say_state(state)
         self.say(
-            "closed",
-            run_file=str(closed.file),
-            samples=closed.samples,
-            lost_samples=closed.lost_samples,
-            sha256=closed.sha256,
-            outcome=state,
+            RunClosed(
+                str(closed.file),
+                closed.samples,
+                closed.lost_samples,
+                closed.sha256,
+                CellState(state),
+            )
         )
 
     def die(self):

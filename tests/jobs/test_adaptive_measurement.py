@@ -21,7 +21,8 @@ from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded
 from app.jobs.store import Store
 from app.jobs.transitions import State
-from app.measurement.cell import Cell, CellConfig
+from app.measurement.cell import Cell
+from app.measurement.messages import CellConfig
 from app.measurement.recording import open_run
 from app.motion.paths import check_travel
 from simulators.bench import Bench

@@ -25,6 +25,7 @@ from app.jobs.requested_job import RequestedJob
 from app.jobs.rows import IdempotencyKey
 from app.jobs.transitions import FINAL, State
 from app.kinematics.machine import Target
+from app.measurement.messages import CellState, RunClosed
 from drivers.interfaces.errors import ConnectionLost
 
 ROWS = (
@@ -461,7 +462,7 @@ def test_a_fault_of_the_machine_is_a_fault_of_the_job_and_the_run_is_kept(
 def test_a_cell_that_closes_without_a_word_fails_the_job(running, make_cell, until):
     recorder, make_cell.cell._recorder = make_cell.cell._recorder, None
     recorder.close("finished")
-    make_cell.cell.say("closed", run_file="", samples=50, lost_samples=0)
+    make_cell.cell.say(RunClosed("", 50, 0, "", CellState.FAILED))
     assert "without saying why" in until(running, "failed").failure.detail
 
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from app.files.bundle import write_bundle
 from app.files.run import DirectMeasurement, Run
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.measurement.limits import Limits
+from app.measurement.messages import CellEvent, FaultReported, StateChanged
 from app.measurement.stream_watch import Patience
 from drivers.interfaces.errors import DeviceTimeout
 from drivers.interfaces.link import ByteLink
@@ -30,6 +31,8 @@ from drivers.interfaces.records import (
     TrackerSamples,
 )
 from drivers.interfaces.tracker import Tracker
+
+E = TypeVar("E")
 
 
 @pytest.fixture
@@ -364,24 +367,24 @@ class Journal:
     """Collects events and waits for some."""
 
     def __init__(self) -> None:
-        self.events: list[tuple[str, dict[str, Any]]] = []
+        self.events: list[CellEvent] = []
         self._changed = threading.Condition()
 
-    def report(self, kind: str, body: dict[str, Any]) -> None:
+    def report(self, event: CellEvent) -> None:
         with self._changed:
-            self.events.append((kind, body))
+            self.events.append(event)
             self._changed.notify_all()
 
-    def of(self, kind: str) -> list[dict[str, Any]]:
-        return [body for k, body in self.events if k == kind]
+    def of(self, kind: type[E]) -> list[E]:
+        return [event for event in self.events if isinstance(event, kind)]
 
     @property
     def states(self) -> list[str]:
-        return [body["state"] for body in self.of("state")]
+        return [event.state for event in self.of(StateChanged)]
 
     @property
     def faults(self) -> list[str]:
-        return [body["code"] for body in self.of("fault")]
+        return [event.code for event in self.of(FaultReported)]
 
     def wait(self, condition: Callable[[], bool], timeout_s: float = 25.0) -> None:
         with self._changed:

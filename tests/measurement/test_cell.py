@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path as FilePath
+from typing import TypeVar
 
 import numpy as np
 import psutil
@@ -22,8 +23,24 @@ from app.errors import MeasurementFailed, OutOfTravel, TruepathError
 from app.files.bundle import read_bundle, write_bundle
 from app.files.machine_file import machine_from_json
 from app.measurement import cell as cell_module
-from app.measurement.cell import Cell, CellConfig, CellEvent, Order
-from app.measurement.cell_process import Command, serve
+from app.measurement.cell import Cell
+from app.measurement.cell_process import serve
+from app.measurement.messages import (
+    Begin,
+    BlockRecorded,
+    CellConfig,
+    CellEvent,
+    CellState,
+    Connect,
+    Connected,
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    Pause,
+    RunClosed,
+    StateChanged,
+)
 from app.measurement.outbox import MAX_BLOCKS, Outbox
 from app.measurement.recording import link_bytes, open_run, settle
 from app.measurement.stream_watch import Patience
@@ -31,9 +48,10 @@ from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
 from app.plugins import load
 from drivers.interfaces.errors import ConnectionLost, WrongDevice
-from drivers.interfaces.records import MotionStatus
+from drivers.interfaces.records import MotionStatus, TrackerSamples
 from simulators.bench import Bench
 
+E = TypeVar("E")
 SPEED = 10.0
 # A computer that is busy with other things is no silent tracker.
 CALM = Patience(silent_s=10.0, dead_s=30.0, beam_s=10.0)
@@ -69,26 +87,26 @@ class Driven:
             self.events += self.cell.poll(0.1)
         return self.events
 
-    def of(self, kind: str) -> list[dict]:
-        return [e.body for e in self.events if e.kind == kind]
+    def of(self, kind: type[E]) -> list[E]:
+        return [event for event in self.events if isinstance(event, kind)]
 
     @property
     def states(self) -> list[str]:
-        return [body["state"] for body in self.of("state")]
+        return [event.state for event in self.of(StateChanged)]
 
     @property
     def faults(self) -> list[str]:
-        return [body["code"] for body in self.of("fault")]
+        return [event.code for event in self.of(FaultReported)]
 
     def until_state(self, state: str) -> None:
         self.until(lambda: self.states[-1:] == [state])
 
     def until_line(self, line: int) -> None:
-        self.until(lambda: any(p["done"] >= line for p in self.of("progress")))
+        self.until(lambda: any(p.done >= line for p in self.of(MeasurementProgress)))
 
-    def until_closed(self) -> dict:
-        self.until(lambda: bool(self.of("closed")), 45.0)
-        return self.of("closed")[-1]
+    def until_closed(self) -> RunClosed:
+        self.until(lambda: bool(self.of(RunClosed)), 45.0)
+        return self.of(RunClosed)[-1]
 
 
 @pytest.fixture
@@ -116,14 +134,14 @@ def watchful(bench) -> Iterator[Driven]:
 
 
 @pytest.fixture
-def order(bench, tmp_path) -> Order:
+def order(bench, tmp_path) -> MeasurementOrder:
     machine = machine_from_json(bench.machine)
     path = default_path(machine, lines=4)
-    return Order("bench", str(tmp_path / "bench.sqlite"), machine, path)
+    return MeasurementOrder("bench", str(tmp_path / "bench.sqlite"), machine, path)
 
 
 @pytest.fixture
-def long_order(order) -> Order:
+def long_order(order) -> MeasurementOrder:
     """Some five seconds of motion: time to do something to it."""
     return replace(order, commanded=default_path(order.machine, lines=10))
 
@@ -146,8 +164,8 @@ def moves(run) -> int:
 def test_a_whole_run_over_serial_and_modbus_loses_no_sample(connected, order, tmp_path):
     connected.cell.begin(order)
     closed = connected.until_closed()
-    assert closed["outcome"] == "finished"
-    assert closed["lost_samples"] == 0
+    assert closed.outcome == "finished"
+    assert closed.lost_samples == 0
     assert connected.states == ["connecting", "ready", "running", "finished"]
     run = open_run(order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
@@ -184,11 +202,11 @@ def test_points_are_stepped_through_on_the_bench(connected, order):
     corners = order.commanded.position[:3]
     points = Configurations(order.commanded.axes, corners, np.full(3, 2.0))
     connected.cell.begin(replace(order, commanded=points, feed_mm_min=9000.0))
-    assert connected.until_closed()["outcome"] == "finished"
+    assert connected.until_closed().outcome == "finished"
     run = open_run(order.run_file)
     assert run.mode == "standstill"
     assert moves(run) == 2
-    assert connected.of("progress")[-1]["done"] == 3
+    assert connected.of(MeasurementProgress)[-1].done == 3
 
 
 def test_enough_after_some_points_ends_the_standstill_run_in_order(connected, order):
@@ -197,7 +215,7 @@ def test_enough_after_some_points_ends_the_standstill_run_in_order(connected, or
     connected.cell.begin(replace(order, commanded=points, feed_mm_min=9000.0))
     connected.until_line(1)
     connected.cell.conclude()
-    assert connected.until_closed()["outcome"] == "finished"
+    assert connected.until_closed().outcome == "finished"
     run = open_run(order.run_file)
     done = sum(event.kind == "point" for event in run.events)
     assert 1 <= done < 4
@@ -209,9 +227,9 @@ def test_one_cell_measures_again_and_again(connected, order, tmp_path):
     for number in range(2):
         file = str(tmp_path / f"run{number}.sqlite")
         connected.cell.begin(replace(order, run_file=file))
-        connected.until(lambda n=number: len(connected.of("closed")) > n, 30.0)
-    assert [c["outcome"] for c in connected.of("closed")] == ["finished", "finished"]
-    assert [c["lost_samples"] for c in connected.of("closed")] == [0, 0]
+        connected.until(lambda n=number: len(connected.of(RunClosed)) > n, 30.0)
+    assert [c.outcome for c in connected.of(RunClosed)] == ["finished", "finished"]
+    assert [c.lost_samples for c in connected.of(RunClosed)] == [0, 0]
 
 
 def test_a_run_over_modbus_rtu(bench, order):
@@ -221,7 +239,7 @@ def test_a_run_over_modbus_rtu(bench, order):
     try:
         driven.cell.connect()
         driven.cell.begin(order)
-        assert driven.until_closed()["outcome"] == "finished"
+        assert driven.until_closed().outcome == "finished"
     finally:
         driven.cell.close()
 
@@ -244,7 +262,7 @@ def test_pause_resume_and_abort_reach_the_machine(connected, long_order, machine
     connected.cell.resume()
     connected.until_state("running")
     connected.cell.abort()
-    assert connected.until_closed()["outcome"] == "aborted"
+    assert connected.until_closed().outcome == "aborted"
     assert machine_state().state == "aborted"
     run = open_run(long_order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
@@ -269,7 +287,7 @@ def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     order = long_order
     connected.cell.begin(order)
     connected.until_line(2)
-    recorded = connected.of("progress")[-1]["samples"]
+    recorded = connected.of(MeasurementProgress)[-1].samples
     os.kill(connected.cell.process_id, signal.SIGKILL)
     connected.until_state("faulted")
     assert connected.faults == ["cell-died"]
@@ -304,13 +322,13 @@ def test_another_cell_takes_over_from_a_killed_one(
         second.cell.connect()
         deadline_s = time.monotonic() + 30.0
         file = tmp_path / "second.sqlite"
-        while not second.of("closed") or second.of("closed")[-1]["outcome"] == "failed":
+        while not second.of(RunClosed) or second.of(RunClosed)[-1].outcome == "failed":
             # Until the watchdog has stopped it, the machine is still busy.
             assert time.monotonic() < deadline_s
             second.events.clear()
             second.cell.begin(replace(order, run_file=str(file)))
             second.until_closed()
-        assert second.of("closed")[-1]["outcome"] == "finished"
+        assert second.of(RunClosed)[-1].outcome == "finished"
     finally:
         second.cell.close()
 
@@ -323,7 +341,10 @@ def assert_held(status: MotionStatus) -> None:
 
 PARENT = """
 import sys, time
-from app.measurement.cell import Cell, CellConfig, Order
+from app.measurement.cell import Cell
+from app.measurement.messages import (
+    CellConfig, MeasurementOrder, MeasurementProgress
+)
 from app.files.machine_file import machine_from_json
 from app.planning.default_path import default_path
 def main():
@@ -332,12 +353,13 @@ def main():
     cell = Cell(CellConfig("streaming", tracker, "modbus", motion))
     cell.start()
     cell.connect()
-    cell.begin(Order("orphan", file, machine, default_path(machine, lines=12)))
+    path = default_path(machine, lines=12)
+    cell.begin(MeasurementOrder("orphan", file, machine, path))
     print(cell.process_id, flush=True)
     while True:
         for event in cell.poll(0.1):
-            if event.kind == "progress":
-                print(event.body["done"], flush=True)
+            if isinstance(event, MeasurementProgress):
+                print(event.done, flush=True)
 if __name__ == "__main__":
     main()
 """
@@ -397,7 +419,7 @@ def test_a_silent_tracker_holds_the_machine_and_ends_the_run(
     bench.inject(f"tracker:silence+{5.6 * SPEED}s")
     watchful.until_state("paused")
     assert machine_state().hold_reason == "command"
-    assert watchful.until_closed()["outcome"] == "faulted"
+    assert watchful.until_closed().outcome == "faulted"
     assert len(watchful.faults) >= 2
     assert set(watchful.faults) == {"tracker-silent"}
     assert machine_state().state == "held"
@@ -408,9 +430,9 @@ def test_a_short_silence_is_lived_through(bench, watchful, long_order):
     watchful.until_line(1)
     bench.inject(f"tracker:silence+{1.2 * SPEED}s")
     closed = watchful.until_closed()
-    assert closed["outcome"] == "finished"
+    assert closed.outcome == "finished"
     assert set(watchful.faults) == {"tracker-silent"}
-    assert closed["lost_samples"] > 0.5 * SPEED * 500
+    assert closed.lost_samples > 0.5 * SPEED * 500
 
 
 @contextmanager
@@ -447,8 +469,8 @@ def test_processes_that_stand_for_a_moment_cost_time_and_no_sample(
     with suspended(*(ids[name] for name in who.split())):
         time.sleep(for_s)  # what is tested is that time passes
     closed = watchful.until_closed()
-    assert closed["outcome"] == "finished"
-    assert closed["lost_samples"] == 0
+    assert closed.outcome == "finished"
+    assert closed.lost_samples == 0
     assert set(watchful.faults) <= {"tracker-silent"}
     run = open_run(long_order.run_file)
     assert (np.diff(run.tracker.sequence) == 1).all()
@@ -468,11 +490,11 @@ def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
         assert status.hold_reason == "watchdog"
     watchful.until_state("paused")
     watchful.until(lambda: watchful.faults[-1:] == ["held-at-machine"])
-    assert "watchdog" in watchful.of("fault")[-1]["text"]
+    assert "watchdog" in watchful.of(FaultReported)[-1].text
     assert machine_state().state == "held"
     watchful.cell.resume()
     closed = watchful.until_closed()
-    assert (closed["outcome"], closed["lost_samples"]) == ("finished", 0)
+    assert (closed.outcome, closed.lost_samples) == ("finished", 0)
 
 
 def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
@@ -482,10 +504,10 @@ def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
     watchful.until(lambda: "beam-lost" in watchful.faults)
     watchful.until_state("paused")
     assert watchful.faults[-1] == "beam-lost"
-    seen = len(watchful.of("live"))
-    watchful.until(lambda: len(watchful.of("live")) > seen + 2)
+    seen = len(watchful.of(LivePoints))
+    watchful.until(lambda: len(watchful.of(LivePoints)) > seen + 2)
     watchful.cell.resume()
-    assert watchful.until_closed()["outcome"] == "finished"
+    assert watchful.until_closed().outcome == "finished"
     assert (open_run(long_order.run_file).tracker.status != 0).any()
 
 
@@ -497,7 +519,7 @@ def test_an_alarm_of_the_machine_ends_the_run(tmp_path, order):
         try:
             driven.cell.connect()
             driven.cell.begin(order)
-            assert driven.until_closed()["outcome"] == "faulted"
+            assert driven.until_closed().outcome == "faulted"
             assert driven.faults == ["motion-alarm"]
         finally:
             driven.cell.close()
@@ -508,7 +530,7 @@ def test_a_hold_at_the_panel_is_a_pause_that_ends_there(bench, connected, long_o
     connected.cell.begin(long_order)
     connected.until_line(1)
     bench.inject(f"cnc:feed-hold+{SPEED}s")
-    assert connected.until_closed()["outcome"] == "finished"
+    assert connected.until_closed().outcome == "finished"
     assert connected.states[2:] == ["running", "paused", "running", "finished"]
 
 
@@ -560,7 +582,7 @@ def test_a_cell_that_dies_while_it_connects_says_so(driven):
 def test_an_order_before_connecting_fails_and_opens_no_file(driven, order):
     driven.cell.begin(order)
     closed = driven.until_closed()
-    assert (closed["outcome"], closed["run_file"]) == ("failed", "")
+    assert (closed.outcome, closed.run_file) == ("failed", "")
     assert driven.faults == ["not-connected"]
 
 
@@ -612,14 +634,14 @@ def test_a_cell_obeys_in_the_same_process_as_well(bench, order):
     thread = threading.Thread(target=serve, args=(theirs, config_of(bench), (reading,)))
     thread.start()
     try:
-        ours.send(Command("connect"))
+        ours.send(Connect())
         kinds = []
-        while "connected" not in kinds:
+        while Connected not in kinds:
             assert ours.poll(10.0)
-            kinds.append(ours.recv().kind)
-        ours.send(Command("pause"))
-        ours.send(Command("begin", order))
-        while ours.recv().kind != "progress":
+            kinds.append(type(ours.recv()))
+        ours.send(Pause())
+        ours.send(Begin(order))
+        while not isinstance(ours.recv(), MeasurementProgress):
             pass
     finally:
         os.write(writing, b"x")
@@ -632,23 +654,35 @@ def test_a_cell_obeys_in_the_same_process_as_well(bench, order):
     assert open_run(order.run_file).provenance["outcome"] == "aborted"
 
 
+def progress(done: int, ballast: str = "") -> MeasurementProgress:
+    return MeasurementProgress(done, 10, "lines", "measuring" + ballast, 0.0, 0.0)
+
+
+def block(number: int) -> BlockRecorded:
+    samples = TrackerSamples.empty()
+    return BlockRecorded(replace(samples, sequence=np.array([number])))
+
+
+def state(text: str = "") -> StateChanged:
+    return StateChanged(CellState.PAUSED, text)
+
+
 def test_a_slow_parent_gets_the_latest_and_every_state():
     ours, theirs = Pipe()
     outbox = Outbox(theirs)
-    big = ["x" * 1000] * 1000
     for number in range(50):
-        outbox.report("progress", {"number": number, "ballast": big})
-        outbox.report("state", {"state": str(number)})
-    events = []
-    while not events or events[-1].body.get("state") != "49":
+        outbox.report(progress(number, "x" * 1_000_000))
+        outbox.report(state(str(number)))
+    events: list[CellEvent] = []
+    while not events or events[-1] != state("49"):
         assert ours.poll(5.0)
         events.append(ours.recv())
     outbox.close(1.0)
-    states = [e.body["state"] for e in events if e.kind == "state"]
+    states = [e.text for e in events if isinstance(e, StateChanged)]
     assert states == [str(n) for n in range(50)]
-    progress = [e.body["number"] for e in events if e.kind == "progress"]
-    assert progress[-1] == 49
-    assert len(progress) < 10
+    done = [e.done for e in events if isinstance(e, MeasurementProgress)]
+    assert done[-1] == 49
+    assert len(done) < 10
     ours.close()
     theirs.close()
 
@@ -657,7 +691,7 @@ def test_a_parent_that_is_gone_does_not_hang_the_outbox():
     ours, theirs = Pipe()
     outbox = Outbox(theirs)
     ours.close()
-    outbox.report("state", {"state": "ready"})
+    outbox.report(state())
     outbox.close(5.0)
     assert not outbox._thread.is_alive()
     theirs.close()
@@ -681,7 +715,7 @@ class Reluctant:
 def reluctant() -> Iterator[tuple[Reluctant, Outbox]]:
     link = Reluctant()
     outbox = Outbox(link)
-    outbox.report("state", {"state": "running"})
+    outbox.report(state())
     assert link.asked.wait(5.0)  # one event is on its way, the others wait
     yield link, outbox
     link.taking.set()
@@ -691,45 +725,54 @@ def reluctant() -> Iterator[tuple[Reluctant, Outbox]]:
 def test_blocks_that_nobody_takes_are_dropped_and_counted(reluctant):
     link, outbox = reluctant
     for number in range(MAX_BLOCKS + 7):
-        outbox.report("block", {"number": number})
+        outbox.report(block(number))
     assert outbox.dropped_blocks == 7
     link.taking.set()
     outbox.close(5.0)
-    blocks = [e.body["number"] for e in link.taken if e.kind == "block"]
-    assert blocks == list(range(MAX_BLOCKS))
+    blocks = [e for e in link.taken if isinstance(e, BlockRecorded)]
+    assert [b.samples.sequence[0] for b in blocks] == list(range(MAX_BLOCKS))
 
 
 def test_what_is_no_block_is_kept_in_order_beside_dropped_blocks(reluctant):
     link, outbox = reluctant
     for number in range(MAX_BLOCKS + 1):
-        outbox.report("block", {"number": number})
-    outbox.report("fault", {"code": "beam-lost"})
-    outbox.report("state", {"state": "paused"})
+        outbox.report(block(number))
+    outbox.report(FaultReported("beam-lost", "", ""))
+    outbox.report(state())
     link.taking.set()
     outbox.close(5.0)
-    told = [e.kind for e in link.taken if e.kind != "block"]
-    assert told == ["state", "fault", "state"]
+    others = [type(e) for e in link.taken if not isinstance(e, BlockRecorded)]
+    assert others == [StateChanged, FaultReported, StateChanged]
+
+
+def test_no_state_is_dropped_however_many_wait(reluctant):
+    link, outbox = reluctant
+    for number in range(5000):
+        outbox.report(state(str(number)))
+    link.taking.set()
+    outbox.close(5.0)
+    assert [e.text for e in link.taken[1:]] == [str(n) for n in range(5000)]
 
 
 def test_there_is_room_for_blocks_again_once_they_are_taken(reluctant):
     link, outbox = reluctant
     for number in range(MAX_BLOCKS):
-        outbox.report("block", {"number": number})
+        outbox.report(block(number))
     link.taking.set()
     deadline_s = time.monotonic() + 10.0
     while len(link.taken) <= MAX_BLOCKS:
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
-    outbox.report("block", {"number": MAX_BLOCKS})
+    outbox.report(block(MAX_BLOCKS))
     outbox.close(5.0)
     assert outbox.dropped_blocks == 0
-    assert link.taken[-1].body == {"number": MAX_BLOCKS}
+    assert link.taken[-1].samples.sequence[0] == MAX_BLOCKS
 
 
 def test_a_parent_that_has_gone_ends_the_outbox_quietly():
     ours, theirs = Pipe()
     outbox = Outbox(theirs)
     ours.close()
-    outbox.report("state", {"state": "running"})
+    outbox.report(state())
     outbox.close(5.0)
     assert not outbox._thread.is_alive()

@@ -10,7 +10,13 @@ import pytest
 
 from app.errors import PlanningError
 from app.measurement.measurement import Measurement
-from app.measurement.orders import Order
+from app.measurement.messages import (
+    FaultReported,
+    MeasurementOrder,
+    MeasurementProgress,
+    PartRequested,
+    RunClosed,
+)
 from app.measurement.parts import extended
 from app.measurement.recording import open_run
 from app.motion.configurations import Configurations
@@ -37,10 +43,10 @@ class Growing:
         self.thread.start()
 
     def until_asked(self, times):
-        self.journal.wait(lambda: len(self.journal.of("part")) == times)
+        self.journal.wait(lambda: len(self.journal.of(PartRequested)) == times)
 
     def ended(self):
-        self.journal.wait(lambda: bool(self.journal.of("closed")))
+        self.journal.wait(lambda: bool(self.journal.of(RunClosed)))
         self.thread.join(5.0)
         return self.journal.states[-1]
 
@@ -55,7 +61,9 @@ def grown(mill, square, tracker, motion, journal, calm, tmp_path):
 
     def begin(commanded=square):
         file = str(tmp_path / "grown.sqlite")
-        order = Order("grown", file, mill, commanded, reserve_bytes=0, grows=True)
+        order = MeasurementOrder(
+            "grown", file, mill, commanded, reserve_bytes=0, grows=True
+        )
         begun.append(Growing(order, tracker, motion, journal, calm))
         return begun[-1]
 
@@ -80,9 +88,9 @@ def test_a_path_grows_in_the_same_run(grown, square, motion, journal):
     rows = np.vstack([square.position, ON[1:]])
     np.testing.assert_array_equal(run.commanded.position, rows)
     assert (np.diff(run.tracker.sequence) == 1).all()
-    done = [p["done"] for p in journal.of("progress")]
+    done = [p.done for p in journal.of(MeasurementProgress)]
     assert done == sorted(done)
-    assert (done[-1], journal.of("progress")[-1]["total"]) == (5, 5)
+    assert (done[-1], journal.of(MeasurementProgress)[-1].total) == (5, 5)
 
 
 def test_a_machine_that_waits_for_a_part_stands(grown, motion):
@@ -117,7 +125,7 @@ def test_a_part_out_of_travel_is_never_loaded(grown, square, motion, journal):
     one.until_asked(1)
     one.measurement.extend(path_through([ON[0], (510.0, 60.0, -40.0)], square))
     assert one.ended() == "failed"
-    assert "row 2: X = 510 mm exceeds 500 mm" in journal.of("fault")[-1]["text"]
+    assert "row 2: X = 510 mm exceeds 500 mm" in journal.of(FaultReported)[-1].text
     assert motion.calls.count("load") == 1
     assert len(one.run.commanded) == 4
 
@@ -136,8 +144,8 @@ def test_a_pause_between_parts_keeps_the_next_one_waiting(grown, square, motion)
     one.measurement.pause()
     one.journal.wait(lambda: one.journal.states[-1] == "paused")
     one.measurement.extend(path_through(ON, square))
-    looks = len(one.journal.of("progress"))
-    one.journal.wait(lambda: len(one.journal.of("progress")) > looks + 3)
+    looks = len(one.journal.of(MeasurementProgress))
+    one.journal.wait(lambda: len(one.journal.of(MeasurementProgress)) > looks + 3)
     assert motion.calls.count("load") == 1
     one.measurement.resume()
     one.until_asked(2)

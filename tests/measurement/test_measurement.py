@@ -13,7 +13,14 @@ import pytest
 from app.measurement.faults import Fault
 from app.measurement.limits import Limits
 from app.measurement.measurement import Measurement, arranged
-from app.measurement.orders import Order
+from app.measurement.messages import (
+    FaultReported,
+    LivePoints,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+    StateChanged,
+)
 from app.measurement.recording import link_bytes, open_run
 from app.motion.configurations import Configurations
 from drivers.interfaces.errors import (
@@ -71,7 +78,9 @@ class Running:
         self.until(lambda: state in self.journal.states)
 
     def until_moving(self) -> None:
-        self.until(lambda: any(p["done"] >= 1 for p in self.journal.of("progress")))
+        self.until(
+            lambda: any(p.done >= 1 for p in self.journal.of(MeasurementProgress))
+        )
 
     def pass_until(self, condition: Callable[[], bool]) -> None:
         """Let time pass, a tenth of a second a look, until something has happened."""
@@ -87,7 +96,7 @@ class Running:
         assert self.ended() == "finished"
 
     def ended(self) -> str:
-        self.until(lambda: bool(self.journal.of("closed")))
+        self.until(lambda: bool(self.journal.of(RunClosed)))
         self.thread.join(5.0)
         assert not self.thread.is_alive()
         return self.journal.states[-1]
@@ -98,13 +107,13 @@ class Running:
 
 
 @pytest.fixture
-def order(mill, square, tmp_path) -> Order:
-    return Order(
+def order(mill, square, tmp_path) -> MeasurementOrder:
+    return MeasurementOrder(
         "monday", str(tmp_path / "monday.sqlite"), mill, square, reserve_bytes=0
     )
 
 
-def there_and_back(order: Order, times: int) -> Order:
+def there_and_back(order: MeasurementOrder, times: int) -> MeasurementOrder:
     """Return the order with a path of long lines, a quarter of a second each."""
     position = np.tile([[10.0, 10.0, -10.0], [410.0, 310.0, -210.0]], (times, 1))
     n = len(position)
@@ -118,13 +127,13 @@ def there_and_back(order: Order, times: int) -> Order:
 
 
 @pytest.fixture
-def short_order(order) -> Order:
+def short_order(order) -> MeasurementOrder:
     """Almost two seconds of motion, there and back again."""
     return there_and_back(order, 4)
 
 
 @pytest.fixture
-def long_order(order) -> Order:
+def long_order(order) -> MeasurementOrder:
     """A minute of motion: no test is so slow that it misses it."""
     return there_and_back(order, 110)
 
@@ -134,7 +143,7 @@ def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Running]]:
     begun: list[Running] = []
 
     def start(
-        order: Order,
+        order: MeasurementOrder,
         *,
         limits: Limits = calm,
         clock: Callable[[], float] = time.monotonic,
@@ -171,14 +180,14 @@ def test_a_path_is_streamed_from_before_the_first_motion_to_after_the_last(
 def test_what_is_told_at_the_end_is_what_the_file_holds(begin, order, journal):
     running = begin(order)
     running.ended()
-    kinds = [kind for kind, _ in journal.events]
-    assert kinds[-2:] == ["state", "closed"]
-    closed = journal.of("closed")[0]
-    assert closed["run_file"] == order.run_file
-    assert closed["samples"] == len(running.run.tracker)
-    assert closed["lost_samples"] == 0
-    assert closed["outcome"] == "finished"
-    assert len(closed["sha256"]) == 64
+    kinds = [type(event) for event in journal.events]
+    assert kinds[-2:] == [StateChanged, RunClosed]
+    closed = journal.of(RunClosed)[0]
+    assert closed.run_file == order.run_file
+    assert closed.samples == len(running.run.tracker)
+    assert closed.lost_samples == 0
+    assert closed.outcome == "finished"
+    assert len(closed.sha256) == 64
 
 
 def test_the_bytes_of_the_link_are_kept_beside_the_samples(begin, order):
@@ -198,27 +207,27 @@ def test_axis_positions_are_recorded_slowly(begin, order):
 
 def test_progress_counts_lines_and_foresees_the_end(begin, short_order, journal):
     begin(short_order).ended()
-    progress = journal.of("progress")
-    assert [p["done"] for p in progress] == sorted(p["done"] for p in progress)
+    progress = journal.of(MeasurementProgress)
+    assert [p.done for p in progress] == sorted(p.done for p in progress)
     last = progress[-1]
-    assert (last["done"], last["total"], last["unit"]) == (7, 7, "lines")
-    assert last["stage"] == "closing"
-    assert last["remaining_s"] == 0.0
-    assert last["crc_errors"] == 2
-    assert last["samples"] > 0
+    assert (last.done, last.total, last.unit) == (7, 7, "lines")
+    assert last.stage == "closing"
+    assert last.remaining_s == 0.0
+    assert last.crc_errors == 2
+    assert last.samples > 0
     # The fake machine is twenty times faster than the 38 s that were planned.
-    half_way = next(p for p in progress if p["done"] >= 3)
-    assert half_way["remaining_s"] < 6.0
+    half_way = next(p for p in progress if p.done >= 3)
+    assert half_way.remaining_s < 6.0
 
 
 def test_live_points_are_a_tenth_of_a_second_apart(begin, short_order, journal):
     begin(short_order).ended()
-    live = journal.of("live")
-    points = sum(len(body["tracker_mm"]) for body in live)
-    device_s = live[-1]["device_time_s"] - 100.0
+    live = journal.of(LivePoints)
+    points = sum(len(body.tracker_mm) for body in live)
+    device_s = live[-1].device_time_s - 100.0
     assert points == pytest.approx(10 * device_s, abs=3)
-    assert live[-1]["tracker_mm"][0] == [1.0, 2.0, 3.0]
-    assert len(live[-1]["axes"]) == 3
+    assert live[-1].tracker_mm[0] == [1.0, 2.0, 3.0]
+    assert len(live[-1].axes) == 3
 
 
 def test_the_watchdog_is_fed_at_every_look_while_the_machine_moves(
@@ -244,8 +253,8 @@ def test_points_are_stepped_through_with_a_dwell_at_each(
     ]
     until_s = [float(text.split()[3]) for text in done]
     assert (np.diff(until_s) > 2.3).all()
-    last = journal.of("progress")[-1]
-    assert (last["done"], last["total"], last["unit"]) == (4, 4, "points")
+    last = journal.of(MeasurementProgress)[-1]
+    assert (last.done, last.total, last.unit) == (4, 4, "points")
 
 
 def test_pause_holds_and_resume_goes_on(begin, long_order, motion, journal):
@@ -284,11 +293,11 @@ def test_a_pause_in_a_dwell_makes_the_dwell_start_over(
 ):
     points = Configurations(square.axes, square.position[:2], np.full(2, 60.0))
     running = begin(replace(order, commanded=points))
-    running.until(lambda: any(b["device_time_s"] > 110.0 for b in journal.of("live")))
+    running.until(lambda: any(b.device_time_s > 110.0 for b in journal.of(LivePoints)))
     running.measurement.pause()
     running.until_state("paused")
     assert motion.calls.count("move_to") == 1
-    resumed_s = journal.of("live")[-1]["device_time_s"]
+    resumed_s = journal.of(LivePoints)[-1].device_time_s
     running.measurement.resume()
     assert running.ended() == "finished"
     first = next(e.text for e in running.run.events if e.kind == "point")
@@ -337,14 +346,14 @@ def test_enough_ends_the_path_in_order_after_the_line_under_way(
     running.until_moving()
     running.measurement.conclude()
     assert running.ended() == "finished"
-    assert "enough is known" in journal.of("state")[-1]["text"]
+    assert "enough is known" in journal.of(StateChanged)[-1].text
     assert motion.calls[-1] == "abort"
     run = running.run
     (event,) = [e for e in run.events if e.kind == "concluded"]
     assert "the rest is left out" in event.text
-    last = journal.of("progress")[-1]
-    assert last["stage"] == "closing"
-    assert 1 <= last["done"] < last["total"]
+    last = journal.of(MeasurementProgress)[-1]
+    assert last.stage == "closing"
+    assert 1 <= last.done < last.total
     assert run.provenance["outcome"] == "finished"
 
 
@@ -353,7 +362,7 @@ def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
 ):
     points = Configurations(square.axes, square.position, np.full(4, 30.0))
     running = begin(replace(order, commanded=points))
-    running.until(lambda: any(b["device_time_s"] > 105.0 for b in journal.of("live")))
+    running.until(lambda: any(b.device_time_s > 105.0 for b in journal.of(LivePoints)))
     running.measurement.conclude()
     assert running.ended() == "finished"
     assert motion.calls.count("move_to") == 1
@@ -362,8 +371,8 @@ def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
     assert kinds == ["point", "concluded"]
     first = next(e.text for e in run.events if e.kind == "point")
     assert float(first.split()[3]) > 100.0 + 30.0  # the dwell was finished
-    last = journal.of("progress")[-1]
-    assert (last["done"], last["total"], last["unit"]) == (1, 4, "points")
+    last = journal.of(MeasurementProgress)[-1]
+    assert (last.done, last.total, last.unit) == (1, 4, "points")
 
 
 def test_enough_at_the_last_point_leaves_nothing_out(
@@ -371,7 +380,7 @@ def test_enough_at_the_last_point_leaves_nothing_out(
 ):
     points = Configurations(square.axes, square.position[:1], np.full(1, 20.0))
     running = begin(replace(order, commanded=points))
-    running.until(lambda: any(b["device_time_s"] > 102.0 for b in journal.of("live")))
+    running.until(lambda: any(b.device_time_s > 102.0 for b in journal.of(LivePoints)))
     running.measurement.conclude()
     assert running.ended() == "finished"
     assert not [e for e in running.run.events if e.kind == "concluded"]
@@ -383,8 +392,8 @@ def test_enough_while_paused_waits_for_resume(begin, long_order, motion, journal
     running.measurement.pause()
     running.until_state("paused")
     running.measurement.conclude()
-    told = len(journal.of("progress"))
-    running.until(lambda: len(journal.of("progress")) > told + 3)
+    told = len(journal.of(MeasurementProgress))
+    running.until(lambda: len(journal.of(MeasurementProgress)) > told + 3)
     assert journal.states[-1] == "paused"
     running.measurement.resume()
     assert running.ended() == "finished"
@@ -416,7 +425,7 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
     run = running.run
     assert (np.diff(run.tracker.sequence) > 1).sum() == 1
     assert any(e.kind == "gap" for e in run.events)
-    assert journal.of("closed")[0]["lost_samples"] > 100
+    assert journal.of(RunClosed)[0].lost_samples > 100
 
 
 def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
@@ -428,8 +437,8 @@ def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_st
     tracker.silent = True
     running.pass_until(lambda: journal.states[-1] == "pausing")
     tracker.silent = False
-    live = len(journal.of("live"))
-    running.until(lambda: len(journal.of("live")) > live + 3)
+    live = len(journal.of(LivePoints))
+    running.until(lambda: len(journal.of(LivePoints)) > live + 3)
     assert "resume" not in motion.calls
     motion.ignores_hold = False
     running.until(lambda: journal.states[-1] == "running")
@@ -466,10 +475,10 @@ def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
     tracker.silent = False
     # What it waits for now is said last, for whoever has to do it.
     running.until(lambda: journal.faults[-1] == "held-at-machine")
-    live = len(journal.of("live"))
-    running.until(lambda: len(journal.of("live")) > live + 3)
+    live = len(journal.of(LivePoints))
+    running.until(lambda: len(journal.of(LivePoints)) > live + 3)
     assert journal.states[-1] == "paused"
-    assert who in journal.of("fault")[-1]["text"]
+    assert who in journal.of(FaultReported)[-1].text
     assert "resume" not in motion.calls
     running.measurement.resume()
     running.finished()
@@ -490,8 +499,8 @@ def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
     running.until(lambda: journal.states[-1] == "paused")
     motion.ignores_resume = False
     resumes = motion.calls.count("resume")
-    live = len(journal.of("live"))
-    running.until(lambda: len(journal.of("live")) > live + 3)
+    live = len(journal.of(LivePoints))
+    running.until(lambda: len(journal.of(LivePoints)) > live + 3)
     assert motion.status().state == "held"
     assert motion.calls.count("resume") == resumes
     running.measurement.resume()
@@ -504,8 +513,8 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, jou
     running.until_moving()
     for _ in range(3):
         clock.now_s += 10.0  # as after a suspension of the process
-        told = len(journal.of("progress"))
-        running.until(lambda told=told: len(journal.of("progress")) > told + 3)
+        told = len(journal.of(MeasurementProgress))
+        running.until(lambda told=told: len(journal.of(MeasurementProgress)) > told + 3)
     running.finished()
     assert journal.faults == []
     assert journal.states == ["running", "finished"]
@@ -521,8 +530,8 @@ def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, jou
     running.measurement.resume()
     running.until(lambda: journal.faults == ["tracker-silent", "not-resumed"])
     tracker.silent = False
-    events = len(journal.of("live"))
-    running.until(lambda: len(journal.of("live")) > events + 3)
+    events = len(journal.of(LivePoints))
+    running.until(lambda: len(journal.of(LivePoints)) > events + 3)
     assert journal.states[-1] == "paused"
     running.measurement.resume()
     running.finished()
@@ -538,7 +547,7 @@ def test_a_long_silence_is_a_fault_with_the_feed_held(
     assert running.ended() == "faulted"
     assert motion.status().state == "held"
     assert journal.faults == ["tracker-silent", "tracker-silent"]
-    assert "check the tracker and its cable" in journal.of("fault")[-1]["action"]
+    assert "check the tracker and its cable" in journal.of(FaultReported)[-1].action
     assert running.run.provenance["outcome"] == "faulted"
 
 
@@ -553,8 +562,8 @@ def test_a_lost_beam_holds_until_somebody_resumes(
     running.measurement.resume()
     running.until(lambda: journal.faults[-1] == "not-resumed")
     tracker.beam = True
-    live = len(journal.of("live"))
-    running.until(lambda: len(journal.of("live")) > live + 2)
+    live = len(journal.of(LivePoints))
+    running.until(lambda: len(journal.of(LivePoints)) > live + 2)
     assert journal.states[-1] == "paused"
     running.measurement.resume()
     running.finished()
@@ -566,7 +575,7 @@ def test_a_tracker_that_never_sends_is_a_fault_before_the_path_starts(
 ):
     tracker.silent = True
     running = begin(order, limits=JUDGED, clock=HandClock())
-    running.pass_until(lambda: bool(journal.of("closed")))
+    running.pass_until(lambda: bool(journal.of(RunClosed)))
     assert running.ended() == "faulted"
     assert journal.faults[-1] == "tracker-silent"
     assert "start" not in motion.calls
@@ -577,7 +586,7 @@ def test_a_tracker_without_a_beam_fails_before_the_path_starts(
 ):
     tracker.beam = False
     running = begin(order, limits=JUDGED, clock=HandClock())
-    running.pass_until(lambda: bool(journal.of("closed")))
+    running.pass_until(lambda: bool(journal.of(RunClosed)))
     assert "beam-lost" in journal.faults
     assert running.ended() == "failed"
     assert "start" not in motion.calls
@@ -588,8 +597,8 @@ def test_a_tracker_that_refuses_the_rate_fails_the_order(
 ):
     tracker.refusal = Refused("500 Hz is too fast for this instrument")
     assert begin(order).ended() == "failed"
-    assert journal.of("fault")[-1]["code"] == "refused"
-    assert "500 Hz is too fast" in journal.of("fault")[-1]["text"]
+    assert journal.of(FaultReported)[-1].code == "refused"
+    assert "500 Hz is too fast" in journal.of(FaultReported)[-1].text
 
 
 @pytest.mark.parametrize("error", [ConnectionLost("unplugged"), OSError("odd")])
@@ -610,7 +619,7 @@ def test_a_counter_that_goes_back_fails_the_run(begin, long_order, tracker, jour
     running.until_moving()
     tracker.restarted = True
     assert running.ended() == "failed"
-    assert "counter went back" in journal.of("fault")[-1]["text"]
+    assert "counter went back" in journal.of(FaultReported)[-1].text
 
 
 def test_an_alarm_is_a_fault_with_its_text(begin, long_order, motion, journal):
@@ -619,7 +628,7 @@ def test_an_alarm_is_a_fault_with_its_text(begin, long_order, motion, journal):
     motion.raise_alarm("1201 following error X")
     assert running.ended() == "faulted"
     assert journal.faults == ["motion-alarm"]
-    assert "1201 following error X" in journal.of("fault")[0]["text"]
+    assert "1201 following error X" in journal.of(FaultReported)[0].text
     assert len(running.run.tracker) > 100
 
 
@@ -629,7 +638,7 @@ def test_a_motion_that_ends_early_is_a_fault(begin, long_order, motion, journal)
     motion.ends_after_s = 0.0
     assert running.ended() == "faulted"
     assert journal.faults == ["ended-early"]
-    assert "not at 410.000, 310.000, -210.000" in journal.of("fault")[0]["text"]
+    assert "not at 410.000, 310.000, -210.000" in journal.of(FaultReported)[0].text
 
 
 def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
@@ -639,9 +648,9 @@ def test_a_hold_at_the_machine_is_a_pause_that_ends_there(
     running.until_moving()
     motion.stand("operator")
     running.until_state("paused")
-    assert "held at the machine: operator" in journal.of("state")[-1]["text"]
+    assert "held at the machine: operator" in journal.of(StateChanged)[-1].text
     running.until(lambda: journal.faults == ["held-at-machine"])
-    assert "operator" in journal.of("fault")[0]["text"]
+    assert "operator" in journal.of(FaultReported)[0].text
     motion.go_on()
     running.finished()
     assert journal.states == ["running", "paused", "running", "finished"]
@@ -705,8 +714,8 @@ def test_a_controller_out_of_reach_for_a_moment_is_borne(
     running = begin(long_order)
     running.until_moving()
     motion.out_of_reach = True
-    told = len(journal.of("progress"))
-    running.until(lambda: len(journal.of("progress")) > told + 2)
+    told = len(journal.of(MeasurementProgress))
+    running.until(lambda: len(journal.of(MeasurementProgress)) > told + 2)
     motion.out_of_reach = False
     running.finished()
     assert journal.faults == []
@@ -742,8 +751,8 @@ def test_nothing_moves_when_a_row_is_out_of_travel(
     running = begin(replace(order, commanded=far))
     assert running.ended() == "failed"
     assert motion.calls == []
-    assert "X = 560 mm exceeds 500 mm" in journal.of("fault")[0]["text"]
-    assert journal.of("closed")[0]["run_file"] == ""
+    assert "X = 560 mm exceeds 500 mm" in journal.of(FaultReported)[0].text
+    assert journal.of(RunClosed)[0].run_file == ""
 
 
 def test_a_controller_that_already_runs_is_left_alone(begin, order, motion, journal):
@@ -781,7 +790,7 @@ def test_a_defect_of_ours_is_a_fault_not_a_hang(
     monkeypatch.setattr(motion, "load", lambda _path: 1 / 0)
     assert begin(order).ended() == "faulted"
     assert journal.faults == ["internal"]
-    assert "ZeroDivisionError" in journal.of("fault")[0]["text"]
+    assert "ZeroDivisionError" in journal.of(FaultReported)[0].text
     assert "defect while measuring" in caplog.text
 
 
@@ -799,7 +808,7 @@ def test_a_disk_that_fails_holds_the_machine_first(
     assert running.ended() == "failed"
     assert motion.status().state == "held"
     assert journal.faults[0] == "storage"
-    assert "No space left" in journal.of("fault")[0]["text"]
+    assert "No space left" in journal.of(FaultReported)[0].text
     assert len(running.run.tracker) > 0
 
 
@@ -813,7 +822,7 @@ def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
     monkeypatch.setattr(recorder, "_free_bytes", lambda: recorder._reserve_bytes - 1)
     assert running.ended() == "failed"
     assert motion.status().state == "held"
-    assert "almost full" in journal.of("fault")[0]["text"]
+    assert "almost full" in journal.of(FaultReported)[0].text
     assert running.run.provenance["outcome"] == "failed"
 
 
@@ -835,13 +844,13 @@ def test_a_slow_disk_holds_the_feed_until_it_has_caught_up(
     running.until_state("paused")
     slow.set()
     running.finished()
-    assert journal.of("closed")[0]["lost_samples"] == 0
+    assert journal.of(RunClosed)[0].lost_samples == 0
 
 
 def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_path):
     (tmp_path / "monday.sqlite").write_bytes(b"precious")
     assert begin(order).ended() == "failed"
-    assert "exists" in journal.of("fault")[0]["text"]
+    assert "exists" in journal.of(FaultReported)[0].text
     assert (tmp_path / "monday.sqlite").read_bytes() == b"precious"
 
 

@@ -13,7 +13,13 @@ from app.alignment.course import course_of
 from app.files.bundle import read_bundle, write_bundle
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.measurement.cell import Cell, CellConfig, Order
+from app.measurement.cell import Cell
+from app.measurement.messages import (
+    CellConfig,
+    FaultReported,
+    MeasurementOrder,
+    RunClosed,
+)
 from app.measurement.recording import open_run
 from drivers.interfaces.records import Path
 from simulators.bench import Bench
@@ -45,11 +51,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         config = CellConfig(
             "streaming", bench.tracker_options, "modbus", bench.motion_options
         )
-        measured(Cell(config), Order("rotary", str(file), machine, path))
+        measured(Cell(config), MeasurementOrder("rotary", str(file), machine, path))
     return open_run(file)
 
 
-def measured(cell: Cell, order: Order) -> None:
+def measured(cell: Cell, order: MeasurementOrder) -> None:
     cell.start()
     try:
         cell.connect()
@@ -57,8 +63,8 @@ def measured(cell: Cell, order: Order) -> None:
         deadline_s = time.monotonic() + 50.0
         while time.monotonic() < deadline_s:
             for event in cell.poll(0.1):
-                assert event.kind != "fault", event.body
-                if event.kind == "closed":
+                assert not isinstance(event, FaultReported), event
+                if isinstance(event, RunClosed):
                     return
         raise AssertionError("the run was not closed")
     finally:

@@ -1,0 +1,230 @@
+"""What crosses the border of the cell process: its set-up, commands and events.
+
+A command or an event is a frozen record, one class a kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from app.kinematics.machine import Machine
+from app.measurement.stream_watch import Patience
+from app.motion.configurations import Commanded, Configurations
+from drivers.interfaces.records import Identity, Path, TrackerSamples
+
+
+class CellState(StrEnum):
+    """Where a cell is. The last four end an order; another may follow."""
+
+    CONNECTING = "connecting"
+    READY = "ready"
+    RUNNING = "running"
+    PAUSING = "pausing"
+    PAUSED = "paused"
+    RESUMING = "resuming"
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    FAILED = "failed"
+    FAULTED = "faulted"
+
+
+@dataclass(frozen=True, slots=True)
+class CellConfig:
+    """Which drivers a cell uses, by their names as plug-ins, and how they are made.
+
+    patience : for how long the tracker's stream may be less than good
+    """
+
+    tracker_driver: str
+    tracker_options: Mapping[str, Any]
+    motion_driver: str
+    motion_options: Mapping[str, Any]
+    patience: Patience = field(default_factory=Patience)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementOrder:
+    """One measurement to make.
+
+    run_file : where the Run is recorded; must not exist
+    commanded : a path is streamed on the fly, points are stepped through
+    feed_mm_min : feed of the approach and between standstill points
+    reserve_bytes : space that must stay free on the disk
+    live : report recorded blocks, for an estimate on the way
+    grows : after the last row request a further part, and stand until there is one or
+        the measurement is concluded
+    """
+
+    run_name: str
+    run_file: str
+    machine: Machine
+    commanded: Path | Configurations
+    rate_hz: float = 500.0
+    feed_mm_min: float = 6000.0
+    reserve_bytes: int = 500 << 20
+    live: bool = False
+    grows: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Connect:
+    """Command: connect to tracker and controller."""
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Command: begin a measurement."""
+
+    order: MeasurementOrder
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Command: hold the feed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Command: go on after a hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conclude:
+    """Command: finish the line or point under way, leave out the rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extend:
+    """Command: go on with a further part."""
+
+    part: Commanded
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """Command: stop and forget the path."""
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """Command: end the process."""
+
+
+CellCommand = Connect | Begin | Pause | Resume | Conclude | Extend | Abort | Close
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """Event: tracker and controller have answered."""
+
+    devices: Mapping[str, Identity]
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectRefused:
+    """Event: a device cannot be connected.
+
+    family : name of the class of the error
+    """
+
+    family: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class StateChanged:
+    """Event: the cell is in another state; `text` says why."""
+
+    state: CellState
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementProgress:
+    """Event: how far a measurement is, several times a second.
+
+    unit : what is counted, `lines` or `points`
+    stage : `preparing`, `measuring`, `closing`
+    """
+
+    done: int
+    total: int
+    unit: str
+    stage: str
+    elapsed_s: float
+    remaining_s: float
+    position: tuple[float, ...] = ()
+    samples: int = 0
+    lost_samples: int = 0
+    crc_errors: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LivePoints:
+    """Event: some of the recorded points, for display.
+
+    axes : controller position
+    """
+
+    tracker_mm: list[list[float]]
+    axes: list[float]
+    device_time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class BlockRecorded:
+    """Event: a block that is on disk, for the live estimate; only if asked for."""
+
+    samples: TrackerSamples
+
+
+@dataclass(frozen=True, slots=True)
+class PartRequested:
+    """Event: the machine stands at the last row and waits for Extend or Conclude."""
+
+    row: int
+
+
+@dataclass(frozen=True, slots=True)
+class FaultReported:
+    """Event: something is wrong; the state says whether this is the end.
+
+    code : for programs; text : what happened; action : what to do now
+    """
+
+    code: str
+    text: str
+    action: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunClosed:
+    """Event: the last one of a measurement, after its final state.
+
+    run_file : empty if none was made
+    """
+
+    run_file: str
+    samples: int
+    lost_samples: int
+    sha256: str
+    outcome: CellState
+
+
+CellEvent = (
+    Connected
+    | ConnectRefused
+    | StateChanged
+    | MeasurementProgress
+    | LivePoints
+    | BlockRecorded
+    | PartRequested
+    | FaultReported
+    | RunClosed
+)
+
+ReportEvent = Callable[[CellEvent], None]
+"""Takes an event. Called from any thread; returns at once."""
