@@ -11,9 +11,10 @@ import time
 from collections.abc import Callable
 
 from app.errors import MeasurementFailed
+from app.measurement.limits import Patience
 from app.measurement.pump import Pump
 from app.measurement.recorder import Recorder
-from app.measurement.stream_watch import Patience, StreamWatch, Verdict
+from app.measurement.stream_watch import StreamWatch, Verdict
 from drivers.interfaces.errors import DeviceError, DeviceTimeout
 from drivers.interfaces.tracker import Tracker
 

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from app.measurement.stream_watch import Patience
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """For how long, in seconds that the host has run, a stream may be less than good.
+
+    late_s : what counts at most of a time in which the host did not run: a suspended or
+        starved process hears nothing, and finds it all waiting when it wakes up
+    """
+
+    silent_s: float = 0.5
+    dead_s: float = 5.0
+    beam_s: float = 0.25
+    late_s: float = 0.25
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Any
 
 from app.kinematics.machine import Machine
-from app.measurement.stream_watch import Patience
+from app.measurement.limits import Patience
 from app.motion.configurations import Commanded, Configurations
 from drivers.interfaces.records import Identity, Path, TrackerSamples
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
+from app.measurement.limits import Patience
 from drivers.interfaces.records import TrackerSamples
 
 
@@ -18,20 +18,6 @@ class Verdict(Enum):
     SILENT = "silent"  # nothing came for a while: hold the feed
     DEAD = "dead"  # nothing came for so long that it will not come by itself
     BEAM_LOST = "beam-lost"  # samples come, none of them valid
-
-
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """For how long, in seconds that the host has run, a stream may be less than good.
-
-    late_s : what counts at most of a time in which the host did not run: a suspended or
-        starved process hears nothing, and finds it all waiting when it wakes up
-    """
-
-    silent_s: float = 0.5
-    dead_s: float = 5.0
-    beam_s: float = 0.25
-    late_s: float = 0.25
 
 
 class StreamWatch:

@@ -15,9 +15,8 @@ import pytest
 from app.files.bundle import write_bundle
 from app.files.run import DirectMeasurement, Run
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.measurement.limits import Limits
+from app.measurement.limits import Limits, Patience
 from app.measurement.messages import CellEvent, FaultReported, StateChanged
-from app.measurement.stream_watch import Patience
 from drivers.interfaces.errors import DeviceTimeout
 from drivers.interfaces.link import ByteLink
 from drivers.interfaces.motion import MotionController

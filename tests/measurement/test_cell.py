@@ -25,6 +25,7 @@ from app.files.machine_file import machine_from_json
 from app.measurement import cell as cell_module
 from app.measurement.cell import Cell
 from app.measurement.cell_process import serve
+from app.measurement.limits import Patience
 from app.measurement.messages import (
     Begin,
     BlockRecorded,
@@ -43,7 +44,6 @@ from app.measurement.messages import (
 )
 from app.measurement.outbox import MAX_BLOCKS, Outbox
 from app.measurement.recording import link_bytes, open_run, settle
-from app.measurement.stream_watch import Patience
 from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
 from app.plugins import load
