@@ -9,7 +9,7 @@ import re
 import sys
 from pathlib import Path
 
-from app.discovery.catalogue import families
+from app.discovery.candidate_term import list_families
 from app.kinematics.effects.catalogue import Described, Family
 
 PAGE = Path(__file__).with_name("discovery.md")
@@ -29,7 +29,7 @@ def _row(family: Family) -> str:
 def catalogue() -> str:
     """Return the table of all installed effects."""
     head = "| name | cause | looks like | what to do | of the |\n|" + " --- |" * 5
-    return "\n".join([head, *map(_row, families())]) + "\n"
+    return "\n".join([head, *map(_row, list_families())]) + "\n"
 
 
 def filled(page: str) -> str:

@@ -14,6 +14,7 @@ from jaxtyping import Float64, Int64
 from app.alignment.observations import Observations
 from app.kinematics.conditions import RecordedState
 from app.motion.configurations import Configurations
+from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path, TemperatureSamples
 
 
@@ -95,3 +96,11 @@ def _temperatures(
     for k in range(len(told.names)):
         celsius[:, k] = np.interp(time_s, told.time_s, told.celsius[:, k])
     return told.names, celsius
+
+
+def with_pose(seen: Observations, pose: RigidTransform) -> Observations:
+    """Return observations with surroundings with another pose of the tracker."""
+    around = seen.at.around
+    if around is not None:
+        around = replace(around, rotation=pose.rotation)
+    return replace(seen, pose=pose, at=replace(seen.at, around=around))

@@ -1,12 +1,13 @@
-"""How much better the Run is explained with an effect than without it.
+"""The evidence for a term, and how well held-out lines are predicted.
 
-The base, an elastic machine that any smooth error motion fits, is integrated out first:
-what it can absorb is no evidence. An effect of k parameters with prior D then gains
+The machine, which any smooth error motion fits, is integrated out first: a displacement
+that it can absorb is no evidence. A term of k parameters with prior covariance D then
+has the log Bayes factor
 
     log B = ½ rᵀ (S + D⁻¹)⁻¹ r − ½ log det (I + D S),
 
-S and r its information and data once the base has taken its share. The second term is
-the price of freedom.
+S and r its information and data once the machine has taken its share. The second part
+is the price of freedom.
 """
 
 from __future__ import annotations
@@ -15,41 +16,43 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
+from app.discovery.candidate_term import CandidateTerm
 from app.discovery.sums import FoldedSums, Offered, information_of
 from app.estimation.information import posterior
-from app.kinematics.effects.catalogue import Candidate
 
-_KNOWN = 100.0  # times the usual size: no prior to speak of
+_FREE = 100.0  # times the usual size: a fitted term has hardly a prior
 
 
 def prior_precision(
-    base_precision: Float64[np.ndarray, "b b"], effects: Sequence[Candidate]
+    base: Float64[np.ndarray, "b b"], terms: Sequence[CandidateTerm]
 ) -> Float64[np.ndarray, "p p"]:
-    """Return the prior precision of base and known effects together.
+    """Return the prior precision of machine, poses and fitted terms together.
 
-    What is usual weighs whether an effect is there; how large it is, the data say.
+    The usual size decides whether a term is there; how large it is, the data say.
     """
-    usual = _KNOWN * np.concatenate([np.zeros(0), *(c.usual for c in effects)])
-    size = len(base_precision)
+    usual = _FREE * np.concatenate([np.zeros(0), *(t.candidate.usual for t in terms)])
+    size = len(base)
     total = np.zeros((size + len(usual), size + len(usual)))
-    total[:size, :size] = base_precision
+    total[:size, :size] = base
     total[range(size, len(total)), range(size, len(total))] = usual**-2
     return total
 
 
 @dataclass(frozen=True)
-class Rest:
-    """Information and data of each effect on offer, the known integrated out."""
+class Remainder:
+    """Information and data of each term, all other parameters integrated out."""
 
+    terms: tuple[CandidateTerm, ...]
     information: tuple[Float64[np.ndarray, "p p"], ...]
     data: tuple[Float64[np.ndarray, " p"], ...]
 
-    def log_bayes(self, number: int, usual: Float64[np.ndarray, " p"]) -> float:
-        """Return the gain in log evidence of one effect on offer."""
-        return log_bayes(self.information[number], self.data[number], usual)
+    def log_bayes(self) -> Float64[np.ndarray, " t"]:
+        """Return the log Bayes factor of each term."""
+        each = zip(self.information, self.data, self.terms, strict=True)
+        return np.array([log_bayes(S, r, term.candidate.usual) for S, r, term in each])
 
 
 def log_bayes(
@@ -57,46 +60,51 @@ def log_bayes(
     r: Float64[np.ndarray, " p"],
     usual: Float64[np.ndarray, " p"],
 ) -> float:
-    """Return log B of an effect from its information, data and prior."""
+    """Return log B of a term from its information, data and usual size."""
     scaled = np.eye(len(r)) + usual[:, None] * S * usual
-    pulled = usual * r
+    pull = usual * r
     _, log_determinant = np.linalg.slogdet(scaled)
-    gain = float(pulled @ np.linalg.solve(scaled, pulled))
+    gain = float(pull @ np.linalg.solve(scaled, pull))
     return 0.5 * gain - 0.5 * float(log_determinant)
 
 
-def rest(offered: Offered, precision: Float64[np.ndarray, "p p"]) -> Rest:
-    """Return what is left for the effects on offer.
+def integrate_out(
+    blocks: Offered,
+    precision: Float64[np.ndarray, "p p"],
+    terms: Sequence[CandidateTerm],
+) -> Remainder:
+    """Return what is left for each term once all other parameters are integrated out.
 
-    precision : prior of base and known effects
+    blocks : normal equations of each term beside the other parameters
+    precision : prior of the other parameters
     """
     size = len(precision)
-    scale = 1.0 / np.sqrt(np.diag(offered.known)[:size] + np.diag(precision))
-    A = (offered.known[:size, :size] + precision) * scale[:, None] * scale
+    scale = 1.0 / np.sqrt(np.diag(blocks.known)[:size] + np.diag(precision))
+    A = (blocks.known[:size, :size] + precision) * scale[:, None] * scale
     factor = np.linalg.cholesky(A)
-    known = _lower(factor, offered.known[:size, -1:] * scale[:, None])[:, 0]
+    known = _solve_lower(factor, blocks.known[:size, -1:] * scale[:, None])[:, 0]
     information: list[Float64[np.ndarray, "p p"]] = []
     data: list[Float64[np.ndarray, " p"]] = []
-    for cross, own in zip(offered.cross, offered.own, strict=True):
-        taken = _lower(factor, cross[:size] * scale[:, None])
-        information.append(own - taken.T @ taken)
-        data.append(cross[-1] - taken.T @ known)
-    return Rest(tuple(information), tuple(data))
+    for cross, own in zip(blocks.cross, blocks.own, strict=True):
+        absorbed = _solve_lower(factor, cross[:size] * scale[:, None])
+        information.append(own - absorbed.T @ absorbed)
+        data.append(cross[-1] - absorbed.T @ known)
+    return Remainder(tuple(terms), tuple(information), tuple(data))
 
 
-def _lower(
+def _solve_lower(
     factor: Float64[np.ndarray, "p p"], right: Float64[np.ndarray, "p q"]
 ) -> Float64[np.ndarray, "p q"]:
     return solve_triangular(factor, right, lower=True, check_finite=False)
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
-    """How well lines are foretold that the fit did not see.
+class HeldOutMisfit:
+    """How well lines are predicted that were held out of the fit.
 
     square : (k,) squared misfit of each fold in units of the noise
-    freedom : (k,) what noise alone would make it, on average
-    unknown : (k,) what the fit's own uncertainty adds to that, on average
+    freedom : (k,) its expectation from noise alone
+    unknown : (k,) what the fit's own uncertainty adds to that expectation
     fast_square, fast_freedom : (k,) of the samples within their cells; `square` has
         only what fast effects take from them
     """
@@ -112,31 +120,29 @@ class HeldOut:
 
         fast : of the samples within their cells as well
         """
-        square, freedom = self.square.sum(), self.freedom.sum()
-        if fast:
-            square += self.fast_square.sum()
-            freedom += self.fast_freedom.sum()
-        return float(np.sqrt(square / freedom))
+        square = self.square.sum() + (self.fast_square.sum() if fast else 0.0)
+        return float(np.sqrt(square / self._total_freedom(fast)))
 
     def expected(self, *, fast: bool = False) -> float:
-        """Return the ratio of a complete model: noise, and what the fit leaves open."""
-        freedom = self.freedom.sum() + (self.fast_freedom.sum() if fast else 0.0)
-        return float(np.sqrt(1.0 + self.unknown.sum() / freedom))
+        """Return the ratio of a complete model: noise and the fit's uncertainty."""
+        return float(np.sqrt(1.0 + self.unknown.sum() / self._total_freedom(fast)))
+
+    def _total_freedom(self, fast: bool) -> float:
+        return self.freedom.sum() + (self.fast_freedom.sum() if fast else 0.0)
 
 
-def held_out(
-    sums: FoldedSums,
-    columns: Int64[np.ndarray, " m"],
-    precision: Float64[np.ndarray, "m m"],
-) -> HeldOut:
-    """Foretell each fold of lines from all others, with some of the columns."""
-    total = sums.total()
+def predict_held_out(
+    sums: FoldedSums, precision: Float64[np.ndarray, "m m"]
+) -> HeldOutMisfit:
+    """Predict each fold of lines from all others, under a prior precision."""
+    total, columns = sums.total(), np.arange(len(precision))
     square, unknown = np.zeros((2, len(sums.fold)))
     for k, fold in enumerate(sums.fold):
-        train = information_of(total - fold, columns)
-        fit = posterior(train, precision)
+        fit = posterior(information_of(total - fold, columns), precision)
         theta = fit.theta
-        ask = fold[np.ix_(columns, columns)]
-        square[k] = fold[-1, -1] - 2.0 * theta @ fold[columns, -1] + theta @ ask @ theta
-        unknown[k] = float(np.sum(ask * fit.covariance))
-    return HeldOut(square, sums.freedom, unknown, sums.fast_square, sums.fast_freedom)
+        own = fold[:-1, :-1]
+        square[k] = fold[-1, -1] - 2.0 * theta @ fold[:-1, -1] + theta @ own @ theta
+        unknown[k] = float(np.sum(own * fit.covariance))
+    return HeldOutMisfit(
+        square, sums.freedom, unknown, sums.fast_square, sums.fast_freedom
+    )

@@ -10,8 +10,8 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from app.alignment.observations import Observations
-from app.discovery.discover import Gap
-from app.discovery.where import Segment, Shown
+from app.discovery.gap import Gap
+from app.discovery.residual_location import Segment, RunResidual
 from app.kinematics.machine import position_unit
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (
@@ -97,14 +97,14 @@ def draw_gap(gap: Gap) -> Markup:
     return draw_image(76.0, "Gap on held-out lines, before and after", parts)
 
 
-def draw_along_run(shown: Shown) -> Markup:
+def draw_along_run(shown: RunResidual) -> Markup:
     """Draw what is left along the Run, before and after, on one scale."""
-    seen = shown.seen
+    seen = shown.observations
     time_s = seen.at.time_s - seen.at.time_s.min()
     edges = np.linspace(0.0, float(time_s.max()) + 1e-9, _POINTS + 1)
     drawn = [
         _bin_means(time_s, 1e3 * left, seen.count, edges)
-        for left in (shown.left_before_mm, shown.left_after_mm)
+        for left in (shown.before_mm, shown.after_mm)
     ]
     reach = 1.05 * max(float(np.abs(mean).max()) for _, mean in drawn)
     parts: list[Markup] = []
@@ -167,9 +167,9 @@ def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
     return draw_image(frame.bottom + 4.0, "Share explained by each grouping", parts)
 
 
-def draw_profiles(shown: Shown) -> Markup:
+def draw_profiles(shown: RunResidual) -> Markup:
     """Draw the mean disagreement against what explains most of it, before."""
-    known = covariates(shown.seen)
+    known = covariates(shown.observations)
     chosen = [known[name] for name in shown.before.shares if name in known][:_PROFILES]
     parts: list[Markup] = []
     for number, covariate in enumerate(chosen):
@@ -182,8 +182,8 @@ def draw_profiles(shown: Shown) -> Markup:
     return draw_image(_TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
 
 
-def _draw_profile(frame: Frame, shown: Shown, covariate: Covariate) -> Markup:
-    seen = shown.seen
+def _draw_profile(frame: Frame, shown: RunResidual, covariate: Covariate) -> Markup:
+    seen = shown.observations
     edges = np.unique(np.quantile(covariate.values, np.linspace(0.0, 1.0, _BINS + 1)))
     if len(edges) <= _BINS // 2:  # few values: a bin for each
         own = np.unique(covariate.values)
@@ -191,7 +191,7 @@ def _draw_profile(frame: Frame, shown: Shown, covariate: Covariate) -> Markup:
         edges = np.concatenate([[own[0] - 1.0], middle, [own[-1] + 1.0]])
     edges[-1] += 1e-9 * max(abs(float(edges[-1])), 1.0)
     at, mean = _bin_means(
-        covariate.values, 1e3 * shown.left_before_mm, seen.count, edges
+        covariate.values, 1e3 * shown.before_mm, seen.count, edges
     )
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.discovery.asking import Ask, ask
+from app.discovery.open_questions import design_discrimination
+from app.planning.discrimination_lines import DiscriminationDesign
 from app.discovery.discover import Discovery, discover
 from app.files.commanded_file import encode_commanded
 from app.files.run import Run
@@ -16,7 +17,7 @@ from app.files.whole_files import replace_file
 from app.progress import Progress, ignore_progress, scale_progress
 from app.reporting.analysis_files import REPORT
 from app.reporting.discovery_report import render_discovery_report
-from app.results.asking_json import ask_json
+from app.results.discrimination_json import ask_json
 from app.results.discovery_json import discovery_json
 from app.results.earlier_model import EarlierModel
 from app.results.model_file import NextModel, given_by, next_model
@@ -36,7 +37,7 @@ class Discovered:
     content: dict[str, Any]
     model: NextModel
     report_html: str
-    asked: Ask | None
+    asked: DiscriminationDesign | None
 
 
 def discover_runs(
@@ -52,15 +53,15 @@ def discover_runs(
     Raises AlignmentError, EstimationError if the Runs cannot be fitted, BundleError if
     they, or the model, are not of one machine.
     """
-    given = None if parent is None else given_by(parent, runs[0])
+    reference = None if parent is None else given_by(parent, runs[0])
     found = discover(
-        runs, given, scale_progress(on_progress, 0.0, _FOUND, "discovering")
+        runs, reference, scale_progress(on_progress, 0.0, _FOUND, "discovering")
     )
     on_progress(_FOUND, "reporting")
     model = next_model(found, parent)
     told_model = {k: model.content[k] for k in ("version", "parent", "difference")}
     content = {**discovery_json(found), "model": told_model}
-    asked = ask(found)
+    asked = design_discrimination(found)
     content["ask"] = None if asked is None else ask_json(asked, ASK)
     report = render_discovery_report(found, model, asked, ASK)
     return Discovered(found, content, model, report, asked)

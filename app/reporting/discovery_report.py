@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
-from app.discovery.asking import Ask
-from app.discovery.discover import Discovery, Finding
-from app.discovery.extra_lines import DECIDED
-from app.discovery.telling_apart import Question
-from app.discovery.where import Segment, Shown
+from app.discovery.discover import Discovery
+from app.discovery.findings import Finding
+from app.discovery.residual_location import RunResidual, Segment
+from app.planning.discrimination import Question
+from app.planning.discrimination_lines import DECIDED, DiscriminationDesign
 from app.reporting.discovery_figures import (
     draw_along_run,
     draw_by_line,
@@ -23,7 +23,7 @@ from app.reporting.discovery_figures import (
     draw_shares,
 )
 from app.reporting.templating import View, render_page
-from app.results.asking_json import reason
+from app.results.discrimination_json import reason
 from app.results.discovery_wording import others, title
 from app.results.model_difference import in_words
 from app.results.model_file import NextModel
@@ -34,7 +34,7 @@ _WORST = 8
 
 
 def render_discovery_report(
-    found: Discovery, model: NextModel, asked: Ask | None, ask_file: str
+    found: Discovery, model: NextModel, asked: DiscriminationDesign | None, ask_file: str
 ) -> str:
     """Return the report.
 
@@ -46,8 +46,8 @@ def render_discovery_report(
     return render_page(
         "discovery.html",
         {
-            "machine": found.at.machine.name,
-            "names": ", ".join(scene.run.name for scene in found.scenes),
+            "machine": found.baseline.model.machine.name,
+            "names": found.run_names,
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
             "titles": [title(f.candidate) for f in named],
@@ -57,8 +57,10 @@ def render_discovery_report(
             "ask": None if asked is None else describe_ask(asked, ask_file),
             "gap": _describe_gap(found),
             "runs": [
-                {"name": scene.run.name, **_describe_run(shown)}
-                for scene, shown in zip(found.scenes, found.shown, strict=True)
+                {"name": aligned.run.name, **_describe_run(residual)}
+                for aligned, residual in zip(
+                    found.aligned, found.residuals, strict=True
+                )
             ],
             "version": model.content["version"],
             "changes": [
@@ -67,13 +69,13 @@ def render_discovery_report(
             ],
             "software": provenance["software_version"],
             "digest": provenance["input_sha256"],
-            "cells": sum(len(scene.seen) for scene in found.scenes),
-            "samples": sum(scene.seen.used for scene in found.scenes),
+            "cells": sum(len(one.observations) for one in found.aligned),
+            "samples": sum(one.observations.used for one in found.aligned),
         },
     )
 
 
-def describe_ask(asked: Ask, file: str) -> View:
+def describe_ask(asked: DiscriminationDesign, file: str) -> View:
     """Return the open questions, and the lines that decide them.
 
     file : the path of the lines, beside the report
@@ -133,7 +135,7 @@ def _describe_gap(found: Discovery) -> View:
     }
 
 
-def _describe_run(shown: Shown) -> View:
+def _describe_run(shown: RunResidual) -> View:
     """Return where a Run and its simulation disagree."""
     before, after = shown.before, shown.after
     return {
@@ -162,7 +164,7 @@ def _word_question(question: Question) -> str:
     return f"{question.left}, or {question.right}?"
 
 
-def _list_waypoints(asked: Ask) -> list[tuple[str, ...]]:
+def _list_waypoints(asked: DiscriminationDesign) -> list[tuple[str, ...]]:
     """Return the waypoints; the lines begin at the first."""
     path = asked.path
     return [

@@ -6,8 +6,9 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
-from app.discovery.discover import Discovery, Finding
-from app.discovery.where import Segment, Shown
+from app.discovery.discover import Discovery
+from app.discovery.findings import Finding
+from app.discovery.residual_location import Segment, RunResidual
 from app.kinematics.effects.catalogue import Candidate, Described
 from app.kinematics.symbols import is_turn
 from app.results.catalogued_json import parameters_json
@@ -36,7 +37,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             "on": "held-out segments",
         },
         "where": _worst(found),
-        "explained_by": _explained(found.shown[0]),
+        "explained_by": _explained(found.residuals[0]),
         "runs": [
             {
                 "name": scene.run.name,
@@ -44,11 +45,11 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
                 "where": [_segment_json(s) for s in one.before.segments[:_SEGMENTS]],
                 "explained_by": _explained(one),
             }
-            for scene, one in zip(found.scenes, found.shown, strict=True)
+            for scene, one in zip(found.aligned, found.residuals, strict=True)
         ],
         "compared": found.compared,
         "provenance": {
-            "run": ", ".join(scene.run.name for scene in found.scenes),
+            "run": found.run_names,
             "software": f"truepath {version('truepath')}",
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
         },
@@ -107,10 +108,10 @@ def _segment_json(segment: Segment) -> dict[str, Any]:
 
 def _worst(found: Discovery) -> list[dict[str, Any]]:
     """Return the segments of all Runs that disagree most; `run` counts them from 0."""
-    every = [(s, k) for k, one in enumerate(found.shown) for s in one.before.segments]
+    every = [(s, k) for k, one in enumerate(found.residuals) for s in one.before.segments]
     every.sort(key=lambda pair: -pair[0].rms_um)
     return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
 
 
-def _explained(shown: Shown) -> dict[str, dict[str, float]]:
+def _explained(shown: RunResidual) -> dict[str, dict[str, float]]:
     return {"before": shown.before.shares, "after": shown.after.shares}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.discovery.discover import Finding
+from app.discovery.findings import Finding
 from app.kinematics.effects.catalogue import Candidate
 from app.results.effect_titles import effect_title
 

@@ -14,12 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from app.discovery.base import GivenModel
-from app.discovery.discover import Discovery, Finding
-from app.discovery.extending import Extended, extended, plain
+from app.discovery.discover import Discovery
+from app.discovery.extended_model import (
+    ExtendedModel,
+    baseline_model,
+    extend_model,
+)
+from app.discovery.findings import Finding
+from app.estimation.baseline import ReferenceModel
 from app.estimation.extrapolation import measured_ranges
 from app.estimation.observability import observability
-from app.estimation.runs import Measured
 from app.files.machine_file import machine_to_json
 from app.files.run import Run
 from app.kinematics.effects.tool_orientation import tool_orientation
@@ -43,7 +47,7 @@ from app.results.run_account import run_digest
 _TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
 
-def given_by(earlier: EarlierModel, run: Run) -> GivenModel:
+def given_by(earlier: EarlierModel, run: Run) -> ReferenceModel:
     """Return an earlier model as the base that explains a Run.
 
     Raises BundleError if it is of another machine or of another target.
@@ -58,14 +62,14 @@ def given_by(earlier: EarlierModel, run: Run) -> GivenModel:
     theta[:size] = loaded.theta
     covariance = np.eye(model.size) * _TURN_RAD**2
     covariance[:size, :size] = loaded.covariance
-    return GivenModel(model, theta, covariance)
+    return ReferenceModel(model, theta, covariance)
 
 
 @dataclass(frozen=True)
 class NextModel:
     """What became of a model: its content as a file, and the change in words."""
 
-    extended: Extended
+    extended: ExtendedModel
     content: dict[str, Any]
 
 
@@ -74,7 +78,7 @@ def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
 
     parent : what the Run was held against; None for the rigid-body model fitted to it
     """
-    grown = extended(found)
+    grown = extend_model(found)
     state = ModelState(grown.model, grown.theta, grown.covariance)
     before, told = _before(found, parent)
     return NextModel(
@@ -88,7 +92,7 @@ def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
                 for c in difference(before, state)
             ],
             "machine": machine_to_json(grown.model.machine),
-            "mode": found.scene.run.mode,
+            "mode": found.aligned[0].run.mode,
             "effects": [_effect_json(f, grown) for f in found.findings],
             **_tables_json(grown, found),
             "observability": _observability_json(found),
@@ -96,8 +100,8 @@ def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
                 "software": "truepath",
                 "software_version": version("truepath"),
                 "created": datetime.now(UTC).isoformat(timespec="seconds"),
-                "run": ", ".join(scene.run.name for scene in found.scenes),
-                "input_sha256": run_digest(found.scene.run),
+                "run": found.run_names,
+                "input_sha256": run_digest(found.aligned[0].run),
                 "runs": [*_earlier_runs(parent), *_runs_json(found)],
             },
             "model": model_to_json(grown.model, grown.theta, grown.covariance),
@@ -109,11 +113,11 @@ def _before(
     found: Discovery, parent: EarlierModel | None
 ) -> tuple[ModelState, dict[str, Any]]:
     if parent is None:
-        base = plain(found)
+        base = baseline_model(found)
         told = {
             "version": 1,
             "source": "rigid-body model fitted to "
-            + ", ".join(scene.run.name for scene in found.scenes),
+            + found.run_names,
             "sha256": None,
         }
         return ModelState(base.model, base.theta, base.covariance), told
@@ -127,7 +131,7 @@ def _before(
 
 
 def _runs_json(found: Discovery) -> list[dict[str, str]]:
-    runs = [scene.run for scene in found.scenes]
+    runs = [aligned.run for aligned in found.aligned]
     return [{"name": run.name, "input_sha256": run_digest(run)} for run in runs]
 
 
@@ -136,7 +140,7 @@ def _earlier_runs(parent: EarlierModel | None) -> Sequence[dict[str, Any]]:
     return () if parent is None else parent.runs
 
 
-def _effect_json(finding: Finding, grown: Extended) -> dict[str, Any]:
+def _effect_json(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:
     effect = finding.candidate.effect
     scale = np.array([unit_of(p)[1] for p in effect.parameters])
     return {
@@ -151,8 +155,8 @@ def _effect_json(finding: Finding, grown: Extended) -> dict[str, Any]:
     }
 
 
-def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
-    ranges = measured_ranges(*(scene.seen for scene in found.scenes))
+def _tables_json(grown: ExtendedModel, found: Discovery) -> dict[str, Any]:
+    ranges = measured_ranges(*(one.observations for one in found.aligned))
     tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
     halves = half_differences(grown.model, grown.theta, grown.covariance)
     return {
@@ -171,8 +175,7 @@ def _tables_json(grown: Extended, found: Discovery) -> dict[str, Any]:
 
 
 def _observability_json(found: Discovery) -> dict[str, Any]:
-    runs = [Measured(g.coarse, g.base.pose, g.base.noise) for g in found.grounds]
-    seen = observability(found.ground.base.model.machine, runs)
+    seen = observability(found.baseline.model.machine, found.baseline.runs)
     return {
         "rank": seen.rank,
         "parameters": seen.parameters,

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.discovery.catalogue import families
-from app.discovery.scene import scene_of
+from app.discovery.candidate_term import list_families
+from app.discovery.aligned_run import align_runs
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp
@@ -36,7 +36,7 @@ CONTRACT = (
 
 @pytest.fixture(scope="module")
 def at(record):
-    return scene_of(record(11, rows=60)[0]).at
+    return align_runs([record(11, rows=60)[0]])[0].at
 
 
 def test_the_catalogue_of_the_page_is_that_of_the_code():
@@ -46,14 +46,14 @@ def test_the_catalogue_of_the_page_is_that_of_the_code():
 
 
 def test_every_effect_of_the_contract_is_installed_and_explained():
-    known = {family.name: family.signature for family in families()}
+    known = {family.name: family.signature for family in list_families()}
     for name in CONTRACT:
         words = known[name]
         for sentence in (words.cause, words.looks_like, words.remedy):
             assert sentence.endswith("."), (name, sentence)
 
 
-@pytest.mark.parametrize("family", families(), ids=lambda f: f.name)
+@pytest.mark.parametrize("family", list_families(), ids=lambda f: f.name)
 def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at):
     for candidate in family.candidates(at):
         numbers = family.kept(candidate)
@@ -68,7 +68,7 @@ def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at
         assert (again.name == candidate.label) or is_square or numbers
 
 
-@pytest.mark.parametrize("family", families(), ids=lambda f: f.name)
+@pytest.mark.parametrize("family", list_families(), ids=lambda f: f.name)
 def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
     for candidate in family.candidates(at):
         size = len(candidate.usual)

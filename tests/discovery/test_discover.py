@@ -31,7 +31,7 @@ def test_a_knock_is_named_with_its_moment_and_size(knocked):
     assert found.candidate.family == "setup-step"
     assert not found.alternatives
     said = found.parameters
-    begin = knocked.scene.run.tracker.device_time_s[0]
+    begin = knocked.aligned[0].run.tracker.device_time_s[0]
     assert abs(said["t_s"].value - begin - 40.0) < 0.1
     truth = {"step_um[x]": 4.0, "step_um[y]": -3.0, "step_um[z]": 0.0}
     for name, value in truth.items():
@@ -47,7 +47,7 @@ def test_the_gap_on_lines_not_seen_falls_to_the_noise(knocked):
 
 
 def test_the_disagreement_is_located_by_line_and_time(knocked):
-    (shown,) = knocked.shown
+    (shown,) = knocked.residuals
     shares = shown.before.shares
     assert list(shares)[:2] == ["line", "time"]
     assert shares["line"] > 2.0 * shown.after.shares["line"]

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
-from app.discovery.catalogue import families
+from app.discovery.candidate_term import list_families
 from app.kinematics.effects.catalogue import Described
 from app.web.catalogues import catalogue
 
@@ -229,7 +229,7 @@ def test_it_speaks_german_and_fits_a_dark_telephone(panel, service):
 
 
 def test_every_effect_of_the_catalogue_is_told_in_german(panel, service):
-    german, kinds = catalogue("de"), families()
+    german, kinds = catalogue("de"), list_families()
     service.discovery = copy.deepcopy(DISCOVERY) | {
         "effects": [told(k) for k in kinds if not isinstance(k, Described)],
         "unnamed": [told(k) for k in kinds if isinstance(k, Described)],

@@ -12,7 +12,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from app.discovery.catalogue import families
+from app.discovery.candidate_term import list_families
 from app.web.catalogues import LANGUAGES, catalogue, choose_language
 from app.web.pages import LANGUAGE_COOKIE, STATIC_PATH, router, static_files
 
@@ -108,7 +108,7 @@ def test_catalogues_have_the_same_keys_and_the_same_blanks():
 
 
 def test_every_effect_has_a_name_in_each_language_and_words_in_the_others():
-    names = {f"effect.{family.name}" for family in families()}
+    names = {f"effect.{family.name}" for family in list_families()}
     words = {f"{n}.{w}" for n in names for w in ("cause", "looks_like", "remedy")}
     for language in LANGUAGES:
         known = catalogue(language)

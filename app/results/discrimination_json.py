@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from app.discovery.asking import Ask
-from app.discovery.extra_lines import DECIDED
-from app.discovery.telling_apart import Question
+from app.planning.discrimination import Question
+from app.planning.discrimination_lines import DECIDED, DiscriminationDesign
 from drivers.interfaces.records import Path
 
 
-def ask_json(asked: Ask, file: str) -> dict[str, Any]:
+def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
     """Return the questions, the lines that decide them, and the reason in words.
 
     file : the `path.csv` of the lines, beside `discovery.json`; `rows` are the same, as
@@ -46,7 +45,7 @@ def _rows(path: Path) -> list[dict[str, float | str]]:
     return rows
 
 
-def reason(asked: Ask) -> str:
+def reason(asked: DiscriminationDesign) -> str:
     """Return why the lines are to be driven, and what they are."""
     step = np.sign(np.diff(asked.path.position, axis=0))
     turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))

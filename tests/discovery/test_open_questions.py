@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from app.api.models.job_request import JobRequest
-from app.discovery.asking import Ask, ask
-from app.discovery.base import GivenModel
+from app.discovery.open_questions import design_discrimination
+from app.estimation.baseline import ReferenceModel
+from app.planning.discrimination_lines import DiscriminationDesign
 from app.discovery.discover import Discovery, discover
-from app.discovery.extending import Extended, plain
+from app.discovery.extended_model import ExtendedModel, baseline_model
 from app.errors import BundleError
 from app.files.commanded_file import decode_path, encode_commanded
 from app.files.run import Run
@@ -26,7 +27,7 @@ from app.kinematics.model import MachineModel
 from app.motion.paths import check_travel
 from app.reporting.discovery_report import describe_ask, render_discovery_report
 from app.reporting.templating import render_part
-from app.results.asking_json import ask_json
+from app.results.discrimination_json import ask_json
 from app.results.discovery_json import discovery_json
 from app.results.model_file import next_model
 from simulators import synthetic
@@ -51,7 +52,7 @@ class Circle:
     """What the first Run left open, what was asked, what both Runs say."""
 
     first: Discovery
-    asked: Ask
+    asked: DiscriminationDesign
     both: Discovery
 
 
@@ -60,13 +61,13 @@ def circle(
     program: Program,
     mode: str,
     hidden: tuple[HiddenEffect, ...],
-    given: GivenModel | None,
+    given: ReferenceModel | None,
 ) -> Circle:
     """Measure, ask, drive what was asked, decide."""
     setting = Setting(machine_seed=MACHINE, hidden=hidden)
     run = run_of(synthetic.record(CONTENT, program, 6, mode, setting))
     first = discover([run], given)
-    asked = ask(first)
+    asked = design_discrimination(first)
     assert asked is not None
     path = asked.path
     more = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
@@ -102,20 +103,20 @@ def two_sides_of_y(n: int = 40, depth: float = 0.0) -> Program:
 
 
 @pytest.fixture(scope="module")
-def calibrated(record) -> Extended:
+def calibrated(record) -> ExtendedModel:
     """The machine as a clean Run has shown it before."""
     setting = Setting(machine_seed=MACHINE)
-    return plain(discover([record(9, rows=40, feed=6000.0, setting=setting)[0]]))
+    return baseline_model(discover([record(9, rows=40, feed=6000.0, setting=setting)[0]]))
 
 
-def without(known: Extended, effect: str) -> GivenModel:
+def without(known: ExtendedModel, effect: str) -> ReferenceModel:
     """Return a model that has left an effect out; all of it for an empty name."""
     kept = tuple(e for e in known.model.effects if e.name != effect)
     number = np.arange(known.model.size)
     columns = np.concatenate([number[known.model.slices[e.name]] for e in kept])
     model = MachineModel(known.model.machine, kept)
     covariance = known.covariance[np.ix_(columns, columns)]
-    return GivenModel(model, known.theta[columns], covariance)
+    return ReferenceModel(model, known.theta[columns], covariance)
 
 
 @pytest.fixture(
@@ -177,7 +178,7 @@ def test_every_run_is_shown_where_it_disagrees(moved):
     _, done = moved
     both = json.loads(json.dumps(discovery_json(done.both)))
     assert [run["mode"] for run in both["runs"]] == ["otf", "otf"]
-    rows = [len(scene.run.commanded) - 1 for scene in done.both.scenes]
+    rows = [len(scene.run.commanded) - 1 for scene in done.both.aligned]
     assert [len(run["where"]) for run in both["runs"]] == [min(20, r) for r in rows]
     worst = [segment["rms_um"] for segment in both["where"]]
     assert worst == sorted(worst, reverse=True)
@@ -192,10 +193,10 @@ def test_every_run_is_shown_where_it_disagrees(moved):
 def test_the_lines_stay_within_the_travel(moved):
     _, done = moved
     path = done.asked.path
-    check_travel(done.first.scene.run.machine, path)
+    check_travel(done.first.aligned[0].run.machine, path)
     assert (path.position >= LOW).all()
     assert (path.position <= HIGH).all()
-    highest = done.first.scene.run.commanded.feed_mm_min.max()
+    highest = done.first.aligned[0].run.commanded.feed_mm_min.max()
     assert (path.feed_mm_min <= highest + 0.1).all()
 
 
@@ -227,7 +228,7 @@ def test_a_measuring_job_takes_the_lines_as_they_are_stated(moved):
     assert order.path is not None
     driven = [[row.x_mm, row.y_mm, row.z_mm] for row in order.path]
     assert driven == done.asked.path.position.tolist()
-    machine = done.first.scene.run.machine
+    machine = done.first.aligned[0].run.machine
     written = encode_commanded(done.asked.path, machine)
     np.testing.assert_array_equal(
         decode_path(written, machine).feed_mm_min, done.asked.path.feed_mm_min
@@ -237,11 +238,11 @@ def test_a_measuring_job_takes_the_lines_as_they_are_stated(moved):
 def test_nothing_is_asked_where_one_name_stands_clear(record):
     knock = SetupStep(15.0, (4.0, -3.0, 0.0))
     knocked = record(11, setting=Setting(hidden=(knock,)))[0]
-    assert ask(discover([knocked])) is None
+    assert design_discrimination(discover([knocked])) is None
 
 
 def test_nothing_is_asked_where_nothing_is_missing(record):
-    assert ask(discover([record(11)[0]])) is None
+    assert design_discrimination(discover([record(11)[0]])) is None
 
 
 def test_from_which_side_the_first_point_was_reached_explains_nothing(

@@ -5,7 +5,7 @@ import pytest
 
 from app.alignment.observations import Observations
 from app.discovery.discover import discover
-from app.discovery.scene import scene_of
+from app.discovery.aligned_run import align_runs
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 
@@ -24,7 +24,7 @@ def test_a_knock_while_a_line_is_driven_is_not_taken_for_one_in_a_pause(
 ):
     quiet, truth = record(11, rows=ROWS)
     clock = truth.recording.clock
-    moment_s = moment_within(scene_of(quiet, 0).seen, line, share)
+    moment_s = moment_within(align_runs([quiet])[0].observations, line, share)
     machine_s = float(clock.true_s(np.array(moment_s)))
     setting = Setting(hidden=(SetupStep(machine_s, (3.0, -2.0, 1.0)),))
     (found,) = discover([record(11, rows=ROWS, setting=setting)[0]]).findings

@@ -28,7 +28,7 @@ def test_growth_and_time_constant_agree_with_the_truth(warming):
 
 def test_what_the_value_leaves_open_is_in_the_uncertainty_of_the_growth(warming):
     (found,) = warming.findings
-    offer = found.offer
-    _, alone = warming.explanation.effect(0)
-    assert offer.covariance is not None
-    assert float(offer.covariance[0, 0]) > 2.0 * float(alone[0, 0])
+    term = found.term
+    _, alone = warming.fit.parameters_of(0)
+    assert term.covariance is not None
+    assert float(term.covariance[0, 0]) > 2.0 * float(alone[0, 0])

@@ -1,0 +1,172 @@
+"""What the Runs leave open, as questions that further lines can decide.
+
+Names compete where another effect explains the Runs as well; evidence is thin where one
+effect more, or one less, explains about as much. Each explanation is a Gaussian over
+machine and effects, as the Runs leave it, so that both absorb what the machine can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.discovery.candidate_term import CandidateTerm
+from app.discovery.discover import Discovery
+from app.discovery.sums import Lines
+from app.discovery.term_fitter import TermFit
+from app.discovery.term_search import LEAST_EVIDENCE
+from app.discovery.view import Base, View
+from app.estimation.volumetric_map import volumetric_gram
+from app.files.run import Run
+from app.kinematics.effects.base import Effect
+from app.kinematics.effects.catalogue import USUAL_MM
+from app.motion.paths import DEFAULT_FEED_MM_MIN
+from app.planning.discrimination import POSE, Question
+from app.planning.discrimination_lines import DiscriminationDesign, LineChoice
+from drivers.interfaces.records import Path
+
+_THIN = LEAST_EVIDENCE + 3.0
+_NEARLY = 0.5 * LEAST_EVIDENCE
+_MOST_QUESTIONS = 3
+_NEGLIGIBLE_MM = 3e-5  # root mean square displacement of a shape that is left out
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Machine and effects as a Gaussian: mean + root z, z standard normal.
+
+    mean : (p,); root : (p, k)
+    """
+
+    effects: tuple[Effect, ...]
+    mean: Float64[np.ndarray, " p"]
+    root: Float64[np.ndarray, "p k"]
+
+
+@dataclass(frozen=True)
+class HypothesisPair:
+    """Predicts the data of a next Run under two hypotheses.
+
+    base : of the next Run, its pose the last one
+    """
+
+    one: Hypothesis
+    other: Hypothesis
+    base: Base
+
+    def measure(self, observations: Observations) -> Float64[np.ndarray, "q q"]:
+        """Return the normal equations of `planning.discrimination.Question`."""
+        lines = Lines([View(observations, self.base)], 1)
+        effects = (*self.one.effects, *self.other.effects)
+        total = lines.sums(effects).total()[:-1, :-1]
+        columns = self._columns(len(total))
+        return columns.T @ total @ columns
+
+    def _columns(self, size: int) -> Float64[np.ndarray, "t q"]:
+        """Return the map from roots, means and pose to machine, poses, effects."""
+        machine, first = self.base.model.size, self.base.size
+        split = first + len(self.one.mean) - machine
+        middle = self.one.root.shape[1]
+        end = middle + self.other.root.shape[1]
+        columns = np.zeros((size, end + 2 + POSE))
+        for hypothesis, effects, roots, mean in (
+            (self.one, np.arange(first, split), slice(0, middle), end),
+            (self.other, np.arange(split, size), slice(middle, end), end + 1),
+        ):
+            rows = np.r_[np.arange(machine), effects]
+            columns[rows, roots] = hypothesis.root
+            columns[rows, mean] = hypothesis.mean
+        columns[first - POSE : first, end + 2 :] = np.eye(POSE)
+        return columns
+
+
+def design_discrimination(
+    found: Discovery, *, seed: int = 0
+) -> DiscriminationDesign | None:
+    """Return the lines that would decide what the Runs leave open; None if nothing.
+
+    The same seed gives the same lines.
+    """
+    gram = volumetric_gram(found.baseline.model)
+    questions = tuple(_list_questions(found, gram))[:_MOST_QUESTIONS]
+    if not questions:
+        return None
+    run, base = found.aligned[0].run, found.fitter.run_data[0].base
+    feed = _highest_feed_mm_min([aligned.run for aligned in found.aligned])
+    rng = np.random.default_rng(seed)
+    next_run = len(found.aligned)
+    return LineChoice(run.machine, base.pose, next_run, questions, feed, rng).choose()
+
+
+def _list_questions(
+    found: Discovery, gram: Float64[np.ndarray, "m m"]
+) -> Iterator[Question]:
+    """Yield rivals of each finding, then thin evidence for one effect less or more."""
+    best, fitter = found.fit, found.fitter
+    for finding in (f for f in found.findings if f.structure is None):
+        others = best.other_terms(finding.term)
+        for rival in finding.rivals:
+            instead = fitter.fit([*others, rival])
+            yield _form_question(found, gram, finding.term, rival, best, instead)
+        if finding.evidence.log_bayes < _THIN:
+            without = fitter.fit(others)
+            yield _form_question(found, gram, finding.term, None, best, without)
+    ranked = fitter.rank_catalogue(best)
+    if ranked and _NEARLY < ranked[0].evidence < LEAST_EVIDENCE:
+        term = ranked[0].term
+        larger = fitter.fit([*best.terms, term])
+        yield _form_question(found, gram, term, None, larger, best)
+
+
+def _form_question(
+    found: Discovery,
+    gram: Float64[np.ndarray, "m m"],
+    one: CandidateTerm,
+    other: CandidateTerm | None,
+    with_one: TermFit,
+    with_other: TermFit,
+) -> Question:
+    base = replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
+    left, right = (form_hypothesis(fit, gram) for fit in (with_one, with_other))
+    return Question(
+        one.candidate.label,
+        "" if other is None else other.candidate.label,
+        (left.root.shape[1], right.root.shape[1]),
+        HypothesisPair(left, right, base).measure,
+    )
+
+
+def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypothesis:
+    """Return what a fit predicts of machine and effects in any Run to come.
+
+    machine : its Gram matrix: θᵀGθ is the mean square of its displacements, mm²
+
+    With C = A Aᵀ, the eigenvectors of Aᵀ G A are the shapes of what is unknown, ordered
+    by their displacements; the few that matter are kept.
+    """
+    size, theta = len(machine), fit.posterior.theta
+    keep = np.r_[np.arange(size), np.arange(fit.base_size, len(theta))]
+    covariance = fit.posterior.covariance[np.ix_(keep, keep)]
+    own = np.sqrt(np.diag(covariance))
+    value, vector = np.linalg.eigh(covariance / own[:, None] / own)
+    half = own[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
+    gram = np.zeros_like(covariance)
+    gram[:size, :size] = machine
+    usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
+    more = np.arange(size, len(gram))
+    gram[more, more] = (USUAL_MM / usual) ** 2
+    square, shape = np.linalg.eigh(half.T @ gram @ half)
+    root = half @ shape[:, square > _NEGLIGIBLE_MM**2]
+    return Hypothesis(tuple(t.effect for t in fit.terms), theta[keep], root)
+
+
+def _highest_feed_mm_min(runs: Sequence[Run]) -> float:
+    """Return the highest feed that the Runs have driven."""
+    feeds = [r.commanded.feed_mm_min for r in runs if isinstance(r.commanded, Path)]
+    if not feeds:
+        return DEFAULT_FEED_MM_MIN
+    return max(float(feed[1:].max()) for feed in feeds)

@@ -1,0 +1,194 @@
+"""Fit terms to Runs beside machine and poses, and rank the terms not yet in a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.discovery.candidate_term import CandidateTerm, propose_terms
+from app.discovery.event_time import locate_event
+from app.discovery.evidence import HeldOutMisfit, predict_held_out, prior_precision
+from app.discovery.residual import Residual, weight_residual
+from app.discovery.scan import scan_term
+from app.discovery.sums import Lines
+from app.discovery.term_data import TermData
+from app.discovery.value_refinement import refine_values
+from app.discovery.view import View
+from app.estimation.baseline import MachinePrior
+from app.estimation.information import Posterior
+from app.kinematics.effects.catalogue import Family
+
+FOLDS = 8
+_MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
+# Prior of a tracker's place around the one that alignment found: a millimetre, a
+# milliradian. It keeps the place known where one of a Run's few lines is held out.
+_POSE = np.repeat([1.0, 1e6], 3)
+
+
+@dataclass(frozen=True, eq=False)
+class TermFit:
+    """Machine, poses and terms fitted to the Runs.
+
+    base_size : number of parameters of machine and poses, which come first
+    """
+
+    terms: tuple[CandidateTerm, ...]
+    base_size: int
+    prior: MachinePrior
+    posterior: Posterior
+    held_out: HeldOutMisfit
+
+    @property
+    def misfit(self) -> float:
+        """Squared misfit of held-out lines in units of the noise."""
+        return float(self.held_out.square.sum())
+
+    def other_terms(self, term: CandidateTerm) -> list[CandidateTerm]:
+        """Return the terms without one of them."""
+        return [other for other in self.terms if other is not term]
+
+    def part(self, number: int) -> slice:
+        """Return where the parameters of a term lie."""
+        begin = self.base_size + sum(term.size for term in self.terms[:number])
+        return slice(begin, begin + self.terms[number].size)
+
+    def parameters_of(
+        self, number: int
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p p"]]:
+        """Return parameters and covariance of a term."""
+        part = self.part(number)
+        return self.posterior.theta[part], self.posterior.covariance[part, part]
+
+
+@dataclass(frozen=True)
+class RankedTerm:
+    """A term and its evidence beyond a fit: log Bayes factor less the search's cost."""
+
+    term: CandidateTerm
+    evidence: float
+
+
+class TermFitter:
+    """Fits terms to Runs of one machine, and ranks a catalogue of terms."""
+
+    def __init__(
+        self, run_data: Sequence[View], prior: MachinePrior, families: Sequence[Family]
+    ) -> None:
+        self.run_data = tuple(run_data)
+        self._at = tuple(run.seen.at for run in run_data)
+        base = run_data[0].base
+        self._size = base.size
+        self._poses = np.diag(np.r_[np.zeros(base.model.size), *[_POSE] * base.runs])
+        self._prior = prior
+        self._lines = Lines(run_data, FOLDS)
+        self._catalogue = tuple(propose_terms(families, self._at))
+        self._fits: dict[tuple[CandidateTerm, ...], TermFit] = {}
+        self._scanned: dict[TermFit, dict[str, CandidateTerm]] = {}
+        self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
+
+    @property
+    def causes(self) -> tuple[CandidateTerm, ...]:
+        """All terms of the catalogue that have a cause."""
+        return tuple(term for term in self._catalogue if term.has_cause)
+
+    @property
+    def catalogue_size(self) -> int:
+        """How many terms the catalogue has."""
+        return len(self._catalogue)
+
+    def fit(self, terms: Sequence[CandidateTerm]) -> TermFit:
+        """Return the fit of terms, their scanned values refined."""
+        key = tuple(terms)
+        if key not in self._fits:
+            self._fits[key] = self._fit(key)
+        return self._fits[key]
+
+    def _fit(self, terms: tuple[CandidateTerm, ...]) -> TermFit:
+        terms = refine_values(self._data(self._prior), terms)
+        sums = self._lines.sums([term.effect for term in terms])
+        more = prior_precision(self._poses, terms)
+        data = sums.information(np.arange(len(more)))
+        data = replace(data, matrix=data.matrix + more)
+        # The next fit begins with this one's prior.
+        self._prior, posterior = self._prior.fit(data)
+        precision = prior_precision(self._data(self._prior).precision, terms)
+        held_out = predict_held_out(sums, precision)
+        return TermFit(terms, self._size, self._prior, posterior, held_out)
+
+    def _data(self, prior: MachinePrior) -> TermData:
+        precision = prior.precision_matrix(self._size) + self._poses
+        return TermData(self._lines, self._at, precision)
+
+    def rank(self, fit: TermFit, terms: Sequence[CandidateTerm]) -> list[RankedTerm]:
+        """Return terms by their evidence beyond a fit, greatest first.
+
+        terms : at their present values
+        """
+        log_bayes = self._data(fit.prior).compare(fit.terms, terms).log_bayes()
+        listed = float(np.log(self.catalogue_size))
+        ranked = [
+            RankedTerm(term, float(gain) - term.price - listed)
+            for term, gain in zip(terms, log_bayes, strict=True)
+        ]
+        return sorted(ranked, key=_by_evidence)
+
+    def rank_catalogue(
+        self, fit: TermFit, among: Sequence[CandidateTerm] | None = None
+    ) -> list[RankedTerm]:
+        """Return scanned terms by their evidence beyond a fit, greatest first.
+
+        among : terms to scan; the whole catalogue if None
+        The quick scan leaves the machine aside: the best terms are scanned again with
+        the machine integrated out.
+        """
+        among = self._catalogue if among is None else among
+        ranked = self.rank(fit, self._scan(fit, among))
+        best = [self._sharpen(fit, r.term) for r in ranked[:_MOST_SCANNED]]
+        again = self.rank(fit, best) if best else []
+        return sorted([*again, *ranked[_MOST_SCANNED:]], key=_by_evidence)
+
+    def _scan(
+        self, fit: TermFit, among: Sequence[CandidateTerm]
+    ) -> list[CandidateTerm]:
+        """Return terms that are not in a fit, at the best values of a quick scan."""
+        known = self._scanned.setdefault(fit, {})
+        present = {term.label for term in fit.terms}
+        wanted = [term for term in among if term.label not in present]
+        new = [term for term in wanted if term.label not in known]
+        if new:
+            residuals = self.residuals(fit)
+            known |= {term.label: scan_term(term, residuals) for term in new}
+        return [known[term.label] for term in wanted]
+
+    def _sharpen(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
+        """Return a term at its best value with the machine integrated out."""
+        if (fit, term) not in self._sharpened:
+            best = self._sharpen_value(fit, term)
+            self._sharpened |= {(fit, term): best, (fit, best): best}
+        return self._sharpened[fit, term]
+
+    def _sharpen_value(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
+        at = self._at[term.run or 0]
+        scan = term.scan(at)
+        if scan is None or term.wave(at) is not None:
+            return term
+        terms = [term.with_value(at, float(value)) for value in scan.values]
+        best = self.rank(fit, [term, *terms])[0].term
+        if not term.family.happens_once:
+            return best
+        return locate_event(self._data(fit.prior), fit.terms, best)
+
+    def residuals(self, fit: TermFit) -> list[Residual]:
+        """Return what a fit leaves in every cell of each Run."""
+        effects, theta = [t.effect for t in fit.terms], fit.posterior.theta
+        return [
+            weight_residual(view, self._lines.of(run), effects, theta)
+            for run, view in enumerate(self.run_data)
+        ]
+
+
+def _by_evidence(ranked: RankedTerm) -> float:
+    return -ranked.evidence

@@ -1,0 +1,109 @@
+"""Stepwise search for terms: added on evidence, then tried for exchange and removal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.discovery.candidate_term import CandidateTerm
+from app.discovery.term_fitter import TermFit, TermFitter
+
+LEAST_EVIDENCE = 5.0  # log Bayes factor, cost paid: a false alarm in a hundred Runs
+EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
+_MOST_TERMS = 6
+_TRIED = 2  # terms that held-out lines may refuse before the search ends
+
+_Among = Sequence[CandidateTerm] | None
+
+
+class TermSearch:
+    """Searches the terms that Runs have evidence for."""
+
+    def __init__(self, fitter: TermFitter) -> None:
+        self._fitter = fitter
+
+    def select_terms(self, start: Sequence[CandidateTerm] = ()) -> TermFit:
+        """Return the fit of all terms with evidence, starting from some."""
+        return self._remove_terms(self._prefer_causes(self.add_terms(start)))
+
+    def add_terms(self, start: Sequence[CandidateTerm] = ()) -> TermFit:
+        """Return the fit that the search begins with: causes are not preferred yet."""
+        return self._add_terms(self._remove_terms(self._fitter.fit(start)))
+
+    def _add_terms(
+        self, best: TermFit, among: _Among = None, most: int = _MOST_TERMS
+    ) -> TermFit:
+        """Return the fit with every further term that has evidence.
+
+        among : terms to choose from; the whole catalogue if None
+        """
+        while len(best.terms) < most:
+            larger = self._add_term(best, among)
+            if larger is None:
+                break
+            best = self._exchange_term(larger, among)
+        return best
+
+    def _add_term(self, best: TermFit, among: _Among) -> TermFit | None:
+        """Return the fit with one term more, if there is evidence for one."""
+        for ranked in self._fitter.rank_catalogue(best, among)[:_TRIED]:
+            if ranked.evidence < LEAST_EVIDENCE:
+                return None
+            larger = self._fitter.fit((*best.terms, ranked.term))
+            if larger.misfit < best.misfit:
+                return larger
+        return None
+
+    def _exchange_term(self, best: TermFit, among: _Among) -> TermFit:
+        """Exchange or remove a term that later ones have made worse or needless."""
+        for term in best.terms[:-1]:
+            without = self._fitter.fit(best.other_terms(term))
+            other = self._fitter.rank_catalogue(without, among)[0]
+            own = self._fitter.rank(without, [term])[0]
+            if max(other.evidence, own.evidence) < LEAST_EVIDENCE:
+                return without
+            if other.evidence > own.evidence + EQUIVALENT:
+                return self._fitter.fit((*without.terms, other.term))
+        return best
+
+    def _remove_terms(self, best: TermFit) -> TermFit:
+        """Remove terms without evidence given the others, the least first.
+
+        With the noise fitted again, a term may lose the evidence that it had.
+        """
+        while best.terms:
+            without = [self._fitter.fit(best.other_terms(t)) for t in best.terms]
+            evidence = [
+                self._fitter.rank(fit, [term])[0].evidence
+                for fit, term in zip(without, best.terms, strict=True)
+            ]
+            least = int(np.argmin(evidence))
+            if evidence[least] >= LEAST_EVIDENCE:
+                break
+            best = without[least]
+        return best
+
+    def _prefer_causes(self, best: TermFit) -> TermFit:
+        """Replace structure without a cause by causes that explain as much.
+
+        Several shapes that fit anything may together stand for as many causes or fewer.
+        """
+        causes = [term for term in best.terms if term.has_cause]
+        if len(causes) == len(best.terms):
+            return best
+        start = self._remove_terms(self._fitter.fit(causes))
+        other = self._add_terms(start, self._fitter.causes, len(best.terms))
+        if {t.label for t in other.terms} == {t.label for t in causes}:
+            return best
+        other = self._add_terms(other)
+        gain = self._evidence(other) - self._evidence(best)
+        return other if gain > -EQUIVALENT else best
+
+    def _evidence(self, fit: TermFit) -> float:
+        """Return the evidence of all terms, each beside those before it."""
+        before = (self._fitter.fit(fit.terms[:k]) for k in range(len(fit.terms)))
+        return sum(
+            self._fitter.rank(one, [term])[0].evidence
+            for one, term in zip(before, fit.terms, strict=True)
+        )
