@@ -100,7 +100,7 @@ def _temperatures(
 
 def with_pose(seen: Observations, pose: RigidTransform) -> Observations:
     """Return observations with surroundings with another pose of the tracker."""
-    around = seen.at.around
-    if around is not None:
-        around = replace(around, rotation=pose.rotation)
-    return replace(seen, pose=pose, at=replace(seen.at, around=around))
+    recorded = seen.at.recorded
+    if recorded is not None:
+        recorded = replace(recorded, rotation=pose.rotation)
+    return replace(seen, pose=pose, at=replace(seen.at, recorded=recorded))

@@ -48,7 +48,9 @@ def align_runs(runs: Sequence[Run]) -> tuple[AlignedRun, ...]:
     )
 
 
-def _add_surroundings(run: Run, observations: Observations, number: int) -> Observations:
+def _add_surroundings(
+    run: Run, observations: Observations, number: int
+) -> Observations:
     """Return observations of a Run with its number and their surroundings.
 
     The first point of a standstill Run is left out: the side that the machine reached

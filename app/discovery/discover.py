@@ -130,6 +130,4 @@ def _state(
         fitter.residuals(best),
     )
     gap = measure_gap(fitter.run_data, without, best)
-    return Discovery(
-        aligned, baseline, fitter, without, best, findings, gap, residuals
-    )
+    return Discovery(aligned, baseline, fitter, without, best, findings, gap, residuals)

@@ -43,7 +43,9 @@ def extend_model(found: Discovery) -> ExtendedModel:
     for number, term in enumerate(fit.terms):
         finding = next(f for f in found.findings if f.term is term)
         part = fit.part(number)
-        covariance[part, part] += _spread_beyond(finding.covariance, covariance[part, part])
+        covariance[part, part] += _spread_beyond(
+            finding.covariance, covariance[part, part]
+        )
         effect = _make_effect(finding, base)
         if effect is not None:
             added.append((finding, effect))

@@ -27,9 +27,7 @@ class Gap:
     expected_um: float
 
 
-def measure_gap(
-    run_data: Sequence[View], baseline: TermFit, best: TermFit
-) -> Gap:
+def measure_gap(run_data: Sequence[View], baseline: TermFit, best: TermFit) -> Gap:
     """Return the gap; with a fast effect, of the samples within cells as well."""
     floor_um = _noise_floor_um(run_data)
     fast = any(term.is_fast for term in best.terms)

@@ -1,7 +1,7 @@
 """A quick scan of what is not linear in a term: leads, time constants, event times.
 
 The term is taken as orthogonal to the machine and the Ornstein–Uhlenbeck noise as
-white: accurate enough to find where a scan peaks. The evidence is then computed exactly.
+white: accurate enough to find where a scan peaks. The exact evidence comes later.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The shortest lines that decide between competing hypotheses about a machine.
 
 Lines are chosen one after another, each from the end of the last one, by the log Bayes
-factor that they are expected to add per second (Box & Hill 1967): back, along an axis or
-across, at the feeds of the Runs and slower ones. They end when every question is
+factor that they are expected to add per second (Box & Hill 1967): back, along an axis
+or across, at the feeds of the Runs and slower ones. They end when every question is
 expected to be decided.
 """
 
@@ -173,9 +173,7 @@ class LineChoice:
         pairs = zip(self.questions, normal, strict=True)
         return tuple(q.expect_log_bayes(s, pose_sigma) for q, s in pairs)
 
-    def _ends(
-        self, draft: _Draft
-    ) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
+    def _ends(self, draft: _Draft) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
         """Yield ends of the next line and feeds: back, along an axis, anywhere."""
         low, high = self._travel()
         here = draft.position[-1]

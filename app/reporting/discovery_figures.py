@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from app.alignment.observations import Observations
 from app.discovery.gap import Gap
-from app.discovery.residual_location import Segment, RunResidual
+from app.discovery.residual_location import RunResidual, Segment
 from app.kinematics.machine import position_unit
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (
@@ -190,9 +190,7 @@ def _draw_profile(frame: Frame, shown: RunResidual, covariate: Covariate) -> Mar
         middle = 0.5 * (own[1:] + own[:-1])
         edges = np.concatenate([[own[0] - 1.0], middle, [own[-1] + 1.0]])
     edges[-1] += 1e-9 * max(abs(float(edges[-1])), 1.0)
-    at, mean = _bin_means(
-        covariate.values, 1e3 * shown.before_mm, seen.count, edges
-    )
+    at, mean = _bin_means(covariate.values, 1e3 * shown.before_mm, seen.count, edges)
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())
     x = frame.make_x(low, high, margin=0.03)

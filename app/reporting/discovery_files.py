@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.discovery.open_questions import design_discrimination
-from app.planning.discrimination_lines import DiscriminationDesign
 from app.discovery.discover import Discovery, discover
+from app.discovery.open_questions import design_discrimination
 from app.files.commanded_file import encode_commanded
 from app.files.run import Run
 from app.files.whole_files import replace_file
+from app.planning.discrimination_lines import DiscriminationDesign
 from app.progress import Progress, ignore_progress, scale_progress
 from app.reporting.analysis_files import REPORT
 from app.reporting.discovery_report import render_discovery_report
-from app.results.discrimination_json import ask_json
 from app.results.discovery_json import discovery_json
+from app.results.discrimination_json import ask_json
 from app.results.earlier_model import EarlierModel
 from app.results.model_file import NextModel, given_by, next_model
 
@@ -88,5 +88,5 @@ def _write_ask(discovered: Discovered, file: Path) -> None:
         file.unlink(missing_ok=True)
         return
     file.parent.mkdir(exist_ok=True)
-    machine = discovered.found.scene.run.machine
+    machine = discovered.found.aligned[0].run.machine
     replace_file(file, encode_commanded(discovered.asked.path, machine))

@@ -23,8 +23,8 @@ from app.reporting.discovery_figures import (
     draw_shares,
 )
 from app.reporting.templating import View, render_page
-from app.results.discrimination_json import reason
 from app.results.discovery_wording import others, title
+from app.results.discrimination_json import reason
 from app.results.model_difference import in_words
 from app.results.model_file import NextModel
 from app.results.numbers_as_text import plain
@@ -34,7 +34,10 @@ _WORST = 8
 
 
 def render_discovery_report(
-    found: Discovery, model: NextModel, asked: DiscriminationDesign | None, ask_file: str
+    found: Discovery,
+    model: NextModel,
+    asked: DiscriminationDesign | None,
+    ask_file: str,
 ) -> str:
     """Return the report.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.discovery.discover import Discovery
 from app.discovery.findings import Finding
-from app.discovery.residual_location import Segment, RunResidual
+from app.discovery.residual_location import RunResidual, Segment
 from app.kinematics.effects.catalogue import Candidate, Described
 from app.kinematics.symbols import is_turn
 from app.results.catalogued_json import parameters_json
@@ -108,7 +108,9 @@ def _segment_json(segment: Segment) -> dict[str, Any]:
 
 def _worst(found: Discovery) -> list[dict[str, Any]]:
     """Return the segments of all Runs that disagree most; `run` counts them from 0."""
-    every = [(s, k) for k, one in enumerate(found.residuals) for s in one.before.segments]
+    every = [
+        (s, k) for k, one in enumerate(found.residuals) for s in one.before.segments
+    ]
     every.sort(key=lambda pair: -pair[0].rms_um)
     return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
 

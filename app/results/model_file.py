@@ -116,8 +116,7 @@ def _before(
         base = baseline_model(found)
         told = {
             "version": 1,
-            "source": "rigid-body model fitted to "
-            + found.run_names,
+            "source": "rigid-body model fitted to " + found.run_names,
             "sha256": None,
         }
         return ModelState(base.model, base.theta, base.covariance), told

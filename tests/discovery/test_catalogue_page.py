@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.discovery.candidate_term import list_families
 from app.discovery.aligned_run import align_runs
+from app.discovery.candidate_term import list_families
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp

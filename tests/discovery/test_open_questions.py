@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 
 from app.api.models.job_request import JobRequest
-from app.discovery.open_questions import design_discrimination
-from app.estimation.baseline import ReferenceModel
-from app.planning.discrimination_lines import DiscriminationDesign
 from app.discovery.discover import Discovery, discover
 from app.discovery.extended_model import ExtendedModel, baseline_model
+from app.discovery.open_questions import design_discrimination
 from app.errors import BundleError
+from app.estimation.baseline import ReferenceModel
 from app.files.commanded_file import decode_path, encode_commanded
 from app.files.run import Run
 from app.kinematics.model import MachineModel
 from app.motion.paths import check_travel
+from app.planning.discrimination_lines import DiscriminationDesign
 from app.reporting.discovery_report import describe_ask, render_discovery_report
 from app.reporting.templating import render_part
-from app.results.discrimination_json import ask_json
 from app.results.discovery_json import discovery_json
+from app.results.discrimination_json import ask_json
 from app.results.model_file import next_model
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
@@ -106,7 +106,9 @@ def two_sides_of_y(n: int = 40, depth: float = 0.0) -> Program:
 def calibrated(record) -> ExtendedModel:
     """The machine as a clean Run has shown it before."""
     setting = Setting(machine_seed=MACHINE)
-    return baseline_model(discover([record(9, rows=40, feed=6000.0, setting=setting)[0]]))
+    return baseline_model(
+        discover([record(9, rows=40, feed=6000.0, setting=setting)[0]])
+    )
 
 
 def without(known: ExtendedModel, effect: str) -> ReferenceModel:
