@@ -15,7 +15,7 @@ from app.files.bundle import zip_bundle
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.conditions import standstill
-from app.kinematics.machine import Machine
+from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
@@ -42,6 +42,36 @@ Record = Callable[..., Recorded]
 def rng() -> np.random.Generator:
     """Seeded randomness."""
     return np.random.default_rng(20230307)
+
+
+@pytest.fixture
+def mill() -> Machine:
+    """A machine of three straight axes."""
+    return Machine(
+        "small mill",
+        ("X",),
+        ("Y", "Z"),
+        (
+            LinearAxis("X", 0.0, 500.0),
+            LinearAxis("Y", 0.0, 400.0),
+            LinearAxis("Z", -300.0, 0.0),
+        ),
+        (Target("", "tool", (20.0, 30.0, -150.0)),),
+        TrackerNoise(),
+    )
+
+
+@pytest.fixture
+def square() -> Path:
+    """A path of three lines in the travel of the mill."""
+    rows = [(10, 10, -10), (110, 10, -10), (110, 60, -10), (10, 60, -40)]
+    n = len(rows)
+    return Path(
+        ("X", "Y", "Z"),
+        np.array(rows, float),
+        np.full(n, 6000.0),
+        np.array([0.1, 0.2, 0.1, 0.3]),
+    )
 
 
 @pytest.fixture(scope="session")

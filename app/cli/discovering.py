@@ -12,7 +12,7 @@ from app.errors import BadInput
 from app.files.bundle import read_bundle
 from app.reporting.analysis_files import read_all
 from app.reporting.discovery_files import discover_runs, write_discovery
-from app.results.result_files import read_model
+from app.results.prior_model import read_prior_model
 
 
 def discover_bundles(
@@ -27,7 +27,7 @@ def discover_bundles(
         raise BadInput(f"{output}: is a file; name a folder for the results")
     with progress("discover") as report:
         report(0.0, "reading")
-        parent = None if model is None else read_model(model)
+        parent = None if model is None else read_prior_model(model)
         discovered = discover_runs(read_all(bundles, read_bundle), parent, report)
         report(1.0, "writing")
         write_discovery(discovered, output)

@@ -20,7 +20,7 @@ from app.reporting.analysis_files import (
     write_analysis,
 )
 from app.results.prediction import Prediction
-from app.results.result_files import read_model
+from app.results.prior_model import read_prior_model
 
 
 def analyse_bundles(
@@ -42,7 +42,7 @@ def analyse_bundles(
     workers = nullcontext(map) if monte_carlo is None else _workers()
     with progress("analyse") as report, workers as mapper:
         report(0.0, "reading")
-        earlier = None if model is None else read_model(model)
+        earlier = None if model is None else read_prior_model(model)
         runs = read_all(bundles, read_bundle)
         analysis = analyse(
             *runs,

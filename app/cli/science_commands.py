@@ -234,7 +234,7 @@ def plan(
     from app.motion.paths import DEFAULT_FEED_MM_MIN
     from app.motion.workspace import Workspace
     from app.planning.plan import PlanRequest
-    from app.results.result_files import read_model
+    from app.results.prior_model import read_prior_model
 
     request = PlanRequest(
         mode,
@@ -246,6 +246,6 @@ def plan(
         corner_path,
         read_workspace(workspace) if workspace else Workspace(),
         seed,
-        None if model is None else read_model(model),
+        None if model is None else read_prior_model(model),
     )
     plan_files(machine, output, request, control or (), as_json=json)

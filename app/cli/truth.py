@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from app.files.result_file import result_from_json
 from app.numerics.rigid import cross_matrix
 from app.results.prediction import predict
-from app.results.result_json import read_result
 
 _POINTS = 500  # places in the volume at which errors are compared
 _SEED = 7  # of the points, which the measurement has not been told
@@ -42,7 +42,7 @@ def proof(
 
     truth_um : axis positions (n, 3) in mm to true volumetric errors (n, 3) in µm
     """
-    loaded = read_result(result)
+    loaded = result_from_json(result)
     low = np.array([axis.min_mm for axis in loaded.machine.linear_axes])
     high = np.array([axis.max_mm for axis in loaded.machine.linear_axes])
     share = np.random.default_rng(_SEED).random((_POINTS, 3))

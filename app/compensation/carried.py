@@ -18,9 +18,9 @@ from app.compensation.format import CompensationFormat, Correction
 from app.compensation.order import CompensationOrder
 from app.compensation.places import positions, without_rigid
 from app.compensation.source import Source
+from app.files.units import UM_PER_MM
 from app.kinematics.effects.catalogued import Catalogued
 from app.kinematics.symbols import is_positioning
-from app.results.error_tables import MILLI
 
 _NOTHING_MM = 1e-9
 _SIDES = (1.0, -1.0)  # coming up, coming down
@@ -71,7 +71,7 @@ def carried_effects(
         before, after = _rms(place, own), _rms(place, left)
         if before < _NOTHING_MM:
             before = after = 0.0
-        yield Carried(effect, MILLI * before, MILLI * after)
+        yield Carried(effect, UM_PER_MM * before, UM_PER_MM * after)
 
 
 def _rms(

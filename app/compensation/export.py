@@ -23,8 +23,8 @@ from app.compensation.places import (
 )
 from app.compensation.source import Source
 from app.errors import BadInput
+from app.files.units import UM_PER_MM
 from app.plugins import load
-from app.results.error_tables import MILLI
 
 GROUP = "truepath.compensation_formats"
 SPACING_MM = 10.0
@@ -105,7 +105,7 @@ def _left(source: Source, correction: Correction | None) -> Left:
         if correction is not None:
             error = error + correction(position, direction)
         lengths.append(np.linalg.norm(without_rigid(position, error), axis=1))
-    every = MILLI * np.concatenate(lengths)
+    every = UM_PER_MM * np.concatenate(lengths)
     return Left(float(every.mean()), float(every.max()))
 
 
@@ -120,7 +120,7 @@ def _interpolation_loss_um(source: Source, tables: tuple[AxisTable, ...]) -> flo
         between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
         lost = error - error.mean(axis=0) - between + between.mean(axis=0)
         worst = max(worst, float(np.abs(lost).max()))
-    return MILLI * worst
+    return UM_PER_MM * worst
 
 
 def _stamp(source: Source, name: str) -> tuple[str, ...]:

@@ -8,9 +8,8 @@ from typing import Any
 
 from app.compensation.export import SPACING_MM, export_result, suffix_of
 from app.compensation.source import source_of
-from app.files.json_fields import Field, parse_json
+from app.files.result_file import read_result
 from app.files.whole_files import replace_file
-from app.results.result_files import load_result
 
 ACCOUNT = ".json"
 
@@ -30,10 +29,9 @@ def export_files(
     Raises BundleError with the place in the result, BadInput as `export_result`.
     """
     suffix = suffix_of(name)
-    loaded = load_result(result)
     place = Path(output)
     export = export_result(
-        source_of(loaded, _direction(Path(result))),
+        source_of(read_result(result)),
         name,
         place.stem,
         spacing_mm=spacing_mm,
@@ -50,10 +48,3 @@ def export_files(
     text = json.dumps(account, ensure_ascii=False, indent=1, allow_nan=False)
     replace_file(beside, f"{text}\n".encode())
     return account
-
-
-def _direction(result: Path) -> Field | None:
-    """Return what the result says about both directions, if it does."""
-    content = parse_json(result.read_bytes(), str(result))
-    top = Field(str(result), "", content).mapping()
-    return top.child("direction") if "direction" in top else None

@@ -8,13 +8,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.volumetric_map import VolumetricMap, volumetric_map
-from app.files.json_fields import Field
+from app.files.result_file import CalibrationResult
+from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, is_turn
-from app.results.error_tables import MILLI
-from app.results.result_json import LoadedResult
 
 Half = dict[str, tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]]
 
@@ -27,7 +26,7 @@ class Source:
         (position mm, value mm), by axis; none where direction plays no part
     """
 
-    result: LoadedResult
+    result: CalibrationResult
     found: VolumetricMap
     half: Half
 
@@ -108,22 +107,10 @@ class Source:
         )
 
 
-def source_of(result: LoadedResult, direction: Field | None = None) -> Source:
-    """Return what a result says.
-
-    direction : its `direction`, if the file has one
-    """
-    half = {} if direction is None else _half(direction, result.machine)
+def source_of(result: CalibrationResult) -> Source:
+    """Return what a result says."""
+    half = {
+        axis: (position_mm, value_um / UM_PER_MM)
+        for axis, (position_mm, value_um) in result.half_difference_um.items()
+    }
     return Source(result, volumetric_map(result.model), half)
-
-
-def _half(direction: Field, machine: Machine) -> Half:
-    found = direction.mapping().child("half_difference").mapping()
-    half: Half = {}
-    for axis in machine.linear_axes:
-        symbol = f"E{axis.name}{axis.name}"
-        if symbol in found:
-            table = found.child(symbol).mapping()
-            position = table.child("position_mm").numbers()
-            half[axis.name] = position, table.child("value_um").numbers() / MILLI
-    return half

@@ -1,18 +1,23 @@
-"""`machine.json` (schema `machine/1` of the file formats) to and from a `Machine`.
-
-Keys that the schema does not know are tolerated and kept out. Anything wrong with a
-known key is one BundleError that names file, key, value and remedy.
-"""
+"""`machine.json` (schema `machine/1` of the file formats) to and from a `Machine`."""
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from app.errors import BundleError
-from app.files.json_fields import Field, Fields, parse_json, shown
+from pydantic import Field, model_validator
+
+from app.files.file_model import (
+    FileModel,
+    Text,
+    Vector,
+    encode_json,
+    parse_json,
+    quote,
+    refuse,
+    validate,
+)
 from app.files.whole_files import read_whole
 from app.kinematics.machine import (
     Axis,
@@ -24,11 +29,169 @@ from app.kinematics.machine import (
 )
 
 SCHEMA = "machine/1"
-LINEAR_NAMES = ("X", "Y", "Z")
-ROTARY_NAMES = ("A", "B", "C")
 _DIRECTIONS = {"A": (1.0, 0.0, 0.0), "B": (0.0, 1.0, 0.0), "C": (0.0, 0.0, 1.0)}
-_SIDES = ("tool", "workpiece")
-_STANDS = ("workpiece", "base")
+_USUAL = TrackerNoise()
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class LinearAxisFile(FileModel):
+    """A linear axis."""
+
+    type: Literal["linear"]
+    min_mm: float
+    max_mm: float
+
+    @model_validator(mode="after")
+    def _require_travel(self) -> LinearAxisFile:
+        _require_order("mm", self.min_mm, self.max_mm)
+        return self
+
+    def axis(self, name: str) -> LinearAxis:
+        """Return the axis."""
+        return LinearAxis(name, self.min_mm, self.max_mm)
+
+
+class RotaryAxisFile(FileModel):
+    """A rotary axis; without a direction it turns about that of its name."""
+
+    type: Literal["rotary"]
+    min_deg: float
+    max_deg: float
+    origin_mm: Vector = (0.0, 0.0, 0.0)
+    direction: Vector | None = None
+
+    @model_validator(mode="after")
+    def _require_travel_and_direction(self) -> RotaryAxisFile:
+        _require_order("deg", self.min_deg, self.max_deg)
+        if self.direction is not None and not any(self.direction):
+            remedy = "write a direction of any length"
+            raise refuse("is [0, 0, 0]", remedy, "direction")
+        return self
+
+    def axis(self, name: str) -> RotaryAxis:
+        """Return the axis, its direction of length 1."""
+        direction = self.direction or _DIRECTIONS[name]
+        length = math.hypot(*direction)
+        x, y, z = (component / length for component in direction)
+        return RotaryAxis(name, self.min_deg, self.max_deg, self.origin_mm, (x, y, z))
+
+
+class AxesFile(FileModel):
+    """The axes by name, in the order in which a machine has them."""
+
+    X: LinearAxisFile
+    Y: LinearAxisFile
+    Z: LinearAxisFile
+    A: RotaryAxisFile | None = None
+    B: RotaryAxisFile | None = None
+    C: RotaryAxisFile | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_unknown(cls, content: object) -> object:
+        for name in content if isinstance(content, dict) else ():
+            if name not in cls.model_fields:
+                known = "linear axes are X, Y, Z; rotary axes are A, B, C"
+                raise refuse("is an unknown axis", known, name)
+        return content
+
+    def axes(self) -> tuple[Axis, ...]:
+        """Return the axes."""
+        stated = {name: getattr(self, name) for name in type(self).model_fields}
+        return tuple(file.axis(name) for name, file in stated.items() if file)
+
+
+class TargetFile(FileModel):
+    """A target."""
+
+    on: Literal["tool", "workpiece"]
+    offset_mm: Vector
+
+
+class TrackerFile(FileModel):
+    """The tracker's noise, usual where it is not stated, and where it stands."""
+
+    range_sigma_um: Positive = _USUAL.range_sigma_um
+    range_ppm: NotNegative = _USUAL.range_ppm
+    angle_sigma_urad: NotNegative = _USUAL.angle_sigma_urad
+    transverse_sigma_um: NotNegative = _USUAL.transverse_sigma_um
+    rate_hz: Positive = _USUAL.rate_hz
+    stands_on: Literal["workpiece", "base"] = "workpiece"
+
+    @model_validator(mode="after")
+    def _require_noise_across(self) -> TrackerFile:
+        if self.transverse_sigma_um == self.angle_sigma_urad == 0.0:
+            problem = "and angle_sigma_urad are both 0"
+            remedy = "state the noise across the beam"
+            raise refuse(problem, remedy, "transverse_sigma_um")
+        return self
+
+
+class MachineFile(FileModel):
+    """A machine file."""
+
+    schema_: Literal["machine/1"] = Field(alias="schema")
+    name: Text = "machine"
+    axes: AxesFile
+    kinematic_chain: Text
+    tool_offset_mm: Vector | None = None
+    targets: dict[str, TargetFile] | None = None
+    tracker: TrackerFile = TrackerFile()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_two_kinds_of_targets(cls, content: object) -> object:
+        if isinstance(content, dict) and {"targets", "tool_offset_mm"} <= set(content):
+            raise refuse(
+                "stands beside targets", "keep one of the two", "tool_offset_mm"
+            )
+        return content
+
+    @model_validator(mode="after")
+    def _require_targets(self) -> MachineFile:
+        if self.targets is None and self.tool_offset_mm is None:
+            raise refuse("is missing", "add it", "tool_offset_mm")
+        if self.targets == {}:
+            raise refuse("is empty", "name at least one target", "targets")
+        for name in self.targets or ():
+            if not name.strip():
+                raise refuse("has no name", "name every target", "targets", name)
+        return self
+
+    @model_validator(mode="after")
+    def _require_chain_of_axes(self) -> MachineFile:
+        named = sorted(name for side in self.sides() for name in side)
+        known = sorted(axis.name for axis in self.axes.axes())
+        if named != known:
+            raise refuse(
+                f"is {quote(self.kinematic_chain)} but the axes are {', '.join(known)}",
+                "name every axis once",
+                "kinematic_chain",
+            )
+        return self
+
+    def sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Split `w-…-b-…-t` at the base."""
+        parts = self.kinematic_chain.split("-")
+        if parts[0] != "w" or parts[-1] != "t" or parts.count("b") != 1:
+            raise refuse(
+                f"is {quote(self.kinematic_chain)}",
+                "write w-…-b-…-t, workpiece to tool, one base",
+                "kinematic_chain",
+            )
+        base = parts.index("b")
+        return tuple(parts[1:base]), tuple(parts[base + 1 : -1])
+
+    def machine(self) -> Machine:
+        """Return the machine; the target of `tool_offset_mm` has no name."""
+        stated = (self.targets or {}).items()
+        targets = tuple(Target(name, t.on, t.offset_mm) for name, t in stated)
+        if self.tool_offset_mm is not None:
+            targets = (Target("", "tool", self.tool_offset_mm),)
+        noise = TrackerNoise(**self.tracker.model_dump())
+        return Machine(self.name, *self.sides(), self.axes.axes(), targets, noise)
 
 
 def read_machine(path: str | Path) -> Machine:
@@ -41,27 +204,9 @@ def decode_machine(data: bytes, *, file: str = "machine.json") -> Machine:
     return machine_from_json(parse_json(data, file), file=file)
 
 
-def machine_from_json(
-    content: object, *, file: str = "machine.json", key: str = ""
-) -> Machine:
-    """Return the machine that parsed JSON states.
-
-    key : where in the file the machine stands, empty for a file of its own
-    """
-    top = Field(file, key, content).mapping()
-    schema = top.child("schema")
-    if schema.value != SCHEMA:
-        raise schema.error(f"is {shown(schema.value)}", f'write "schema": "{SCHEMA}"')
-    axes = _axes(top.child("axes").mapping())
-    workpiece_side, tool_side = _chain(top.child("kinematic_chain"), axes)
-    return Machine(
-        name=top.child("name", default="machine").text(),
-        workpiece_side=workpiece_side,
-        tool_side=tool_side,
-        axes=axes,
-        targets=_targets(top),
-        tracker=_tracker(top.child("tracker", default={}).mapping()),
-    )
+def machine_from_json(content: object, *, file: str = "machine.json") -> Machine:
+    """Return the machine that parsed JSON states. Raises BundleError."""
+    return validate(MachineFile, content, file).machine()
 
 
 def machine_to_json(machine: Machine) -> dict[str, Any]:
@@ -73,136 +218,19 @@ def machine_to_json(machine: Machine) -> dict[str, Any]:
         "kinematic_chain": machine.chain,
         "axes": {axis.name: _axis_json(axis) for axis in machine.axes},
         **_targets_json(machine.targets),
-        "tracker": {
-            "range_sigma_um": noise.range_sigma_um,
-            "range_ppm": noise.range_ppm,
-            "angle_sigma_urad": noise.angle_sigma_urad,
-            "transverse_sigma_um": noise.transverse_sigma_um,
-            "rate_hz": noise.rate_hz,
-            "stands_on": noise.stands_on,
-        },
+        "tracker": {name: getattr(noise, name) for name in TrackerFile.model_fields},
     }
 
 
 def encode_machine(machine: Machine) -> bytes:
     """Return the bytes of the machine file of a machine."""
-    text = json.dumps(machine_to_json(machine), indent=1, ensure_ascii=False)
-    return (text + "\n").encode()
+    return encode_json(machine_to_json(machine), indent=1)
 
 
-def _axes(fields: Fields) -> tuple[Axis, ...]:
-    found = {key: _axis(key, field) for key, field in fields.children()}
-    missing = [name for name in LINEAR_NAMES if name not in found]
-    if missing:
-        raise BundleError(
-            f"axes.{missing[0]} is missing", file=fields.file, remedy="add the axis"
-        )
-    return tuple(found[n] for n in LINEAR_NAMES + ROTARY_NAMES if n in found)
-
-
-def _axis(name: str, field: Field) -> Axis:
-    if name not in LINEAR_NAMES + ROTARY_NAMES:
-        raise field.error(
-            "is an unknown axis", "linear axes are X, Y, Z; rotary axes are A, B, C"
-        )
-    fields = field.mapping()
-    kind = fields.child("type")
-    wanted = "linear" if name in LINEAR_NAMES else "rotary"
-    if kind.value != wanted:
-        raise kind.error(f"is {shown(kind.value)}", f'axis {name} is "{wanted}"')
-    return _linear(name, fields) if wanted == "linear" else _rotary(name, fields)
-
-
-def _linear(name: str, fields: Fields) -> LinearAxis:
-    return LinearAxis(name, *_travel(fields, "min_mm", "max_mm"))
-
-
-def _rotary(name: str, fields: Fields) -> RotaryAxis:
-    direction = fields.child("direction", default=_DIRECTIONS[name])
-    vector = direction.vector()
-    length = math.hypot(*vector)
-    if length == 0:
-        raise direction.error("is [0, 0, 0]", "write a direction of any length")
-    x, y, z = (component / length for component in vector)
-    return RotaryAxis(
-        name,
-        *_travel(fields, "min_deg", "max_deg"),
-        origin_mm=fields.child("origin_mm", default=(0.0, 0.0, 0.0)).vector(),
-        direction=(x, y, z),
-    )
-
-
-def _travel(fields: Fields, low: str, high: str) -> tuple[float, float]:
-    lowest, highest = fields.child(low).number(), fields.child(high)
-    if highest.number() <= lowest:
-        raise highest.error(
-            f"is {highest.number():g}", f"it must exceed {low}, {lowest:g}"
-        )
-    return lowest, highest.number()
-
-
-def _chain(
-    field: Field, axes: tuple[Axis, ...]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Split `w-…-b-…-t` at the base."""
-    text = field.text()
-    parts = text.split("-")
-    if parts[0] != "w" or parts[-1] != "t" or parts.count("b") != 1:
-        raise field.error(
-            f"is {shown(text)}", "write w-…-b-…-t, workpiece to tool, one base"
-        )
-    base = parts.index("b")
-    sides = tuple(parts[1:base]), tuple(parts[base + 1 : -1])
-    named, known = sorted(sides[0] + sides[1]), sorted(axis.name for axis in axes)
-    if named != known:
-        raise field.error(
-            f"is {shown(text)} but the axes are {', '.join(known)}",
-            "name every axis once",
-        )
-    return sides
-
-
-def _targets(top: Fields) -> tuple[Target, ...]:
-    """Return the targets; the target of `tool_offset_mm` has no name."""
-    if "targets" not in top:
-        offset = top.child("tool_offset_mm")
-        return (Target("", "tool", offset.vector()),)
-    if "tool_offset_mm" in top:
-        raise top.child("tool_offset_mm").error(
-            "stands beside targets", "keep one of the two"
-        )
-    fields = top.child("targets").mapping().children()
-    if not fields:
-        raise top.child("targets").error("is empty", "name at least one target")
-    return tuple(_target(name, field) for name, field in fields)
-
-
-def _target(name: str, field: Field) -> Target:
-    if not name.strip():
-        raise field.error("has no name", "name every target")
-    fields = field.mapping()
-    side = fields.child("on").choice(_SIDES)
-    return Target(name, side, fields.child("offset_mm").vector())
-
-
-def _tracker(fields: Fields) -> TrackerNoise:
-    plain = TrackerNoise()
-    transverse = fields.child("transverse_sigma_um", default=plain.transverse_sigma_um)
-    angle = fields.child("angle_sigma_urad", default=plain.angle_sigma_urad)
-    along = fields.child("range_sigma_um", default=plain.range_sigma_um)
-    rate = fields.child("rate_hz", default=plain.rate_hz)
-    if transverse.number(lowest=0.0) == angle.number(lowest=0.0) == 0.0:
-        raise transverse.error(
-            "and angle_sigma_urad are both 0", "state the noise across the beam"
-        )
-    return TrackerNoise(
-        range_sigma_um=along.number(lowest=0.0, above=True),
-        range_ppm=fields.child("range_ppm", default=plain.range_ppm).number(lowest=0.0),
-        angle_sigma_urad=angle.number(),
-        transverse_sigma_um=transverse.number(),
-        rate_hz=rate.number(lowest=0.0, above=True),
-        stands_on=fields.child("stands_on", default=plain.stands_on).choice(_STANDS),
-    )
+def _require_order(unit: str, low: float, high: float) -> None:
+    if high <= low:
+        remedy = f"it must exceed min_{unit}, {low:g}"
+        raise refuse(f"is {high:g}", remedy, f"max_{unit}")
 
 
 def _axis_json(axis: Axis) -> dict[str, Any]:

@@ -11,15 +11,88 @@ tracker and `blocks_sight` are in the frame that the tracker stands on.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Annotated, Literal
 
-import numpy as np
+from pydantic import Field, model_validator
 
-from app.files.json_fields import Field, Fields, parse_json, shown
+from app.files.file_model import (
+    FileModel,
+    Text,
+    Vector,
+    parse_json,
+    quote,
+    refuse,
+    validate,
+)
 from app.files.whole_files import read_whole
 from app.motion.workspace import Box, Workspace
 
-SCHEMA = "workspace/1"
+
+class BoxFile(FileModel):
+    """A box."""
+
+    min_mm: Vector
+    max_mm: Vector
+    name: Text | None = None
+
+    @model_validator(mode="after")
+    def _require_order(self) -> BoxFile:
+        if any(h <= low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
+            remedy = f"each must exceed min_mm, {list(self.min_mm)}"
+            raise refuse(f"is {quote(self.max_mm)}", remedy, "max_mm")
+        return self
+
+    def box(self) -> Box:
+        """Return the box."""
+        return Box(self.min_mm, self.max_mm, self.name or "")
+
+
+class TrackerPlaceFile(FileModel):
+    """Where the tracker stands, and its range."""
+
+    position_mm: Vector
+    nearest_mm: Annotated[float, Field(ge=0.0)] = 0.0
+    farthest_mm: float | None = None
+
+    @model_validator(mode="after")
+    def _require_range(self) -> TrackerPlaceFile:
+        farthest = self.farthest_mm
+        if farthest is not None and farthest <= self.nearest_mm:
+            remedy = f"it must be above {self.nearest_mm:g}"
+            raise refuse(f"is {farthest:g}", remedy, "farthest_mm")
+        return self
+
+
+class WorkspaceFile(FileModel):
+    """A workspace file."""
+
+    schema_: Literal["workspace/1"] = Field("workspace/1", alias="schema")
+    keep_out: tuple[BoxFile, ...] = ()
+    tracker: TrackerPlaceFile | None = None
+    blocks_sight: tuple[BoxFile, ...] = ()
+
+    @model_validator(mode="after")
+    def _require_tracker_of_sight(self) -> WorkspaceFile:
+        if self.blocks_sight and self.tracker is None:
+            problem = "needs to know where the tracker stands"
+            raise refuse(problem, "state tracker.position_mm", "blocks_sight")
+        return self
+
+    def workspace(self) -> Workspace:
+        """Return the workspace."""
+        keep_out = tuple(file.box() for file in self.keep_out)
+        tracker = self.tracker
+        if tracker is None:
+            return Workspace(keep_out)
+        return Workspace(
+            keep_out,
+            tracker.position_mm,
+            tracker.nearest_mm,
+            math.inf if tracker.farthest_mm is None else tracker.farthest_mm,
+            tuple(file.box() for file in self.blocks_sight),
+        )
 
 
 def read_workspace(path: str | Path) -> Workspace:
@@ -29,38 +102,5 @@ def read_workspace(path: str | Path) -> Workspace:
 
 
 def workspace_from_json(content: object, *, file: str = "workspace.json") -> Workspace:
-    """Return the workspace that parsed JSON states."""
-    top = Field(file, "", content).mapping()
-    schema = top.child("schema", default=SCHEMA)
-    if schema.value != SCHEMA:
-        raise schema.error(f"is {shown(schema.value)}", f'write "schema": "{SCHEMA}"')
-    keep_out, blocks = (_boxes(top, name) for name in ("keep_out", "blocks_sight"))
-    if "tracker" not in top:
-        if blocks:
-            raise top.child("blocks_sight").error(
-                "needs to know where the tracker stands", "state tracker.position_mm"
-            )
-        return Workspace(keep_out)
-    tracker = top.child("tracker").mapping()
-    nearest = tracker.child("nearest_mm", default=0.0).number(lowest=0.0)
-    farthest_mm = np.inf
-    if "farthest_mm" in tracker:
-        farthest_mm = tracker.child("farthest_mm").number(lowest=nearest, above=True)
-    place = tracker.child("position_mm").vector()
-    return Workspace(keep_out, place, nearest, farthest_mm, blocks)
-
-
-def _boxes(top: Fields, name: str) -> tuple[Box, ...]:
-    if name not in top:
-        return ()
-    return tuple(_box(field.mapping()) for field in top.child(name).elements())
-
-
-def _box(fields: Fields) -> Box:
-    low, high = fields.child("min_mm").vector(), fields.child("max_mm")
-    if any(h <= lowest for h, lowest in zip(high.vector(), low, strict=True)):
-        raise high.error(
-            f"is {shown(high.value)}", f"each must exceed min_mm, {list(low)}"
-        )
-    name = fields.child("name").text() if "name" in fields else ""
-    return Box(low, high.vector(), name)
+    """Return the workspace that parsed JSON states. Raises BundleError."""
+    return validate(WorkspaceFile, content, file).workspace()

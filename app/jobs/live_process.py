@@ -203,8 +203,8 @@ def estimate_json(now: Any) -> dict[str, Any]:
         "error_tables": {table.symbol: _table(table) for table in tables.tables},
         "squareness_urad": {
             s.symbol: {
-                "value": round(s.value_urad, 3),
-                "uncertainty": round(s.uncertainty_urad, 3),
+                "value": round(s.value, 3),
+                "uncertainty": round(s.uncertainty, 3),
             }
             for s in tables.squareness
         },

@@ -80,7 +80,7 @@ def plan_measurement(
 def plan_request(order: Json) -> PlanRequest:
     """Return the request that an order states."""
     from app.planning.plan import PlanRequest
-    from app.results.result_files import read_model
+    from app.results.prior_model import read_prior_model
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):
@@ -88,7 +88,9 @@ def plan_request(order: Json) -> PlanRequest:
     file = order.get("model_file")
     return PlanRequest(
         **given,
-        model=None if file is None else read_model(file, order.get("model_id") or ""),
+        model=None
+        if file is None
+        else read_prior_model(file, order.get("model_id") or ""),
         workspace=workspace_from_json(order.get("workspace") or {}),
     )
 

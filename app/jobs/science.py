@@ -32,9 +32,9 @@ def analyse_recorded(
     """
     # Imported where it computes: the service itself carries no science and no plots.
     from app.reporting.analysis_files import analyse, read_all, write_analysis
-    from app.results.result_files import read_model
+    from app.results.prior_model import read_prior_model
 
-    model = None if model_file is None else read_model(model_file, model_id or "")
+    model = read_prior_model(model_file, model_id or "") if model_file else None
     runs = read_all(run_files, open_recorded)
     shared = nullcontext(map) if monte_carlo is None else opened(workers)
     with shared as mapper:
@@ -64,9 +64,11 @@ def discover_recorded(
     # Imported where it computes: the service itself carries no science and no plots.
     from app.reporting.analysis_files import read_all
     from app.reporting.discovery_files import discover_runs, write_discovery
-    from app.results.result_files import read_model
+    from app.results.prior_model import read_prior_model
 
-    parent = None if model_file is None else read_model(model_file, model_id or "")
+    parent = (
+        None if model_file is None else read_prior_model(model_file, model_id or "")
+    )
     runs = read_all(run_files, open_recorded)
     found = discover_runs(runs, parent, on_progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))

@@ -21,6 +21,7 @@ from app.errors import AlignmentError, BundleError
 from app.estimation.batch import estimate
 from app.estimation.estimate import Estimate
 from app.files.one_machine import one_machine
+from app.files.result_file import LARGEST_BYTES, read_result
 from app.files.run import Run
 from app.files.whole_files import read_whole, replace_file
 from app.kinematics.machine import Machine
@@ -28,14 +29,13 @@ from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.planning.grade import Grade, SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
 from app.reporting.calibration_report import render_calibration_report
-from app.results.earlier_model import EarlierModel
 from app.results.effects_beside import ModelAccount
 from app.results.error_tables_csv import error_tables_csv
 from app.results.findings import Findings, Provenance, find
 from app.results.held_trials import held_against_trials
 from app.results.points_csv import predicted_csv, read_points
 from app.results.prediction import Prediction, predict
-from app.results.result_files import LARGEST_BYTES, load_result
+from app.results.prior_model import PriorModel
 from app.results.result_json import result_json
 from app.results.run_account import RunAccount, account_of
 
@@ -69,7 +69,7 @@ class Analysis:
 
 def analyse(
     *runs: Run,
-    model: EarlierModel | None = None,
+    model: PriorModel | None = None,
     perpendicular_only: bool = False,
     monte_carlo: TrialPlan | None = None,
     mapper: Mapper = map,
@@ -136,10 +136,10 @@ def analyse(
     return analysis
 
 
-def _account(model: EarlierModel, digests: Sequence[str]) -> ModelAccount:
+def _account(model: PriorModel, digests: Sequence[str]) -> ModelAccount:
     return ModelAccount(
         model.source,
-        model.loaded.version,
+        model.version,
         model.sha256,
         model.is_of(digests),
         model.runs,
@@ -227,7 +227,7 @@ def predict_points(
 
     Raises BundleError with the place; `Prediction.warnings` is for the user.
     """
-    loaded = load_result(result)
+    loaded = read_result(result)
     data = read_whole(points, largest_bytes=LARGEST_BYTES)
     asked = read_points(data, loaded.machine, file=str(points))
     predicted = predict(loaded, asked.position, asked.target)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from app.files.reference_file import decode_reference
+from app.files.result_file import read_result
 from app.files.whole_files import replace_file
 from app.reporting.comparison_report import render_comparison_report
 from app.results.comparison import ReferenceUncertainty, compare
 from app.results.comparison_files import comparison_csv, comparison_json
 from app.results.comparison_volume import compared_volume
-from app.results.result_files import load_result
 
 COMPARISON, TABLE, PAGE = "comparison.json", "comparison.csv", "comparison.html"
 
@@ -27,7 +27,7 @@ def compare_files(
 
     Raises BundleError with the place, BadInput if nothing can be compared.
     """
-    loaded = load_result(result)
+    loaded = read_result(result)
     direct = decode_reference(Path(reference).read_bytes(), file=str(reference))
     comparison = compare(loaded, direct, instrument)
     volume = compared_volume(loaded.machine, comparison)

@@ -19,8 +19,8 @@ from app.reporting.analysis_files import REPORT
 from app.reporting.discovery_report import render_discovery_report
 from app.results.discovery_json import discovery_json
 from app.results.discrimination_json import ask_json
-from app.results.earlier_model import EarlierModel
 from app.results.model_file import NextModel, given_by, next_model
+from app.results.prior_model import PriorModel
 
 DISCOVERY, MODEL, ASK = "discovery.json", "model.json", "ask/path.csv"
 _FOUND = 0.95  # share of the work that is done with the search
@@ -42,7 +42,7 @@ class Discovered:
 
 def discover_runs(
     runs: Sequence[Run],
-    parent: EarlierModel | None = None,
+    parent: PriorModel | None = None,
     on_progress: Progress = ignore_progress,
 ) -> Discovered:
     """Find what a model of Runs lacks.

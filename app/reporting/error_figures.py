@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
+from app.files.units import UM_PER_MM
 from app.kinematics.machine import Axis
 from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, draw_panels
 from app.reporting.chart import Frame, Scale
@@ -18,7 +19,7 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.error_tables import MILLI, ErrorTable, error_table
+from app.results.error_tables import ErrorTable, error_table
 from app.results.findings import Findings, RunFindings
 
 _COVERAGE = 2.0  # k of expanded uncertainties
@@ -103,7 +104,7 @@ def _draw_level(
 
 
 def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
-    lines, floor = run.by_line, MILLI * run.estimate.residuals.floor_mm
+    lines, floor = run.by_line, UM_PER_MM * run.estimate.residuals.floor_mm
     otf = run.account.mode == "otf"
     row = lines.row.astype(np.float64)
     x = frame.make_x(float(row.min()), float(row.max()), margin=0.03)
@@ -130,7 +131,7 @@ def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
 
 
 def _draw_histogram(frame: Frame, run: RunFindings) -> Markup:
-    residual = MILLI * run.estimate.residuals.residual_mm
+    residual = UM_PER_MM * run.estimate.residuals.residual_mm
     reach = max(3.0 * float(np.std(residual)), 1e-3)
     edge = np.linspace(-reach, reach, _BINS + 1)
     share = [np.histogram(component, edge)[0] for component in residual.T]

@@ -55,10 +55,7 @@ def describe_squareness(findings: Findings) -> View:
     """Return squareness between linear axes, and location errors of rotary axes."""
     tables = findings.tables
     numbers = [
-        *(
-            (s.symbol, s.value_urad, s.uncertainty_urad, "urad")
-            for s in tables.squareness
-        ),
+        *((s.symbol, s.value, s.uncertainty, "urad") for s in tables.squareness),
         *((s.symbol, s.value, s.uncertainty, s.unit) for s in tables.locations),
     ]
     return {

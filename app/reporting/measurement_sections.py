@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from app.files.units import UM_PER_MM
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.symbols import meaning
 from app.numerics.adaptive_trials import NORMAL_FACTOR
@@ -14,7 +15,6 @@ from app.reporting.run_views import (
     describe_run_residuals,
 )
 from app.reporting.templating import View
-from app.results.error_tables import MILLI
 from app.results.findings import Findings
 from app.results.grade_json import in_words
 from app.results.held_trials import MAP, HeldQuantity, HeldTrials
@@ -41,7 +41,7 @@ def describe_machine(findings: Findings) -> View:
         else {
             "number": f"{grade.number:.2f}",
             "text": in_words(grade),
-            "sample_sigma_um": plain(MILLI * grade.sample_sigma_mm, 1),
+            "sample_sigma_um": plain(UM_PER_MM * grade.sample_sigma_mm, 1),
         },
         "runs": [describe_measurement(run) for run in findings.runs],
     }
@@ -50,8 +50,8 @@ def describe_machine(findings: Findings) -> View:
 def describe_residuals(findings: Findings) -> View:
     """Return what the model leaves, and the noise found in each Run."""
     return {
-        "rms_um": MILLI * findings.estimate.rms_mm,
-        "floor_um": MILLI * findings.estimate.floor_mm,
+        "rms_um": UM_PER_MM * findings.estimate.rms_mm,
+        "floor_um": UM_PER_MM * findings.estimate.floor_mm,
         "ratio": residual_over_noise(findings),
         "good_fit": GOOD_FIT,
         "runs": [describe_run_residuals(run) for run in findings.runs],

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.reporting.error_figures import draw_residuals
 from app.reporting.templating import View
-from app.results.error_tables import MICRO, MILLI
 from app.results.findings import Findings, RunFindings
 from app.results.numbers_as_text import plain
 
@@ -68,7 +68,7 @@ def describe_run_residuals(run: RunFindings) -> View:
 def describe_origin(run: RunFindings, *, across_only: bool) -> View:
     """Return which data of a Run were used, and where the tracker stood."""
     sigma = np.sqrt(np.maximum(np.diag(run.estimate.pose_covariance), 0.0))
-    scale = _K * np.repeat([MILLI, MICRO], 3)
+    scale = _K * np.repeat([UM_PER_MM, URAD_PER_RAD], 3)
     half = [f"{value:.2g}" for value in scale * sigma]
     station = run.estimate.pose.invert().translation_mm.tolist()
     return {

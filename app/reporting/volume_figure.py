@@ -13,6 +13,7 @@ from jaxtyping import Float64, Int64
 from markupsafe import Markup
 
 from app.estimation.volumetric_map import volumetric_map
+from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import LinearAxis
 from app.reporting.chart import Frame, Scale, round_down
@@ -29,7 +30,6 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.error_tables import MILLI
 from app.results.findings import Findings
 from app.results.volumetric_error import with_rotary_axes
 
@@ -62,15 +62,15 @@ def _draw_volume(found: Findings) -> Markup:
     axes = model.machine.linear_axes
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
-    error = MILLI * volumetric_map(model).error_mm(
+    error = UM_PER_MM * volumetric_map(model).error_mm(
         standstill(model.machine, with_rotary_axes(model.machine, flat)),
         found.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)
     largest = max(float(size.max()), 1e-6)
     reach = float(np.ptp(flat, axis=0).max())
-    factor = round_down(0.09 * reach / largest * MILLI)
-    moved = (flat + factor / MILLI * error).reshape(nominal.shape)
+    factor = round_down(0.09 * reach / largest * UM_PER_MM)
+    moved = (flat + factor / UM_PER_MM * error).reshape(nominal.shape)
     straight, bent = _scale_to_scene(_project(nominal), _project(moved))
     sizes = size.reshape(nominal.shape[:2])
     shade = 0.5 * (sizes[:, :-1] + sizes[:, 1:]) / largest

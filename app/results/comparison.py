@@ -20,20 +20,20 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.errors import BadInput
+from app.files.result_file import CalibrationResult
 from app.files.run import DirectMeasurement
+from app.files.units import scale_of
 from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import (
     SQUARENESS,
     error_motions,
     is_location,
-    is_turn,
     meaning,
     unit,
 )
 from app.results.comparison_gauge import convention, merging, motions_of
 from app.results.direct_error import DirectError, direct_error
-from app.results.error_tables import MICRO, MILLI
-from app.results.result_json import LoadedResult
+from app.results.error_tables import result_tables
 
 K = 2.0
 
@@ -137,7 +137,7 @@ class ReferenceUncertainty:
 
 
 def compare(
-    result: LoadedResult,
+    result: CalibrationResult,
     reference: Sequence[DirectMeasurement],
     instrument: ReferenceUncertainty | None = None,
 ) -> Comparison:
@@ -183,7 +183,7 @@ def _refuse_units(reference: Sequence[DirectMeasurement]) -> None:
 
 
 def _compared(
-    result: LoadedResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
+    result: CalibrationResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
 ) -> ComparedError | str:
     """Return both in one convention, or the reason why not."""
     motions = motions_of(result)
@@ -199,7 +199,7 @@ def _compared(
     gauge = convention(symbol, axis, theirs.position_mm)
     rows = gauge @ motions[symbol].rows(theirs.position_mm)
     part = result.model.slices[symbol]
-    scale = MICRO if is_turn(symbol) else MILLI
+    scale = scale_of(unit(symbol))
     variance = np.einsum("np,np->n", rows @ result.covariance[part, part], rows)
     removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
     return ComparedError(
@@ -229,22 +229,20 @@ def _with_shares(
 
 
 def _numbers(
-    result: LoadedResult, direct: dict[str, DirectError]
+    result: CalibrationResult, direct: dict[str, DirectError]
 ) -> Iterator[ComparedNumber]:
     """Compare what belongs to no position."""
-    tables = result.tables()
-    ours = {s.symbol: (s.value_urad, s.uncertainty_urad) for s in tables.squareness}
-    ours |= {s.symbol: (s.value, s.uncertainty) for s in tables.locations}
+    tables = result_tables(result)
+    ours = {e.symbol: e for e in (*tables.squareness, *tables.locations)}
     for symbol, theirs in direct.items():
         if symbol not in ours or not (symbol in SQUARENESS or is_location(symbol)):
             continue
-        value, sigma = ours[symbol]
         reference_sigma = float(np.sqrt(np.mean(theirs.sigma**2)))
         yield ComparedNumber(
             symbol,
             unit(symbol),
-            value,
-            sigma,
+            ours[symbol].value,
+            ours[symbol].uncertainty,
             float(theirs.mean.mean()),
             reference_sigma,
         )

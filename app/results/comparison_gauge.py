@@ -11,20 +11,20 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
+from app.files.result_file import CalibrationResult
+from app.files.units import scale_of
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion, arm_of
 from app.kinematics.machine import Axis, LinearAxis
-from app.kinematics.symbols import error_motions, is_straightness, is_turn
+from app.kinematics.symbols import error_motions, is_straightness, unit
 from app.results.direct_error import DirectError
-from app.results.error_tables import MICRO, MILLI
-from app.results.result_json import LoadedResult
 
 _SAME_MM = 1e-6
 _PROBE = 60  # configurations that tell how motions merge
 _MERGES = 1e-6  # of a merged motion: left over by those it merges into
 
 
-def motions_of(result: LoadedResult) -> dict[str, ErrorMotion]:
+def motions_of(result: CalibrationResult) -> dict[str, ErrorMotion]:
     """Return the error motions that a result tells, by symbol."""
     return {motion.symbol: motion for motion in result.model.error_motions}
 
@@ -47,7 +47,7 @@ def convention(
 
 
 def merging(
-    result: LoadedResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
+    result: CalibrationResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return what of other motions of the axis the result has in this one.
 
@@ -68,7 +68,7 @@ def merging(
     return shares, tuple(missing)
 
 
-def _share(result: LoadedResult, other: str, known: list[str]) -> dict[str, float]:
+def _share(result: CalibrationResult, other: str, known: list[str]) -> dict[str, float]:
     """Return a unit of a motion as a sum of others of its axis, mm and rad."""
     rng = np.random.default_rng(0)
     low = np.array([axis.low for axis in result.machine.axes])
@@ -95,4 +95,4 @@ def _share(result: LoadedResult, other: str, known: list[str]) -> dict[str, floa
 
 def _in_unit(symbol: str, other: str) -> float:
     """Return the factor from (mm, rad) to (µm, µrad) of a share."""
-    return (MICRO if is_turn(symbol) else MILLI) / (MICRO if is_turn(other) else MILLI)
+    return scale_of(unit(symbol)) / scale_of(unit(other))

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from app.files.units import UM_PER_MM, scale_of
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import arm_of, reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import is_turn
 from app.results.comparison import ComparedError, Comparison
-from app.results.error_tables import MICRO, MILLI
 
 GRID = 9  # positions an axis
 
@@ -55,7 +54,7 @@ def compared_volume(machine: Machine, comparison: Comparison) -> ComparedVolume 
     value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
     for error in errors:
         # µm per µm, or µm per µrad: the arm is in mm per rad.
-        arm = arm_of(error.symbol, at) * (MILLI / MICRO if is_turn(error.symbol) else 1)
+        arm = arm_of(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
         where = at.axis_mm(error.symbol[2])
         value += arm * _between(error, where, error.value)
         reference += arm * _between(error, where, error.reference)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.base import Role
+from app.files.units import scale_of
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import is_turn
-from app.results.error_tables import MICRO, MILLI, table_positions_mm
+from app.kinematics.symbols import unit
+from app.results.error_tables import table_positions_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +56,6 @@ def half_differences(
     )
 
 
-def directional(model: MachineModel) -> tuple[str, ...]:
-    """Return the names of the effects that are half differences and no more.
-
-    Lost motion with a name of its own is part of the machine's model.
-    """
-    return tuple(e.name for e in model.effects if e.role is Role.DIRECTION)
-
-
 def _half_difference(
     parts: list[tuple[str, ErrorCurve]],
     model: MachineModel,
@@ -75,12 +67,11 @@ def _half_difference(
     rows = np.zeros((len(at_mm), model.size))
     for name, part in parts:
         rows[:, model.slices[name]] = part.rows(at_mm)
-    turn = is_turn(width.symbol)
-    scale = MICRO if turn else MILLI
+    scale = scale_of(unit(width.symbol))
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return HalfDifference(
         width.symbol,
-        "urad" if turn else "um",
+        unit(width.symbol),
         at_mm,
         scale * (rows @ theta),
         scale * np.sqrt(np.maximum(variance, 0.0)),

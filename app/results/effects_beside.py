@@ -6,6 +6,7 @@ would, the machine is not any more as the model has it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,6 @@ from app.kinematics.effects.catalogue import Measured
 from app.kinematics.effects.catalogued import Catalogued, measured
 from app.kinematics.model import MachineModel
 from app.plugins import load
-from app.results.catalogued_json import parameters_json
 from app.results.effect_titles import effect_title
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
@@ -106,6 +106,20 @@ def effects_json(
         }
         for one in effects
     ]
+
+
+def parameters_json(found: Mapping[str, Measured]) -> dict[str, Any]:
+    """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
+    stated: dict[str, Any] = {}
+    for name, m in found.items():
+        whole, vector, _ = name.partition("[")
+        if not vector:
+            stated[name] = {"value": m.value, "uncertainty": m.uncertainty}
+            continue
+        parts = stated.setdefault(whole, {"value": [], "uncertainty": []})
+        parts["value"].append(m.value)
+        parts["uncertainty"].append(m.uncertainty)
+    return stated
 
 
 def foretold_json(

@@ -8,16 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.estimation.extrapolation import Ranges
+from app.files.result_file import CalibrationResult
+from app.files.units import scale_of
 from app.kinematics.effects.error_curve import ErrorCurve
-from app.kinematics.machine import Axis, RotaryAxis, Target
+from app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import SQUARENESS, is_turn, unit
+from app.kinematics.symbols import SQUARENESS, unit
 
 STEP_MM = 25.0
 STEP_DEG = 10.0
 _FEWEST = 5
-MICRO = 1e6  # rad to µrad
-MILLI = 1e3  # mm to µm
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,25 +48,16 @@ class ErrorTable:
 
 
 @dataclass(frozen=True, slots=True)
-class LocationError:
-    """A location error of a rotary axis, with its standard uncertainty (k = 1).
+class SingleError:
+    """A squareness, or a location error of a rotary axis: one number.
 
-    unit : "um" or "urad", of `value` and `uncertainty`
+    unit : "um" or "urad", of `value` and its standard `uncertainty` (k = 1)
     """
 
     symbol: str
     unit: str
     value: float
     uncertainty: float
-
-
-@dataclass(frozen=True, slots=True)
-class SquarenessError:
-    """A squareness, with its standard uncertainty (k = 1)."""
-
-    symbol: str
-    value_urad: float
-    uncertainty_urad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +69,10 @@ class ErrorTables:
     """
 
     tables: tuple[ErrorTable, ...]
-    squareness: tuple[SquarenessError, ...]
+    squareness: tuple[SingleError, ...]
     targets: tuple[Target, ...]
     any_tool: bool
-    locations: tuple[LocationError, ...] = ()
+    locations: tuple[SingleError, ...] = ()
 
     def table(self, symbol: str) -> ErrorTable | None:
         """Return the table of an error motion, or None where it is not known."""
@@ -100,36 +91,43 @@ def error_tables(
     """
     ranges = measured or {}
     tables: list[ErrorTable] = []
-    squareness: list[SquarenessError] = []
-    locations: list[LocationError] = []
+    squareness: list[SingleError] = []
+    locations: list[SingleError] = []
     for effect in model.effects:
         part = model.slices[effect.name]
-        symbol = effect.iso_symbol
+        own = theta[part], covariance[part, part]
         if motion := effect.motion:
-            at_mm = table_positions_mm(motion.axis)
-            table = error_table(motion, theta[part], covariance[part, part], at_mm)
+            table = error_table(motion, *own, table_positions_mm(motion.axis))
             tables.append(replace(table, measured=ranges.get(motion.axis.name)))
-        elif symbol in SQUARENESS:
-            value, variance = float(theta[part][0]), float(covariance[part, part][0, 0])
-            sigma = float(np.sqrt(variance))
-            squareness.append(SquarenessError(symbol, MICRO * value, MICRO * sigma))
-        elif symbol:
-            sigma = float(np.sqrt(covariance[part, part][0, 0]))
-            locations.append(_location(symbol, float(theta[part][0]), sigma))
-    complete = len(tables) == 6 * len(model.machine.axes)
+        elif effect.iso_symbol in SQUARENESS:
+            squareness.append(_single_error(effect.iso_symbol, *own))
+        elif effect.iso_symbol:
+            locations.append(_single_error(effect.iso_symbol, *own))
     return ErrorTables(
         tuple(tables),
         tuple(squareness),
         model.machine.targets,
-        complete,
+        holds_for_any_tool(model),
         tuple(locations),
     )
 
 
-def _location(symbol: str, value: float, sigma: float) -> LocationError:
-    stated = unit(symbol)
-    scale = MICRO if stated == "urad" else MILLI
-    return LocationError(symbol, stated, scale * value, scale * sigma)
+def holds_for_any_tool(model: MachineModel) -> bool:
+    """Tell whether all six motions of every axis are known."""
+    motions = [effect for effect in model.effects if effect.motion]
+    return len(motions) == 6 * len(model.machine.axes)
+
+
+def result_tables(result: CalibrationResult) -> ErrorTables:
+    """Return the error tables of a result or model file."""
+    return error_tables(result.model, result.theta, result.covariance, result.measured)
+
+
+def _single_error(
+    symbol: str, theta: Float64[np.ndarray, "1"], covariance: Float64[np.ndarray, "1 1"]
+) -> SingleError:
+    scale, sigma = scale_of(unit(symbol)), float(np.sqrt(covariance[0, 0]))
+    return SingleError(symbol, unit(symbol), scale * float(theta[0]), scale * sigma)
 
 
 def table_positions_mm(axis: Axis) -> Float64[np.ndarray, " n"]:
@@ -146,16 +144,13 @@ def error_table(
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
     """Return one error motion at given positions, from its own parameters."""
-    turn = is_turn(motion.symbol)
-    scale = MICRO if turn else MILLI
-    rows = motion.rows(position_mm)
+    scale, rows = scale_of(unit(motion.symbol)), motion.rows(position_mm)
     variance = np.einsum("np,np->n", rows @ covariance, rows)
-    sigma = np.sqrt(np.maximum(variance, 0.0))
     return ErrorTable(
         motion.symbol,
-        "urad" if turn else "um",
+        unit(motion.symbol),
         position_mm,
         scale * (rows @ theta),
-        scale * sigma,
-        "deg" if isinstance(motion.axis, RotaryAxis) else "mm",
+        scale * np.sqrt(np.maximum(variance, 0.0)),
+        position_unit(motion.axis),
     )

@@ -53,7 +53,4 @@ def _lines(tables: ErrorTables) -> Iterator[str]:
                 f"{table.unit},{int(beyond)}"
             )
     for square in tables.squareness:
-        yield (
-            f"{square.symbol},,{square.value_urad:z.5f},{square.uncertainty_urad:.5f},"
-            "urad,"
-        )
+        yield (f"{square.symbol},,{square.value:z.5f},{square.uncertainty:.5f},urad,")

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.estimate import Estimate, RunEstimate
+from app.files.units import UM_PER_MM
 from app.planning.grade import Grade
 from app.results.effects_beside import ModelAccount
-from app.results.error_tables import MILLI, ErrorTables, error_tables
+from app.results.error_tables import ErrorTables, error_tables
 from app.results.held_trials import HeldTrials
 from app.results.run_account import RunAccount
 from app.results.volumetric_error import VolumetricError, volumetric_error
@@ -140,14 +141,14 @@ def residuals_by_line(run: RunEstimate, *, across_only: bool) -> LineResiduals:
         residuals.row, return_inverse=True, return_counts=True
     )
     mean = np.bincount(place, square, len(row)) / cells
-    return LineResiduals(row, cells, MILLI * np.sqrt(mean))
+    return LineResiduals(row, cells, UM_PER_MM * np.sqrt(mean))
 
 
 def noise_found(run: RunEstimate) -> NoiseFound:
     """Return the noise of a Run in µm."""
     noise = run.noise
-    stated = MILLI * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]
-    along = MILLI * noise.along_sigma_mm
+    stated = UM_PER_MM * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]
+    along = UM_PER_MM * noise.along_sigma_mm
     return NoiseFound(
         run.distance_mm,
         stated,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from app.files.units import UM_PER_MM
 from app.kinematics.symbols import meaning
 from app.planning.grade import GOOD, USABLE, Grade, WeakMotion
-from app.results.error_tables import MILLI
 
 _MEANS = {
     "good": "the map will be known to a quarter of what one tracker sample scatters "
@@ -23,8 +23,8 @@ def grade_json(found: Grade) -> dict[str, Any]:
         "verdict": found.verdict,
         "thresholds": {"good": GOOD, "usable": USABLE},
         "text": in_words(found),
-        "expected_uncertainty_um": MILLI * found.sigma_mm,
-        "sample_sigma_um": MILLI * found.sample_sigma_mm,
+        "expected_uncertainty_um": UM_PER_MM * found.sigma_mm,
+        "sample_sigma_um": UM_PER_MM * found.sample_sigma_mm,
         "tracker": {
             "position_mm": found.station_mm.tolist(),
             "assumed": found.assumed,
@@ -41,7 +41,7 @@ def in_words(found: Grade) -> str:
     """Return what a person needs to know before the machine moves."""
     said = (
         f"{found.number:.2f}, {found.verdict}: {_MEANS[found.verdict]}; expected are "
-        f"{2 * MILLI * found.sigma_mm:.1f} µm (k = 2)"
+        f"{2 * UM_PER_MM * found.sigma_mm:.1f} µm (k = 2)"
     )
     if found.assumed:
         said += ", with the tracker at the worst of four usual places"
@@ -60,6 +60,6 @@ def _weak_json(motion: WeakMotion) -> dict[str, Any]:
     return {
         "error": motion.symbol,
         "meaning": meaning(motion.symbol),
-        "at_tool_um": MILLI * motion.at_tool_mm,
+        "at_tool_um": UM_PER_MM * motion.at_tool_mm,
         "remedy": None if motion.remedy is None else f"add {motion.remedy.text}",
     }

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64
 from app.estimation.estimate import Estimate
 from app.estimation.monte_carlo import block, prepared
 from app.estimation.volumetric_map import volumetric_map
+from app.files.units import UM_PER_MM, scale_of
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import RotaryAxis
 from app.kinematics.model import MachineModel
@@ -28,7 +29,7 @@ from app.numerics.adaptive_trials import (
     propagate,
 )
 from app.progress import ShareProgress, ignore_progress
-from app.results.error_tables import MICRO, MILLI, table_positions_mm
+from app.results.error_tables import table_positions_mm
 
 MAP = "volumetric error"
 _GRID, _TURNED = 3, 2  # points of a linear and of a rotary axis, ends included
@@ -159,8 +160,7 @@ def _asked(model: MachineModel) -> list[_Asked]:
             rows = motion.rows(at[:, 0])
         whole = np.zeros((len(rows), model.size))
         stated = unit(effect.iso_symbol)
-        scale = MICRO if stated == "urad" else MILLI
-        whole[:, model.slices[effect.name]] = scale * rows
+        whole[:, model.slices[effect.name]] = scale_of(stated) * rows
         asked.append(_Asked(effect.iso_symbol, stated, at, position_unit, whole))
     return [*asked, _map(model)]
 
@@ -174,7 +174,7 @@ def _map(model: MachineModel) -> _Asked:
     ]
     at = np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
     J = volumetric_map(model).jacobian(standstill(model.machine, at))
-    return _Asked(MAP, "um", at, "", MILLI * J.reshape(-1, model.size))
+    return _Asked(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
 
 
 def _relative(quantity: HeldQuantity) -> float:

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
-from app.kinematics.effects.base import Effect, Role
+from app.files.model_file import EstimatedModel
+from app.files.units import unit_of
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogued import measured
 from app.kinematics.effects.error_curve import ErrorCurve
-from app.kinematics.model import MachineModel
 from app.plugins import load
-from app.results.catalogued_json import unit_of
 from app.results.error_tables import error_table, table_positions_mm
 from app.results.numbers_as_text import expanded, plain
 
@@ -40,30 +39,6 @@ _SUFFIXES = (
 )
 
 
-@dataclass(frozen=True)
-class ModelState:
-    """A model with its parameters and their covariance."""
-
-    model: MachineModel
-    theta: Float64[np.ndarray, " p"]
-    covariance: Float64[np.ndarray, "p p"]
-
-    def part(
-        self, name: str
-    ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
-        """Return parameters and covariance of one effect."""
-        part = self.model.slices[name]
-        return self.theta[part], self.covariance[part, part]
-
-    def effects(self) -> dict[str, Effect]:
-        """Return the machine's own effects by name."""
-        return {
-            e.name: e
-            for e in self.model.effects
-            if e.role in (Role.MACHINE, Role.DIRECTION)
-        }
-
-
 @dataclass(frozen=True, slots=True)
 class Change:
     """One difference. kind : `added`, `removed` or `changed`; text : a sentence."""
@@ -73,7 +48,7 @@ class Change:
     text: str
 
 
-def difference(before: ModelState, after: ModelState) -> tuple[Change, ...]:
+def difference(before: EstimatedModel, after: EstimatedModel) -> tuple[Change, ...]:
     """Return what one model has that another has not, and which numbers changed.
 
     A number has changed if it did so by more than its expanded uncertainty (k = 2).
@@ -99,7 +74,7 @@ def _stem(name: str) -> str:
     return name.partition("[")[0]
 
 
-def _of(state: ModelState, effect: Effect, kind: str) -> Change:
+def _of(state: EstimatedModel, effect: Effect, kind: str) -> Change:
     theta, covariance = state.part(effect.name)
     catalogued = {e.name: e for e in state.model.catalogued}
     if known := catalogued.get(effect.name):
@@ -117,7 +92,7 @@ def _of(state: ModelState, effect: Effect, kind: str) -> Change:
 
 
 def _changed(
-    before: ModelState, after: ModelState, old: Effect, new: Effect
+    before: EstimatedModel, after: EstimatedModel, old: Effect, new: Effect
 ) -> Iterator[Change]:
     if old.motion and new.motion:
         yield from _motion_changed(before, after, old.motion, new.motion)
@@ -133,7 +108,7 @@ def _changed(
 
 
 def _motion_changed(
-    before: ModelState, after: ModelState, old: ErrorCurve, new: ErrorCurve
+    before: EstimatedModel, after: EstimatedModel, old: ErrorCurve, new: ErrorCurve
 ) -> Iterator[Change]:
     at_mm = table_positions_mm(new.axis)
     was = error_table(old, *before.part(old.symbol), at_mm)

@@ -25,19 +25,19 @@ from app.estimation.baseline import ReferenceModel
 from app.estimation.extrapolation import measured_ranges
 from app.estimation.observability import observability
 from app.files.machine_file import machine_to_json
+from app.files.model_file import EstimatedModel, model_to_json
+from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run
+from app.files.units import unit_of
 from app.kinematics.effects.tool_orientation import tool_orientation
 from app.kinematics.model import MachineModel
-from app.results.catalogued_json import unit_of
 from app.results.direction_tables import half_differences
 from app.results.discovery_json import effect_json
-from app.results.earlier_model import EarlierModel
 from app.results.error_tables import error_tables
-from app.results.model_difference import ModelState, difference
-from app.results.model_json import model_to_json
+from app.results.model_difference import difference
+from app.results.prior_model import PriorModel
 from app.results.result_json import (
-    MODEL_SCHEMA,
-    halves_json,
+    half_differences_json,
     locations_json,
     ranges_json,
     table_json,
@@ -47,13 +47,13 @@ from app.results.run_account import run_digest
 _TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
 
-def given_by(earlier: EarlierModel, run: Run) -> ReferenceModel:
+def given_by(earlier: PriorModel, run: Run) -> ReferenceModel:
     """Return an earlier model as the base that explains a Run.
 
     Raises BundleError if it is of another machine or of another target.
     """
     earlier.require_same(run.machine)
-    loaded = earlier.loaded
+    loaded = earlier.result
     model = MachineModel(run.machine, loaded.model.effects)
     offsets = np.array([t.offset_mm for t in run.machine.targets], float)
     model = model.with_effects(*tool_orientation(run.machine, offsets))
@@ -73,13 +73,13 @@ class NextModel:
     content: dict[str, Any]
 
 
-def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
+def next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     """Return the model with what was found in it.
 
     parent : what the Run was held against; None for the rigid-body model fitted to it
     """
     grown = extend_model(found)
-    state = ModelState(grown.model, grown.theta, grown.covariance)
+    state = EstimatedModel(grown.model, grown.theta, grown.covariance)
     before, told = _before(found, parent)
     return NextModel(
         grown,
@@ -110,8 +110,8 @@ def next_model(found: Discovery, parent: EarlierModel | None) -> NextModel:
 
 
 def _before(
-    found: Discovery, parent: EarlierModel | None
-) -> tuple[ModelState, dict[str, Any]]:
+    found: Discovery, parent: PriorModel | None
+) -> tuple[EstimatedModel, dict[str, Any]]:
     if parent is None:
         base = baseline_model(found)
         told = {
@@ -119,14 +119,13 @@ def _before(
             "source": "rigid-body model fitted to " + found.run_names,
             "sha256": None,
         }
-        return ModelState(base.model, base.theta, base.covariance), told
-    loaded = parent.loaded
+        return EstimatedModel(base.model, base.theta, base.covariance), told
     told = {
-        "version": loaded.version,
+        "version": parent.version,
         "source": parent.source,
         "sha256": parent.sha256,
     }
-    return ModelState(loaded.model, loaded.theta, loaded.covariance), told
+    return parent.result.estimated_model, told
 
 
 def _runs_json(found: Discovery) -> list[dict[str, str]]:
@@ -134,7 +133,7 @@ def _runs_json(found: Discovery) -> list[dict[str, str]]:
     return [{"name": run.name, "input_sha256": run_digest(run)} for run in runs]
 
 
-def _earlier_runs(parent: EarlierModel | None) -> Sequence[dict[str, Any]]:
+def _earlier_runs(parent: PriorModel | None) -> Sequence[dict[str, Any]]:
     """Return the Runs that what is known of the machine came from before."""
     return () if parent is None else parent.runs
 
@@ -161,13 +160,13 @@ def _tables_json(grown: ExtendedModel, found: Discovery) -> dict[str, Any]:
     return {
         "error_tables": {t.symbol: table_json(t) for t in tables.tables},
         "squareness_urad": {
-            s.symbol: {"value": s.value_urad, "uncertainty": s.uncertainty_urad}
+            s.symbol: {"value": s.value, "uncertainty": s.uncertainty}
             for s in tables.squareness
         },
         **locations_json(tables),
         "direction": {
             "model": "constant" if halves else "none",
-            "half_difference": halves_json(halves),
+            "half_difference": half_differences_json(halves),
         },
         "measured_range": ranges_json(ranges, grown.model.machine),
     }

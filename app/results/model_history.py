@@ -52,9 +52,9 @@ def read_versions(results: Path, job_id: str) -> list[tuple[str, Mapping[str, An
 def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
     """Return what differs between two model or result files. Raises BundleError."""
     # Imported where it computes: the service itself carries no science.
-    from app.results.model_difference import ModelState, difference
-    from app.results.result_files import load_result
+    from app.files.result_file import read_result
+    from app.results.model_difference import difference
 
-    old, new = (load_result(file) for file in (before, after))
-    states = (ModelState(m.model, m.theta, m.covariance) for m in (old, new))
-    return [asdict(change) for change in difference(*states)]
+    old, new = (read_result(file) for file in (before, after))
+    changes = difference(old.estimated_model, new.estimated_model)
+    return [asdict(change) for change in changes]

@@ -15,10 +15,10 @@ from app.estimation.extrapolation import (
     whole_travel,
 )
 from app.estimation.volumetric_map import VolumetricMap, volumetric_map
+from app.files.result_file import CalibrationResult
+from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
-from app.results.error_tables import MILLI
-from app.results.result_json import LoadedResult
 
 _USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache
@@ -38,7 +38,7 @@ class Prediction:
 
 
 def predict(
-    result: LoadedResult,
+    result: CalibrationResult,
     position: Float64[np.ndarray, "n a"],
     targets: Sequence[str] = (),
 ) -> Prediction:
@@ -74,7 +74,7 @@ def _by_target(
 
 
 def _block(
-    result: LoadedResult,
+    result: CalibrationResult,
     found: VolumetricMap,
     known: dict[str, Variation],
     position: Float64[np.ndarray, "n a"],
@@ -85,11 +85,13 @@ def _block(
     error = found.error_mm(at, result.theta)
     variance = found.sigma_mm(at, result.covariance) ** 2
     variance += beyond_travel_variance_mm2(at, result.model, known)
-    return MILLI * error, MILLI * np.sqrt(variance)
+    return UM_PER_MM * error, UM_PER_MM * np.sqrt(variance)
 
 
 def _warnings(
-    result: LoadedResult, position: Float64[np.ndarray, "n a"], targets: Sequence[str]
+    result: CalibrationResult,
+    position: Float64[np.ndarray, "n a"],
+    targets: Sequence[str],
 ) -> Iterator[str]:
     outside = int(_outside(result.machine, position).sum())
     if outside:
@@ -128,7 +130,7 @@ def _outside(
 
 
 def _unmeasured(
-    result: LoadedResult, position: Float64[np.ndarray, "n a"]
+    result: CalibrationResult, position: Float64[np.ndarray, "n a"]
 ) -> Bool[np.ndarray, " n"]:
     """Tell which points lie beyond the measured range by more than ends usually do."""
     beyond = np.zeros(len(position), bool)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.results.error_tables import MICRO, MILLI
+from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.results.findings import RunFindings
 
 
@@ -25,8 +25,8 @@ def run_json(run: RunFindings) -> dict[str, Any]:
         "source": account.source,
         "alignment": alignment_json(run),
         "residuals": {
-            "rms_um": MILLI * residuals.rms_mm,
-            "noise_floor_um": MILLI * residuals.floor_mm,
+            "rms_um": UM_PER_MM * residuals.rms_mm,
+            "noise_floor_um": UM_PER_MM * residuals.floor_mm,
             "by_direction_um": by_direction_json(residuals.residual_mm),
             "by_line": lines_json(run),
         },
@@ -49,8 +49,8 @@ def alignment_json(run: RunFindings) -> dict[str, Any]:
         },
         "pose_uncertainty": {
             "about_mm": estimate.centre_mm.tolist(),
-            "shift_um": (MILLI * sigma[:3]).tolist(),
-            "turn_urad": (MICRO * sigma[3:]).tolist(),
+            "shift_um": (UM_PER_MM * sigma[:3]).tolist(),
+            "turn_urad": (URAD_PER_RAD * sigma[3:]).tolist(),
         },
         "lines": account.lines,
         "matched_lines": estimate.lines,
@@ -63,7 +63,7 @@ def alignment_json(run: RunFindings) -> dict[str, Any]:
 
 def by_direction_json(residual_mm: Float64[np.ndarray, "n 3"]) -> dict[str, float]:
     """Return the root mean square of each component in the frame of the beam."""
-    beam = MILLI * np.sqrt(np.mean(residual_mm**2, axis=0))
+    beam = UM_PER_MM * np.sqrt(np.mean(residual_mm**2, axis=0))
     return dict(zip(("beam", "azimuth", "elevation"), beam.tolist(), strict=True))
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.volumetric_map import volumetric_map
+from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.kinematics.model import MachineModel
-from app.results.error_tables import MILLI
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -66,7 +66,9 @@ def volumetric_error(
 ) -> VolumetricError:
     """Return the volumetric error of the first target over the axis travel."""
     position_mm = grid_mm(model, _GRID)
-    J = MILLI * volumetric_map(model).jacobian(standstill(model.machine, position_mm))
+    J = UM_PER_MM * volumetric_map(model).jacobian(
+        standstill(model.machine, position_mm)
+    )
     error = J @ theta
     drawn = J.reshape(-1, model.size) @ _draws(covariance)
     left = drawn.reshape(*error.shape, -1)

@@ -91,11 +91,11 @@ def test_the_proof_is_exact_for_a_result_that_is_the_truth(analysed):
     """The truth less what the result says is nothing: 0 % left, all within 2 u."""
     import json
 
+    from app.files.result_file import result_from_json
     from app.results.prediction import predict
-    from app.results.result_json import read_result
 
     result = json.loads((analysed / "result.json").read_text())
-    loaded = read_result(result)
+    loaded = result_from_json(result)
 
     def truth_um(position_mm):
         moved = np.cross([3e-2, -1e-2, 2e-2], position_mm) + np.array([5.0, 6.0, 7.0])

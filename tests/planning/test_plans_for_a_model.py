@@ -10,6 +10,7 @@ from app.alignment.surroundings import with_surroundings
 from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
+from app.files.result_file import CalibrationResult
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
@@ -19,8 +20,7 @@ from app.planning.forecast import forecast
 from app.planning.plan import PlanRequest, make_plan
 from app.reporting.plan_files import plan_document
 from app.reporting.plan_report import render_plan_report
-from app.results.earlier_model import EarlierModel
-from app.results.result_json import LoadedResult
+from app.results.prior_model import PriorModel
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag
@@ -40,7 +40,7 @@ SIGMA = np.array([0.003, 1e-4, 0.02])
 
 
 @pytest.fixture(scope="module")
-def model() -> EarlierModel:
+def model() -> PriorModel:
     families = (BacklashFamily(), ServoMismatchFamily(), ElasticSagFamily())
     keys = ({"axis": "X"}, {"axis": "X"}, {"axis": "X", "by": "Y", "direction": "Z"})
     effects = tuple(
@@ -49,10 +49,8 @@ def model() -> EarlierModel:
     )
     likeness = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])
     covariance = likeness * np.outer(SIGMA, SIGMA)
-    loaded = LoadedResult(
-        MACHINE, "otf", MachineModel(MACHINE, effects), 0.2 * SIGMA, covariance, (), {}
-    )
-    return EarlierModel(loaded, "model.json", "abc")
+    loaded = CalibrationResult(MachineModel(MACHINE, effects), 0.2 * SIGMA, covariance)
+    return PriorModel(loaded, "model.json", "abc")
 
 
 @pytest.fixture(scope="module")

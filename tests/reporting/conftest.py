@@ -12,11 +12,11 @@ import pytest
 from app.estimation.estimate import Estimate, Observability, Residuals, RunEstimate
 from app.estimation.extrapolation import whole_travel
 from app.estimation.noise import NoiseModel
+from app.files.result_file import CalibrationResult
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.numerics.rigid import RigidTransform
 from app.results.findings import Findings, Provenance, find
-from app.results.result_json import LoadedResult
 from app.results.run_account import RunAccount
 
 AXES = (
@@ -129,21 +129,19 @@ def found(estimate, provenance) -> Findings:
 
 
 @pytest.fixture(scope="session")
-def loaded(estimate) -> LoadedResult:
+def loaded(estimate) -> CalibrationResult:
     """The estimate as prediction reads it, without a file between."""
     return as_loaded(estimate)
 
 
 @pytest.fixture(scope="session")
-def load() -> Callable[[Estimate], LoadedResult]:
+def load() -> Callable[[Estimate], CalibrationResult]:
     return as_loaded
 
 
-def as_loaded(estimate: Estimate) -> LoadedResult:
+def as_loaded(estimate: Estimate) -> CalibrationResult:
     model = estimate.model
-    return LoadedResult(
-        model.machine, "otf", model, estimate.theta, estimate.covariance, (), {}
-    )
+    return CalibrationResult(model, estimate.theta, estimate.covariance)
 
 
 @pytest.fixture(scope="session")

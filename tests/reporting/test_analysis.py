@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from app.errors import AlignmentError, BundleError
+from app.files.result_file import read_result
 from app.reporting.analysis_files import analyse, predict_points, write_analysis
 from app.results.prediction import predict
-from app.results.result_files import load_result
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_the_file_predicts_what_the_analysis_predicts(
     recorded, analysis, folder, volume
 ):
     q = volume(recorded[0].machine, 20)
-    read = load_result(folder / "result.json")
+    read = read_result(folder / "result.json")
     again = predict(read, q)
     whole = analysis.found.volumetric
     assert json.loads((folder / "result.json").read_text("utf-8")) == analysis.result
@@ -128,7 +128,7 @@ def test_a_result_that_is_cut_short_is_refused(folder, tmp_path):
     cut = tmp_path / "cut.json"
     cut.write_bytes((folder / "result.json").read_bytes()[:5000])
     with pytest.raises(BundleError, match=r"cut\.json, row 1: is not JSON"):
-        load_result(cut)
+        read_result(cut)
 
 
 def test_a_file_too_large_to_be_a_result_is_not_read(tmp_path):
@@ -136,7 +136,7 @@ def test_a_file_too_large_to_be_a_result_is_not_read(tmp_path):
     with large.open("wb") as file:
         file.truncate((1 << 30) + 1)
     with pytest.raises(BundleError, match="larger than 1024 MiB"):
-        load_result(large)
+        read_result(large)
 
 
 def test_bad_points_leave_no_answer_behind(folder, tmp_path):

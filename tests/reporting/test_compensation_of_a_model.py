@@ -7,8 +7,8 @@ import pytest
 
 from app.compensation.export import export_result
 from app.compensation.source import source_of
-from app.files.json_fields import Field
 from app.files.machine_file import machine_from_json
+from app.files.result_file import CalibrationResult
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
@@ -16,7 +16,6 @@ from app.kinematics.effects.screw_cyclic import ScrewCyclicFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
 from app.results.direction_tables import half_differences
-from app.results.result_json import LoadedResult, halves_json
 from simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"), file="machine.json")
@@ -39,9 +38,12 @@ def source():
     model = MachineModel(MACHINE, effects)
     theta = np.concatenate([values for *_, values in EFFECTS])
     covariance = 1e-12 * np.eye(len(theta))
-    half = halves_json(half_differences(model, theta, covariance))
-    loaded = LoadedResult(MACHINE, "otf", model, theta, covariance, (), {})
-    return source_of(loaded, Field("m", "direction", {"half_difference": half}))
+    half = {
+        one.symbol[2]: (one.position_mm, one.value)
+        for one in half_differences(model, theta, covariance)
+    }
+    result = CalibrationResult(model, theta, covariance, half_difference_um=half)
+    return source_of(result)
 
 
 def left(source, name) -> dict[str, tuple[float, float]]:

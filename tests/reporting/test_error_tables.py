@@ -73,15 +73,15 @@ def test_uncertainty_is_the_spread_of_tables_drawn_from_the_covariance(
         spread = np.std([d.tables[k].value for d in of_draws], axis=0)
         assert table.uncertainty == pytest.approx(spread, rel=0.09, abs=1e-9)
     for k, square in enumerate(tables.squareness):
-        spread = np.std([d.squareness[k].value_urad for d in of_draws])
-        assert square.uncertainty_urad == pytest.approx(spread, rel=0.09)
+        spread = np.std([d.squareness[k].value for d in of_draws])
+        assert square.uncertainty == pytest.approx(spread, rel=0.09)
 
 
 def test_squarenesses_are_the_angles_of_the_parameters(estimate, tables):
     assert [s.symbol for s in tables.squareness] == ["C0Y", "B0Z", "A0Z"]
     for square in tables.squareness:
         angle = estimate.theta[estimate.model.slices[square.symbol]][0]
-        assert square.value_urad == pytest.approx(1e6 * angle)
+        assert square.value == pytest.approx(1e6 * angle)
 
 
 def test_what_merges_has_no_table_and_is_named_instead(estimate, tables):

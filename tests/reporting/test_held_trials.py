@@ -54,8 +54,8 @@ def test_every_table_and_squareness_is_held_where_it_is_stated(estimated, held):
         np.testing.assert_allclose(quantity.linear, table.uncertainty, atol=1e-6)
     for lean in stated.squareness:
         quantity = named(held, lean.symbol)
-        assert quantity.value[0] == pytest.approx(lean.value_urad)
-        assert quantity.linear[0] == pytest.approx(lean.uncertainty_urad)
+        assert quantity.value[0] == pytest.approx(lean.value)
+        assert quantity.linear[0] == pytest.approx(lean.uncertainty)
     assert named(held, MAP).position.shape == (27, 3)
     assert named(held, MAP).value.shape == (81,)
 

@@ -18,6 +18,7 @@ from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.estimation.monte_carlo import drawn as trials_drawn
 from app.estimation.monte_carlo import prepared
+from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogued import catalogued
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
@@ -25,10 +26,9 @@ from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.analysis_files import analyse
-from app.results.earlier_model import EarlierModel
 from app.results.model_file import next_model
 from app.results.prediction import predict
-from app.results.result_json import LoadedResult, read_result
+from app.results.prior_model import PriorModel
 from simulators import paths, synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag
@@ -47,19 +47,19 @@ for axis in SMALL["axes"].values():
 MACHINES = (3, 5)
 
 
-def taken(content) -> EarlierModel:
+def taken(content) -> PriorModel:
     """Return a result or model as it comes back from disk."""
-    loaded = read_result(json.loads(json.dumps(content)), file="model.json")
-    return EarlierModel(loaded, "model.json", "abc")
+    loaded = result_from_json(json.loads(json.dumps(content)), file="model.json")
+    return PriorModel(loaded, "model.json", "abc")
 
 
-def only_named(run, hidden) -> EarlierModel:
+def only_named(run, hidden) -> PriorModel:
     """Return a model that names the effect and knows no number of it."""
     family = ServoMismatchFamily() if hidden is LAG else ElasticSagFamily()
     effect = catalogued(family, run.machine, hidden.keys, {})
     model = MachineModel(run.machine, (effect,))
-    loaded = LoadedResult(run.machine, "otf", model, np.zeros(1), np.eye(1), (), {})
-    return EarlierModel(loaded, "named.json", "abc")
+    loaded = CalibrationResult(model, np.zeros(1), np.eye(1))
+    return PriorModel(loaded, "named.json", "abc")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Told:
 
     run: object
     truth: object
-    earlier: EarlierModel
+    earlier: PriorModel
     without: dict
     beside: dict
 
@@ -115,7 +115,7 @@ def judged(volume, rigid_free):
                 for k, axis in enumerate(one.run.machine.linear_axes[:2])
             )
             true[:, 2] -= 1e-3 * SAG.amplitude_um * 4.0 * u * (1.0 - u) * v
-        said = predict(read_result(result), at)
+        said = predict(result_from_json(result), at)
         off = rigid_free(at, said.error_um) - 1e3 * rigid_free(at, true)
         return off, said.uncertainty_um
 
@@ -155,7 +155,7 @@ def test_the_result_states_the_effect_before_and_with_the_run(told):
 def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
     """A lag hardly known leaves X less certain than one that is known."""
     one = told(LAG)
-    known = one.earlier.loaded
+    known = one.earlier.result
     loose = replace(known, covariance=1e4 * known.covariance)
     vague = analyse(one.run, model=replace(one.earlier, loaded=loose)).result
     sure, open_ = (
@@ -167,7 +167,7 @@ def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
 
 def test_a_machine_that_has_changed_since_is_told(told):
     one = told(SAG)
-    known = one.earlier.loaded
+    known = one.earlier.result
     effect = known.model.slices[known.model.effects[-1].name]
     theta = known.theta.copy()
     theta[effect] += 30.0 * np.sqrt(np.diag(known.covariance)[effect])
@@ -209,16 +209,12 @@ def test_lost_motion_of_a_model_stands_among_both_directions(run_of):
     setting = Setting(machine_seed=3, hidden=(Backlash("Y", 8.0),))
     run = run_of(driven(7, 20, setting))
     effect = catalogued(BacklashFamily(), run.machine, {"axis": "Y"}, {})
-    loaded = LoadedResult(
-        run.machine,
-        "otf",
+    loaded = CalibrationResult(
         MachineModel(run.machine, (effect,)),
         np.array([-0.004]),
         np.array([[1e-8]]),
-        (),
-        {},
     )
-    result = analyse(run, model=EarlierModel(loaded, "m", "0")).result
+    result = analyse(run, model=PriorModel(loaded, "m", "0")).result
     half = result["direction"]["half_difference"]["EYY"]
     assert result["direction"]["model"] == "constant"
     assert list(result["direction"]["half_difference"]) == ["EYY"]

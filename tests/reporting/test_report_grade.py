@@ -8,14 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.files.result_file import result_from_json
 from app.planning.default_path import default_path
 from app.planning.grade import grade
 from app.reporting.calibration_report import render_calibration_report
+from app.results.error_tables import result_tables
 from app.results.error_tables_csv import error_tables_csv
 from app.results.findings import find
 from app.results.grade_json import grade_json, in_words
 from app.results.prediction import predict
-from app.results.result_json import read_result, result_json
+from app.results.result_json import result_json
 
 STATION_MM = np.array([900.0, 100.0, -200.0])
 MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
@@ -54,18 +56,18 @@ def test_the_result_marks_them_and_a_reader_finds_them_again(graded):
     beyond = np.array(table["position_mm"]) < -100.0
     assert table["extrapolated"] == beyond.tolist()
     assert content["measured_range"]["Z"] == {"from_mm": 20.0, "to_mm": 290.0}
-    loaded = read_result(content)
+    loaded = result_from_json(content)
     assert loaded.measured == MEASURED
-    again = loaded.tables().table("EYX")
+    again = result_tables(loaded).table("EYX")
     assert again.extrapolated.tolist() == beyond.tolist()
 
 
 def test_a_result_without_a_measured_range_marks_nothing(graded):
     content = result_json(graded)
     del content["measured_range"]
-    loaded = read_result(content)
+    loaded = result_from_json(content)
     assert loaded.measured == {}
-    assert not loaded.tables().table("EYX").extrapolated.any()
+    assert not result_tables(loaded).table("EYX").extrapolated.any()
 
 
 def test_weak_shapes_stand_beside_what_cannot_be_seen(graded):

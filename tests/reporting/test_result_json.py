@@ -9,13 +9,15 @@ import pytest
 
 from app.errors import BundleError
 from app.files.machine_file import machine_from_json
+from app.files.model_file import model_to_json
+from app.files.packing import pack_symmetric
+from app.files.result_file import result_from_json
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.tracker_pose import TrackerPose
+from app.results.error_tables import result_tables
 from app.results.findings import find
-from app.results.model_json import model_to_json
-from app.results.packing import pack_symmetric
 from app.results.prediction import predict
-from app.results.result_json import read_result, result_json
+from app.results.result_json import result_json
 
 
 @pytest.fixture
@@ -109,7 +111,7 @@ def test_the_file_predicts_what_the_estimate_predicts(
 ):
     estimate = construct(three_targets) if targets == "three" else construct()
     text = json.dumps(result_json(find(estimate, provenance)))
-    read = read_result(json.loads(text))
+    read = result_from_json(json.loads(text))
     expected = predict(load(estimate), travel_points)
     got = predict(read, travel_points)
     assert got.error_um == pytest.approx(expected.error_um, abs=1e-9)
@@ -118,7 +120,7 @@ def test_the_file_predicts_what_the_estimate_predicts(
 
 def test_parameters_come_back_whatever_basis_the_gauge_had(estimate, content):
     """The file holds values at knots; a gauge brings its own basis when it is read."""
-    read = read_result(content)
+    read = result_from_json(content)
     assert read.mode == "otf"
     assert read.unobservable == estimate.observability.unobservable
     assert read.provenance["run"] == "monday"
@@ -130,7 +132,7 @@ def test_parameters_come_back_whatever_basis_the_gauge_had(estimate, content):
 
 
 def test_tables_of_a_read_result_are_those_that_were_written(found, content):
-    read = read_result(content).tables()
+    read = result_tables(result_from_json(content))
     for before, after in zip(found.tables.tables, read.tables, strict=True):
         assert after.symbol == before.symbol
         assert after.value == pytest.approx(before.value, abs=1e-9)
@@ -202,7 +204,7 @@ BAD = [
 def test_a_bad_result_is_one_clear_error(content, spoil, said):
     spoil(content)
     with pytest.raises(BundleError) as caught:
-        read_result(content, file="r.json")
+        result_from_json(content, file="r.json")
     assert str(caught.value).startswith("r.json: ")
     assert said in str(caught.value)
 
@@ -211,12 +213,12 @@ def test_a_negative_variance_is_refused(content):
     size = content["model"]["covariance"]["size"]
     content["model"]["covariance"]["data"] = pack_symmetric(-np.eye(size))
     with pytest.raises(BundleError, match="negative variance"):
-        read_result(content)
+        result_from_json(content)
 
 
 def test_what_is_no_object_is_no_result():
     with pytest.raises(BundleError, match="write an object"):
-        read_result([1, 2])
+        result_from_json([1, 2])
 
 
 def test_what_belongs_to_the_measurement_is_integrated_out(estimate):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from app.files.bundle import read_bundle
+from app.files.result_file import read_result
 from app.reporting.analysis_files import analyse, predict_points, write_analysis
-from app.results.result_files import load_result
 from simulators import synthetic, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
@@ -73,7 +73,7 @@ def test_the_error_is_predicted_at_five_axes_from_the_result_alone(analysed):
     )
     first = (folder / "out.csv").read_text().splitlines()[0]
     assert first == f"{header},dx_um,dy_um,dz_um,ux_um,uy_um,uz_um"
-    direct = load_result(folder / "result.json")
+    direct = read_result(folder / "result.json")
     own = analysis.found.estimate
     c0y = own.model.slices["C0Y"], direct.model.slices["C0Y"]
     assert np.allclose(own.theta[c0y[0]], direct.theta[c0y[1]])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from app.errors import AlignmentError, BundleError
+from app.files.result_file import result_from_json
 from app.kinematics.machine import Target
 from app.reporting.analysis_files import analyse, told_apart
-from app.results.result_json import read_result
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_the_mode_is_that_of_the_run_with_most_samples_used(analysis):
     assert result["mode"] == max(used, key=used.get)
     main = next(run for run in result["runs"] if run["mode"] == result["mode"])
     assert result["alignment"] == main["alignment"]
-    assert read_result(result).mode == result["mode"]
+    assert result_from_json(result).mode == result["mode"]
 
 
 def test_each_run_has_alignment_residuals_noise_and_origin(analysis, runs):

@@ -2,17 +2,18 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from app.discovery.discover import discover
 from app.errors import BundleError
+from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogued import Catalogued
-from app.results.earlier_model import EarlierModel
 from app.results.model_file import given_by, next_model
 from app.results.prediction import predict
-from app.results.result_json import LoadedResult, read_result
+from app.results.prior_model import PriorModel
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.synthetic import Setting
 
@@ -37,13 +38,13 @@ def content(found):
 
 
 @pytest.fixture(scope="module")
-def loaded(content) -> LoadedResult:
-    return read_result(content, file="model.json")
+def loaded(content) -> CalibrationResult:
+    return result_from_json(content, file="model.json")
 
 
 @pytest.fixture(scope="module")
 def again(sagging, loaded):
-    given = given_by(EarlierModel(loaded, "model.json", "0"), sagging[0])
+    given = given_by(PriorModel(loaded, "model.json", "0"), sagging[0])
     return discover([sagging[0]], given)
 
 
@@ -96,7 +97,7 @@ def test_prediction_from_the_model_has_the_sag_in_it(
     left = true_um - rigid_free(at, told.error_um)
     assert np.std(left) < 0.2 * np.std(true_um)
     assert np.mean(np.abs(left) < 3.0 * told.uncertainty_um + 0.5) > 0.9
-    without = predict(LoadedResult(**{**fields(loaded), **rigid(loaded)}), at)
+    without = predict(replace(loaded, **rigid(loaded)), at)
     assert np.std(true_um - rigid_free(at, without.error_um)) > 2.0 * np.std(left)
 
 
@@ -106,7 +107,7 @@ def test_nothing_is_missing_from_the_model_that_has_it(again):
 
 
 def test_the_next_version_knows_its_parent(again, loaded):
-    parent = EarlierModel(loaded, "model.json", "digest")
+    parent = PriorModel(loaded, "model.json", "digest")
     content = next_model(again, parent).content
     assert content["version"] == 3
     expected = {"version": 2, "source": "model.json", "sha256": "digest"}
@@ -123,8 +124,8 @@ def test_a_model_that_lost_a_squareness_gets_it_back(sagging, loaded):
     square = loaded.model.slices["B0Z"]
     theta = loaded.theta.copy()
     theta[square] -= 60e-6
-    bent = LoadedResult(**{**fields(loaded), "theta": theta})
-    found = discover([run], given_by(EarlierModel(bent, "model.json", "0"), run))
+    bent = replace(loaded, theta=theta)
+    found = discover([run], given_by(PriorModel(bent, "model.json", "0"), run))
     (first, *_) = found.findings
     assert first.candidate.label == "squareness B0Z"
     said = first.parameters["value_urad"]
@@ -148,18 +149,14 @@ def test_an_effect_that_cannot_be_is_refused_with_its_place(content, change, pro
     spoilt = copy.deepcopy(content)
     spoilt["model"]["effects"][-1].update(change)
     with pytest.raises(BundleError, match=problem) as refused:
-        read_result(spoilt, file="model.json")
+        result_from_json(spoilt, file="model.json")
     assert "model.json: model.effects[" in str(refused.value)
 
 
 def test_a_model_of_another_machine_is_refused(record, loaded):
     other, _ = record(3, rows=12, chain="w-X-b-Y-Z-t")
     with pytest.raises(BundleError, match=r"machine.kinematic_chain: w-b-X-Y-Z-t"):
-        given_by(EarlierModel(loaded, "model.json", "0"), other)
-
-
-def fields(loaded):
-    return {name: getattr(loaded, name) for name in loaded.__dataclass_fields__}
+        given_by(PriorModel(loaded, "model.json", "0"), other)
 
 
 def rigid(loaded):

@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from app.results.packing import pack_symmetric, unpack_symmetric
+from app.files.packing import pack_symmetric, unpack_symmetric
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 37])

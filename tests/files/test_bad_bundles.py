@@ -146,7 +146,11 @@ TABLE: list[tuple[str, Edit, str]] = [
     ("no axes", key("axes", None), "machine.json: axes is missing"),
     ("no axis Z", key("axes.Z", None), "machine.json: axes.Z is missing"),
     ("unknown axis", key("axes.U", ROTARY), "axes.U is an unknown axis; linear axes"),
-    ("wrong type", key("axes.X.type", "rotary"), 'axes.X.type is "rotary"; axis X is'),
+    (
+        "wrong type",
+        key("axes.X.type", "rotary"),
+        'axes.X.type is "rotary"; write "typ',
+    ),
     ("no limit", key("axes.X.min_mm", None), "axes.X.min_mm is missing"),
     ("text limit", key("axes.X.max_mm", "500"), 'axes.X.max_mm is "500"; write a numb'),
     ("true limit", key("axes.X.max_mm", True), "axes.X.max_mm is true; write a number"),

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from app.errors import BundleError
 from app.estimation.known_effects import KnownEffects, known_effects
+from app.files.result_file import LARGEST_BYTES, CalibrationResult, decode_result
+from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
-from app.results.result_json import LoadedResult
+from app.results.error_tables import holds_for_any_tool
 
 
 @dataclass(frozen=True)
-class EarlierModel:
+class PriorModel:
     """What an earlier measurement has told of a machine.
 
     source : its file, or its identifier in the service; sha256 : of the file
     """
 
-    loaded: LoadedResult
+    result: CalibrationResult
     source: str
     sha256: str
 
     @property
     def version(self) -> int:
         """Version of the model."""
-        return self.loaded.version
+        return self.result.version
 
     @property
     def runs(self) -> tuple[dict[str, Any], ...]:
         """The Runs that its numbers come from, each with its name and digest."""
-        provenance = self.loaded.provenance
+        provenance = self.result.provenance
         own = {
             "name": provenance.get("run", ""),
             "input_sha256": provenance.get("input_sha256", ""),
@@ -51,13 +55,13 @@ class EarlierModel:
         Raises BundleError if it is of another machine or of another target.
         """
         self.require_same(machine)
-        loaded = self.loaded
-        known = known_effects(loaded.model, loaded.theta, loaded.covariance)
+        own = self.result
+        known = known_effects(own.model, own.theta, own.covariance)
         return known.hardly_known() if self.is_of(digests) else known
 
     def require_same(self, machine: Machine) -> None:
         """Raise BundleError if it is of another machine or of another target."""
-        own = self.loaded.machine
+        own = self.result.machine
         for field, mine, theirs in (
             ("kinematic_chain", own.chain, machine.chain),
             ("axes", _travels(own), _travels(machine)),
@@ -71,12 +75,22 @@ class EarlierModel:
         same = {(t.on, t.offset_mm) for t in machine.targets} <= {
             (t.on, t.offset_mm) for t in own.targets
         }
-        if not same and not self.loaded.tables().any_tool:
+        if not same and not holds_for_any_tool(self.result.model):
             raise BundleError(
                 "holds for its own target offset alone: it does not have all motions",
                 file=self.source,
                 remedy="give a model made with the measured target, or with several",
             )
+
+
+def read_prior_model(file: str | Path, source: str = "") -> PriorModel:
+    """Read a model or result file. Raises BundleError.
+
+    source : what the model is called in what comes of it; its file if left out
+    """
+    data = read_whole(file, largest_bytes=LARGEST_BYTES)
+    result = decode_result(data, file=str(file))
+    return PriorModel(result, source or str(file), hashlib.sha256(data).hexdigest())
 
 
 def _travels(machine: Machine) -> str:

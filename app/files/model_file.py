@@ -1,0 +1,357 @@
+"""The estimated model in files (schema `model/1`), to and from a `MachineModel`.
+
+Each effect states numbers that mean something without this program: the values of a
+spline at its knots, an angle. They are linear in the parameters, s = G θ, so their
+covariance is G C Gᵀ; G's columns are orthogonal, and reading takes θ = G⁺ s back to
+rounding. The basis of a gauge is a matter of the linear algebra at hand and stays out
+of the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+
+from app.errors import BadInput
+from app.files.file_model import FileModel, Text, quote, refuse, validate
+from app.files.packing import ENCODING, pack_symmetric, unpack_symmetric
+from app.files.units import scale_of, unit_of
+from app.kinematics.conditions import standstill
+from app.kinematics.effects.axis_location import axis_locations
+from app.kinematics.effects.base import Effect, Role
+from app.kinematics.effects.catalogue import Family
+from app.kinematics.effects.catalogued import Catalogued, catalogued
+from app.kinematics.effects.error_motion import error_motion_over
+from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.machine import Machine, position_unit
+from app.kinematics.model import MachineModel
+from app.kinematics.symbols import SQUARENESS, error_motions, unit
+from app.plugins import load
+
+SCHEMA = "model/1"
+_MOST = 20_000  # stated numbers; a larger covariance would not fit in memory
+_FEWEST_KNOTS, _MOST_KNOTS = 3, 2_000
+_AS_WRITTEN = "take the file as it was written"
+
+Stated = tuple[Effect, Float64[np.ndarray, " s"]]
+
+
+@dataclass(frozen=True)
+class EstimatedModel:
+    """A model with its parameters and their covariance."""
+
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+
+    def part(
+        self, name: str
+    ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k k"]]:
+        """Return parameters and covariance of one effect."""
+        part = self.model.slices[name]
+        return self.theta[part], self.covariance[part, part]
+
+    def effects(self) -> dict[str, Effect]:
+        """Return the machine's own effects by name."""
+        return {
+            e.name: e
+            for e in self.model.effects
+            if e.role in (Role.MACHINE, Role.DIRECTION)
+        }
+
+
+class ErrorMotionFile(FileModel):
+    """An error motion: values of its spline at knots along its axis."""
+
+    effect: Literal["error-motion"]
+    symbol: str
+    knots_mm: list[float] | None = None
+    knots_deg: list[float] | None = None
+    values_um: list[float] | None = None
+    values_urad: list[float] | None = None
+
+    def restore(self, machine: Machine) -> Stated:
+        """Return the effect and its stated values."""
+        axes = {s: axis for axis in machine.axes for s in error_motions(axis.name)}
+        _require_symbol(self.symbol, axes)
+        axis = axes[self.symbol]
+        knots = self._numbers(key := f"knots_{position_unit(axis)}")
+        few = not _FEWEST_KNOTS <= len(knots) <= _MOST_KNOTS
+        if few or (np.diff(knots) <= 0).any():
+            remedy = f"write {_FEWEST_KNOTS} to {_MOST_KNOTS}, in order"
+            raise refuse(f"are {len(knots)}, or not increasing", remedy, key)
+        values = self._numbers(key := f"values_{unit(self.symbol)}")
+        if len(values) != len(knots):
+            problem = f"are {len(values)} for {len(knots)} knots"
+            raise refuse(problem, "write one a knot", key)
+        return error_motion_over(self.symbol, axis, knots), values
+
+    def _numbers(self, key: str) -> Float64[np.ndarray, " n"]:
+        numbers = getattr(self, key)
+        if numbers is None:
+            raise refuse("is missing", "add it", key)
+        return np.array(numbers, np.float64)
+
+
+class NumberFile(FileModel):
+    """A squareness or the location of a rotary axis: one number."""
+
+    effect: Literal["squareness", "axis-location"]
+    symbol: str
+    value_um: float | None = None
+    value_urad: float | None = None
+
+    def restore(self, machine: Machine) -> Stated:
+        """Return the effect and its stated value."""
+        effects = squareness_between(machine.axis_names)
+        if self.effect == "axis-location":
+            effects = [e for a in machine.rotary_axes for e in axis_locations(a)]
+        known = {effect.symbol: effect for effect in effects}
+        _require_symbol(self.symbol, known)
+        value = getattr(self, key := f"value_{unit(self.symbol)}")
+        if value is None:
+            raise refuse("is missing", "add it", key)
+        return known[self.symbol], np.array([value])
+
+
+class CataloguedFile(FileModel):
+    """An effect of the catalogue.
+
+    numbers : make the effect (a lead, a decay)
+    values : its linear parameters, in the units that the file states beside them
+    """
+
+    effect: Literal["catalogued"]
+    name: Text
+    axis: Text | None = None
+    by: Text | None = None
+    direction: Text | None = None
+    motion: Text | None = None
+    plane: Text | None = None
+    symbol: Text | None = None
+    circle: Text | None = None
+    numbers: dict[str, float]
+    values: list[float]
+
+    def restore(self, machine: Machine) -> Stated:
+        """Return the effect and its stated values."""
+        try:
+            family: Family = load("truepath.effects", self.name)()
+        except BadInput as error:
+            remedy = "install what brings this effect"
+            raise refuse(str(error), remedy, "name") from error
+        effect = self._restore_effect(family, machine)
+        if len(self.values) != (count := len(effect.parameters)):
+            problem = f"are {len(self.values)}, the effect has {count}"
+            raise refuse(problem, _AS_WRITTEN, "values")
+        return effect, np.array(self.values, np.float64)
+
+    def _restore_effect(self, family: Family, machine: Machine) -> Effect:
+        """Make the effect, and ask it once: numbers that cannot be show themselves."""
+        keys = self.model_dump(
+            exclude={"effect", "name", "numbers", "values"}, exclude_none=True
+        )
+        middle_mm = [[0.5 * (axis.low + axis.high) for axis in machine.axes]]
+        try:
+            effect = catalogued(family, machine, keys, self.numbers)
+            at = standstill(machine, np.array(middle_mm))
+            moved = np.zeros(0) if effect is None else effect.jacobian(at)
+        except (KeyError, ValueError, ZeroDivisionError) as error:
+            raise refuse(
+                f"{family.name} does not fit this machine ({error})",
+                "give axis, direction and numbers of an effect of this machine",
+                "name",
+            ) from error
+        if effect is None:
+            problem = f"{family.name} belongs to the Run that it was found in"
+            raise refuse(problem, "take it out of the model", "name")
+        if not np.isfinite(moved).all():
+            raise refuse(f"{family.name} has numbers that make no effect", "", "name")
+        return effect
+
+
+def _restore(
+    file: ErrorMotionFile | NumberFile | CataloguedFile, info: ValidationInfo
+) -> Stated:
+    """Return the effect of the machine that is the context of the validation."""
+    machine: Any = info.context
+    return file.restore(machine)
+
+
+class CovarianceFile(FileModel):
+    """The covariance of the numbers of the effects, one effect after another."""
+
+    size: int
+    encoding: str
+    data: Text
+
+    def matrix(self, size: int) -> Float64[np.ndarray, "s s"]:
+        """Return the matrix, which must be of the size of what the effects state."""
+        if self.size != size or size > _MOST:
+            problem = f"is {self.size}, the effects state {size} numbers"
+            raise refuse(problem, "", "covariance", "size")
+        if self.encoding != ENCODING:
+            remedy = f"write one of {ENCODING}"
+            place = "covariance", "encoding"
+            raise refuse(f"is {quote(self.encoding)}", remedy, *place)
+        try:
+            covariance = unpack_symmetric(self.data, size)
+        except ValueError as error:
+            raise refuse(str(error), _AS_WRITTEN, "covariance", "data") from error
+        if (np.diag(covariance) < 0.0).any():
+            problem = "states a negative variance"
+            raise refuse(problem, _AS_WRITTEN, "covariance", "data")
+        return covariance
+
+
+EffectFile = Annotated[
+    Annotated[
+        ErrorMotionFile | NumberFile | CataloguedFile, Field(discriminator="effect")
+    ],
+    AfterValidator(_restore),
+]
+
+
+class ModelFile(FileModel):
+    """The key `model`; validated with its machine as context."""
+
+    schema_: Literal["model/1"] = Field(alias="schema")
+    effects: list[EffectFile]
+    covariance: CovarianceFile
+
+    @model_validator(mode="after")
+    def _require_each_effect_once(self) -> ModelFile:
+        names = [effect.name for effect, _ in self.stated]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                remedy = "state each effect once"
+                raise refuse(f"repeats {name}", remedy, "effects", index)
+        self.covariance.matrix(self.size)
+        return self
+
+    @property
+    def stated(self) -> list[Stated]:
+        """Effects of the machine with their stated values."""
+        return self.effects  # pyright: ignore[reportReturnType] (what _restore returns)
+
+    @property
+    def size(self) -> int:
+        """How many numbers the effects state."""
+        return sum(len(values) for _, values in self.stated)
+
+    def estimated_model(self, machine: Machine) -> EstimatedModel:
+        """Return the model with its parameters."""
+        model = MachineModel(machine, tuple(effect for effect, _ in self.stated))
+        G = number_rows(model)
+        back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
+        values = np.concatenate([*(v for _, v in self.stated), np.empty(0)])
+        covariance = self.covariance.matrix(self.size)
+        return EstimatedModel(model, back @ values, back @ covariance @ back.T)
+
+
+def model_from_json(content: object, machine: Machine, *, file: str) -> EstimatedModel:
+    """Return the model that the key `model` of a file states. Raises BundleError."""
+    stated = validate(ModelFile, content, file, key="model", context=machine)
+    return stated.estimated_model(machine)
+
+
+def model_to_json(
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> dict[str, Any]:
+    """Return the model as JSON, lengths in mm, errors in µm and µrad.
+
+    What belongs to the measurement (how the targets sit in the spindle) is integrated
+    out: to the map of one target it adds a shift, which is no machine error.
+    """
+    model, theta, covariance = _of_the_machine(model, theta, covariance)
+    G = number_rows(model)
+    values = G @ theta
+    catalogued = {e.name: e for e in model.catalogued}
+    effects: list[dict[str, Any]] = []
+    begin = 0
+    for effect in model.effects:
+        size = len(_rows(effect))
+        known = catalogued.get(effect.name)
+        effects.append(_effect_json(effect, known, values[begin : begin + size]))
+        begin += size
+    return {
+        "schema": SCHEMA,
+        "effects": effects,
+        "covariance": {
+            "of": "the numbers of the effects, one effect after another",
+            "size": len(values),
+            "encoding": ENCODING,
+            "data": pack_symmetric(G @ covariance @ G.T),
+        },
+    }
+
+
+def number_rows(model: MachineModel) -> Float64[np.ndarray, "s p"]:
+    """Return G of all effects: their stated numbers per parameter."""
+    blocks = [_rows(effect) for effect in model.effects]
+    G = np.zeros((sum(len(b) for b in blocks), model.size))
+    begin = 0
+    for effect, block in zip(model.effects, blocks, strict=True):
+        G[begin : begin + len(block), model.slices[effect.name]] = block
+        begin += len(block)
+    return G
+
+
+def _require_symbol(symbol: str, known: dict[str, Any]) -> None:
+    if symbol not in known:
+        raise refuse(
+            f"is {quote(symbol)}", f"write one of {', '.join(known)}", "symbol"
+        )
+
+
+def _of_the_machine(
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[MachineModel, Float64[np.ndarray, " m"], Float64[np.ndarray, "m m"]]:
+    effects = tuple(e for e in model.effects if e.role is Role.MACHINE)
+    kept = np.concatenate(
+        [np.arange(model.size)[model.slices[e.name]] for e in effects]
+    )
+    machine_model = MachineModel(model.machine, effects)
+    return machine_model, theta[kept], covariance[np.ix_(kept, kept)]
+
+
+def _rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
+    if motion := effect.motion:
+        return scale_of(unit(motion.symbol)) * motion.gauge
+    return np.diag([unit_of(p)[1] for p in effect.parameters])
+
+
+def _effect_json(
+    effect: Effect, known: Catalogued | None, values: Float64[np.ndarray, " s"]
+) -> dict[str, Any]:
+    """Return one effect with its stated values. known : it, if it has a family."""
+    symbol = effect.iso_symbol
+    if motion := effect.motion:
+        return {
+            "effect": "error-motion",
+            "symbol": symbol,
+            f"knots_{position_unit(motion.axis)}": motion.spline.knots.tolist(),
+            f"values_{unit(symbol)}": values.tolist(),
+        }
+    if known:
+        return {
+            "effect": "catalogued",
+            "name": known.family,
+            **dict(known.keys),
+            "numbers": dict(known.numbers),
+            "values": values.tolist(),
+            "units": [unit_of(p)[0] for p in effect.parameters],
+        }
+    if not symbol:
+        raise TypeError(f"{effect.name} has no form in a result file")
+    kind = "squareness" if symbol in SQUARENESS else "axis-location"
+    key = f"value_{unit(symbol)}"
+    return {"effect": kind, "symbol": symbol, key: float(values[0])}

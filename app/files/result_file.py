@@ -1,0 +1,210 @@
+"""Result files (schema `result/1`) and model files (`extended-model/1`), read.
+
+Both carry a model of the machine, so that whatever predicts, exports or compares from a
+result does so from a model as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+from pydantic import Field, model_validator
+
+from app.files.file_model import FileModel, Text, parse_json, refuse, validate
+from app.files.machine_file import MachineFile
+from app.files.model_file import EstimatedModel, model_from_json
+from app.files.whole_files import read_whole
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+
+RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
+LARGEST_BYTES = 1 << 30  # of a result file or of points
+Table = tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult:
+    """What a result or model file says about a machine.
+
+    unobservable : statements in words; provenance : as the file states it
+    measured : by axis, the range beyond which tables are extrapolated, if it is known
+    half_difference_um : half the difference of both directions of an axis' own
+        positioning, as (position mm, value µm), by axis; none where direction plays no
+        part
+    version : of the model; that of a result, which has no parent, is 1
+    """
+
+    model: MachineModel
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+    mode: str = "otf"
+    unobservable: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    measured: dict[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+    half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
+    version: int = 1
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.model.machine
+
+    @property
+    def estimated_model(self) -> EstimatedModel:
+        """The model with its parameters alone."""
+        return EstimatedModel(self.model, self.theta, self.covariance)
+
+
+class _Observability(FileModel):
+    unobservable: list[Text]
+
+
+class _LinearRange(FileModel):
+    from_mm: float
+    to_mm: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.from_mm, self.to_mm
+
+
+class _RotaryRange(FileModel):
+    from_deg: float
+    to_deg: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.from_deg, self.to_deg
+
+
+class _Ranges(FileModel):
+    X: _LinearRange | None = None
+    Y: _LinearRange | None = None
+    Z: _LinearRange | None = None
+    A: _RotaryRange | None = None
+    B: _RotaryRange | None = None
+    C: _RotaryRange | None = None
+
+
+class _HalfDifference(FileModel):
+    position_mm: list[float]
+    value_um: list[float]
+
+
+class _HalfDifferences(FileModel):
+    EXX: _HalfDifference | None = None
+    EYY: _HalfDifference | None = None
+    EZZ: _HalfDifference | None = None
+
+
+class _Direction(FileModel):
+    half_difference: _HalfDifferences
+
+
+class _Document(FileModel):
+    """What is read of both; the key `model` is validated when the machine is known."""
+
+    machine: MachineFile
+    mode: Literal["otf", "standstill"]
+    direction: _Direction | None = None
+    measured_range: _Ranges = _Ranges()
+    observability: _Observability
+    provenance: dict[str, Any]
+    model: Any
+
+    @model_validator(mode="before")
+    @classmethod
+    def _require_schema_and_model(cls, content: object) -> object:
+        if not isinstance(content, Mapping):
+            return content
+        schema = content.get("schema")
+        if schema is None:
+            raise refuse("is missing", "add it", "schema")
+        if schema not in (RESULT_SCHEMA, MODEL_SCHEMA):
+            remedy = f"give a file of {RESULT_SCHEMA} or {MODEL_SCHEMA}"
+            raise refuse("is not that of a result or model", remedy, "schema")
+        if content.get("model") is None:
+            problem = "is missing, without which nothing can be predicted"
+            raise refuse(problem, "analyse the bundle again", "model")
+        return content
+
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the measured range of each axis that the file states one for."""
+        stated = self.measured_range
+        named = {name: getattr(stated, name) for name in _Ranges.model_fields}
+        return {name: found.ends for name, found in named.items() if found}
+
+    def half_differences_um(self) -> dict[str, Table]:
+        """Return the half difference of each axis that the file states one for."""
+        if self.direction is None:
+            return {}
+        stated = self.direction.half_difference
+        tables = {"X": stated.EXX, "Y": stated.EYY, "Z": stated.EZZ}
+        return {
+            axis: (np.array(table.position_mm, float), np.array(table.value_um, float))
+            for axis, table in tables.items()
+            if table is not None
+        }
+
+
+class ResultDocument(_Document):
+    """A result file, with the keys that the contract asks for."""
+
+    error_tables: Any
+    squareness_urad: Any
+    alignment: Any
+    residuals: Any
+
+
+class ModelDocument(_Document):
+    """A model file."""
+
+    version: Annotated[float, Field(ge=1.0)]
+
+    @model_validator(mode="after")
+    def _require_whole_version(self) -> ModelDocument:
+        if self.version != int(self.version):
+            raise refuse(f"is {self.version:g}", "write a whole number", "version")
+        return self
+
+
+def read_result(file: str | Path) -> CalibrationResult:
+    """Read a result or model file. Raises BundleError."""
+    return decode_result(read_whole(file, largest_bytes=LARGEST_BYTES), file=str(file))
+
+
+def decode_result(data: bytes, *, file: str) -> CalibrationResult:
+    """Return what the bytes of a result or model file say. Raises BundleError."""
+    return result_from_json(parse_json(data, file), file=file)
+
+
+def result_from_json(
+    content: object, *, file: str = "result.json"
+) -> CalibrationResult:
+    """Return what the parsed JSON of a result file, or of a model file, says.
+
+    Raises BundleError naming file and key if it is of another schema or incomplete.
+    """
+    extended = isinstance(content, Mapping) and content.get("schema") == MODEL_SCHEMA
+    document = validate(ModelDocument if extended else ResultDocument, content, file)
+    machine = document.machine.machine()
+    stated = model_from_json(document.model, machine, file=file)
+    ranges = document.ranges()
+    return CalibrationResult(
+        stated.model,
+        stated.theta,
+        stated.covariance,
+        document.mode,
+        tuple(document.observability.unobservable),
+        document.provenance,
+        {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
+        document.half_differences_um(),
+        int(document.version) if isinstance(document, ModelDocument) else 1,
+    )

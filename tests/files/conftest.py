@@ -1,0 +1,52 @@
+"""A Run and its bundle, for the tests of the border."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from app.files.bundle import write_bundle
+from app.files.run import DirectMeasurement, Run
+from app.kinematics.machine import Machine
+from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
+
+
+@pytest.fixture
+def stream(rng: np.random.Generator) -> TrackerSamples:
+    n = 400
+    time_s = 1234.5 + np.arange(n) * 0.002
+    status = np.zeros(n, np.int64)
+    status[50:55] = 3
+    position = rng.normal(0.0, 500.0, (n, 3))
+    position[50:53] = np.nan
+    return TrackerSamples(np.arange(n, dtype=np.int64), time_s, position, status)
+
+
+@pytest.fixture
+def run(mill: Machine, square: Path, stream: TrackerSamples) -> Run:
+    return Run(
+        "monday",
+        mill,
+        square,
+        stream,
+        temperature=TemperatureSamples(
+            ("X", "air"),
+            np.array([1234.5, 1235.0]),
+            np.array([[20.1, 21.0], [20.2, 21.1]]),
+        ),
+        reference=(
+            DirectMeasurement(
+                "EXX", "+", "um", np.array([0.0, 100.0]), np.array([0.0, 1.5])
+            ),
+            DirectMeasurement("EAX", "-", "urad", np.array([50.0]), np.array([2.25])),
+        ),
+    )
+
+
+@pytest.fixture
+def bundle(run: Run, tmp_path: FilePath) -> FilePath:
+    folder = tmp_path / "bundle"
+    write_bundle(run, folder)
+    return folder
