@@ -157,7 +157,7 @@ def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
     one = told(LAG)
     known = one.earlier.result
     loose = replace(known, covariance=1e4 * known.covariance)
-    vague = analyse(one.run, model=replace(one.earlier, loaded=loose)).result
+    vague = analyse(one.run, model=replace(one.earlier, result=loose)).result
     sure, open_ = (
         np.array(r["error_tables"]["EXX"]["uncertainty_um"]).max()
         for r in (one.beside, vague)
@@ -172,7 +172,7 @@ def test_a_machine_that_has_changed_since_is_told(told):
     theta = known.theta.copy()
     theta[effect] += 30.0 * np.sqrt(np.diag(known.covariance)[effect])
     changed = analyse(
-        one.run, model=replace(one.earlier, loaded=replace(known, theta=theta))
+        one.run, model=replace(one.earlier, result=replace(known, theta=theta))
     )
     (effect,) = changed.result["effects"]
     assert effect["agrees"] is False
