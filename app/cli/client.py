@@ -30,13 +30,13 @@ class Client:
 
     def get(self, path: str) -> Json:
         """Return what is at a path below `/api/v1`."""
-        return self._ask("GET", f"/api/v1{path}")
+        return self._request("GET", f"/api/v1{path}")
 
     def post(
         self, path: str, body: Json | None = None, *, version: int | None = None
     ) -> Json:
         """Ask for something; `version` is the one the job must still have."""
-        return self._ask("POST", f"/api/v1{path}", body, version)
+        return self._request("POST", f"/api/v1{path}", body, version)
 
     def job(self, job_id: str) -> Json:
         """Return a job."""
@@ -63,7 +63,7 @@ class Client:
                 break
         raise JobError(f"job {job_id} did not get ready in {timeout_s:.0f} s")
 
-    def _ask(
+    def _request(
         self,
         method: str,
         path: str,
@@ -77,7 +77,7 @@ class Client:
         try:
             connection.request(method, path, json.dumps(body or {}), headers)
             response = connection.getresponse()
-            content = _content(response.read())
+            content = _parse_content(response.read())
         except (OSError, HTTPException) as error:
             raise JobError(f"{self.address} does not answer: {error}") from error
         finally:
@@ -94,7 +94,7 @@ def problem_text(problem: Json | None) -> str:
     return "; ".join(filter(None, said))
 
 
-def _content(body: bytes) -> Json:
+def _parse_content(body: bytes) -> Json:
     try:
         content = json.loads(body)
     except ValueError:

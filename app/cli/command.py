@@ -9,9 +9,14 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from app.cli import science_commands as science
-from app.cli import service_commands as service
-from app.cli.failures import exit_status
+from app.cli import (
+    analysis_commands,
+    discovery_commands,
+    planning_commands,
+    result_commands,
+    service_commands,
+)
+from app.cli.failures import run_command
 
 app = typer.Typer(
     help="Calibrates machine tools with a laser tracker, with the machine in the loop.",
@@ -28,7 +33,7 @@ def main() -> NoReturn:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status: 0, 2 for bad input, else 1."""
-    return exit_status(lambda: app(args=list(arguments), standalone_mode=False))
+    return run_command(lambda: app(args=list(arguments), standalone_mode=False))
 
 
 def _print_version(asked: bool) -> None:
@@ -48,8 +53,8 @@ def truepath(
 
 
 # In the order in which --help lists them: as they are used.
-app.command()(service.serve)
-app.command()(service.demo)
+app.command()(service_commands.serve)
+app.command()(service_commands.demo)
 app.command(
     # All words, --help among them, go to the simulators' own command line.
     context_settings={
@@ -57,12 +62,12 @@ app.command(
         "ignore_unknown_options": True,
         "help_option_names": [],
     }
-)(service.simulate)
-app.command()(science.analyse)
-app.command()(science.discover)
-app.command()(science.grade)
-app.command()(science.predict)
-app.command()(science.compare)
-app.command()(science.export)
-app.command()(science.plan)
-app.command()(service.record)
+)(service_commands.simulate)
+app.command()(analysis_commands.analyse)
+app.command()(discovery_commands.discover)
+app.command()(planning_commands.grade)
+app.command()(analysis_commands.predict)
+app.command()(result_commands.compare)
+app.command()(result_commands.export)
+app.command()(planning_commands.plan)
+app.command()(service_commands.record)

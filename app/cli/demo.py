@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from app.cli.following import follow
-from app.cli.summary import print_result, summarised
-from app.cli.terminal import print_json, progress, say
-from app.cli.truth import Proof, proof
+from app.cli.following import follow_measurement
+from app.cli.summary import print_result, summarise_result
+from app.cli.terminal import print_json, say, show_progress
+from app.cli.truth import TruthComparison, compare_with_truth
 from app.errors import BadInput, PlanningError
 from app.files.bundle import write_bundle
 from app.files.machine_file import decode_machine
@@ -64,15 +64,15 @@ class Demo:
         bench = self._bench()
         with bench:
             run, lost = self._measure(bench)
-        analysis = _analysed(run)
+        analysis = _analyse_run(run)
         write_analysis(analysis, self.output)
         write_bundle(run, self.output / "bundle")
-        found = proof(analysis.result, bench.truth_at)
+        found = compare_with_truth(analysis.result, bench.truth_at)
         if as_json:
             print_json(self._summary(analysis, run, lost, found))
         else:
             print_result(analysis.result, self.output)
-            _print_proof(found, len(run.tracker), lost)
+            _print_truth_comparison(found, len(run.tracker), lost)
 
     def _bench(self) -> Any:
         make = load("truepath.simulators", "bench")
@@ -85,11 +85,11 @@ class Demo:
         machine = decode_machine(json.dumps(bench.machine).encode())
         request = self._request()
         if request is None:
-            path = planned(machine, self.feed_mm_min, self.minutes)
+            path = plan_path(machine, self.feed_mm_min, self.minutes)
         else:
-            path = _first_lines(machine, request)
-        say(f"tracker on {_shown(bench.tracker_options)}")
-        say(f"CNC on Modbus TCP {_shown(bench.motion_options)}")
+            path = _plan_first_part(machine, request)
+        say(f"tracker on {_describe_options(bench.tracker_options)}")
+        say(f"CNC on Modbus TCP {_describe_options(bench.motion_options)}")
         run_file = self.output / "run.sqlite"
         run_file.unlink(missing_ok=True)
         config = CellConfig(
@@ -99,8 +99,10 @@ class Demo:
             "demo", str(run_file), machine, path, grows=self.adaptive
         )
         target_um, cell = self.target_um, Cell(config)
-        with progress("measure") as report:
-            closed = follow(cell, order, report, target_um=target_um, request=request)
+        with show_progress("measure") as on_progress:
+            closed = follow_measurement(
+                cell, order, on_progress, target_um=target_um, request=request
+            )
         return open_run(run_file), closed.lost_samples
 
     def _request(self) -> dict[str, Any] | None:
@@ -111,17 +113,17 @@ class Demo:
         return {"mode": "otf", "minutes": minutes, "feeds_mm_min": [self.feed_mm_min]}
 
     def _summary(
-        self, analysis: Analysis, run: Run, lost: int, found: Proof
+        self, analysis: Analysis, run: Run, lost: int, found: TruthComparison
     ) -> dict[str, Any]:
         return {
-            **summarised(analysis.result, self.output),
+            **summarise_result(analysis.result, self.output),
             "samples": len(run.tracker),
             "lost_samples": lost,
             "against_truth": {**asdict(found), "left": found.left},
         }
 
 
-def planned(machine: Machine, feed_mm_min: float, minutes: float | None) -> ToolPath:
+def plan_path(machine: Machine, feed_mm_min: float, minutes: float | None) -> ToolPath:
     """Return the usual path, or one of as many lines as take `minutes`."""
     path = default_path(machine, feed_mm_min)
     if minutes is not None:
@@ -138,22 +140,24 @@ def planned(machine: Machine, feed_mm_min: float, minutes: float | None) -> Tool
     return path
 
 
-def _first_lines(machine: Machine, request: Mapping[str, Any]) -> Commanded:
-    with progress("plan") as report:
+def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
+    with show_progress("plan") as on_progress:
         order = first_part(machine, request)
-        return commanded_from_plan(plan_measurement(machine, order, on_progress=report))
+        return commanded_from_plan(
+            plan_measurement(machine, order, on_progress=on_progress)
+        )
 
 
-def _analysed(run: Run) -> Analysis:
-    with progress("analyse") as report:
-        return analyse(run, on_progress=report)
+def _analyse_run(run: Run) -> Analysis:
+    with show_progress("analyse") as on_progress:
+        return analyse(run, on_progress=on_progress)
 
 
-def _shown(options: dict[str, Any]) -> str:
+def _describe_options(options: dict[str, Any]) -> str:
     return ", ".join(f"{name} {value}" for name, value in options.items())
 
 
-def _print_proof(found: Proof, samples: int, lost: int) -> None:
+def _print_truth_comparison(found: TruthComparison, samples: int, lost: int) -> None:
     print(f"{samples} samples, {lost} lost")
     print(
         f"against the truth: mean volumetric error {found.before_um:.1f} µm, "

@@ -8,16 +8,16 @@ from typing import Any
 _KEYS = ("name", "axis", "motion", "by", "plane", "symbol", "direction", "circle")
 
 
-def effect_line(effect: Mapping[str, Any]) -> str:
+def describe_effect(effect: Mapping[str, Any]) -> str:
     """Return name, keys and numbers of an effect as `discovery.json` states it."""
     keys = [effect[key] for key in _KEYS if key in effect]
-    numbers = [_number(name, m) for name, m in effect["parameters"].items()]
+    numbers = [_describe_number(name, m) for name, m in effect["parameters"].items()]
     return f"{' '.join(keys)}: {', '.join(numbers)} (k = 2)"
 
 
-def _number(name: str, measured: Mapping[str, Any]) -> str:
+def _describe_number(name: str, measured: Mapping[str, Any]) -> str:
     values, sigmas = measured["value"], measured["uncertainty"]
     if not isinstance(values, list):
         values, sigmas = [values], [sigmas]
-    told = [f"{v:.3g} ± {2.0 * s:.2g}" for v, s in zip(values, sigmas, strict=True)]
-    return f"{name} {', '.join(told)}"
+    texts = [f"{v:.3g} ± {2.0 * s:.2g}" for v, s in zip(values, sigmas, strict=True)]
+    return f"{name} {', '.join(texts)}"

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from app.cli.terminal import Report, say
+from app.cli.terminal import NotedProgress, say
 from app.errors import MeasurementFailed
 from app.jobs.growth import Growth
 from app.jobs.live_estimation import LiveEstimation
@@ -30,10 +30,10 @@ SILENCE_S = 30.0  # without a word from the cell process: something is broken
 _ENDED_BADLY = frozenset({CellState.ABORTED, CellState.FAILED, CellState.FAULTED})
 
 
-def follow(
+def follow_measurement(
     cell: Cell,
     order: MeasurementOrder,
-    report: Report,
+    on_progress: NotedProgress,
     *,
     target_um: float | None = None,
     request: Mapping[str, Any] | None = None,
@@ -57,7 +57,9 @@ def follow(
                     live, order.commanded, cell.extend, cell.conclude, _say_part
                 )
             cell.begin(replace(order, live=live is not None))
-            return _until_closed(cell, report, live, target_um or 0.0, growth)
+            return _follow_until_closed(
+                cell, on_progress, live, target_um or 0.0, growth
+            )
     finally:
         cell.close()
 
@@ -78,9 +80,9 @@ def _live_estimation(
         live.close()
 
 
-def _until_closed(
+def _follow_until_closed(
     cell: Cell,
-    report: Report,
+    on_progress: NotedProgress,
     live: LiveEstimation | None,
     target_um: float,
     growth: Growth | None,
@@ -98,7 +100,7 @@ def _until_closed(
                 case PartRequested() if growth is not None:
                     growth.ask()
                 case MeasurementProgress():
-                    report(*_progress(event))
+                    on_progress(*_describe_progress(event))
                 case FaultReported(text=text, action=action):
                     said = MeasurementFailed("; ".join(filter(None, [text, action])))
                 case StateChanged(state) if state in _ENDED_BADLY:
@@ -127,7 +129,7 @@ def _has_reached(live: LiveEstimation | None, target_um: float) -> bool:
     return newest is not None and newest["volumetric_uncertainty_um"] <= target_um
 
 
-def _progress(event: MeasurementProgress) -> tuple[float, str, str]:
+def _describe_progress(event: MeasurementProgress) -> tuple[float, str, str]:
     share = event.done / event.total if event.total else 0.0
     lost = f"{event.samples} samples, {event.lost_samples} lost"
     return min(share, 1.0), event.stage, lost

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from app.errors import BadInput
+
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
 ]
@@ -23,3 +25,9 @@ ResultFile = Annotated[
     Path,
     typer.Argument(metavar="RESULT.json", help="What `analyse` or `discover` wrote."),
 ]
+
+
+def require_folder(output: Path, content: str) -> None:
+    """Raise BadInput where a file is in the place of an output folder."""
+    if output.exists() and not output.is_dir():
+        raise BadInput(f"{output}: is a file; name a folder for {content}")

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from app.cli.terminal import print_json, progress, say
+from app.cli.terminal import print_json, say, show_progress
 from app.errors import BadInput
 from app.files.bundle import write_bundle
 from app.measurement.detached import record_stream
@@ -61,34 +61,38 @@ def record_bundle(
         **settings.tracker_options
     )
     output.mkdir(parents=True, exist_ok=True)
-    closed = _recorded(tracker, header, output / RUN_FILE, seconds)
+    closed = _record_run(tracker, header, output / RUN_FILE, seconds)
     write_bundle(open_run(closed.file), output)
-    _tell(closed, output, as_json=as_json)
+    _print_summary(closed, output, as_json=as_json)
 
 
-def _recorded(
+def _record_run(
     tracker: Tracker, header: RunHeader, file: Path, seconds: float | None
 ) -> ClosedRun:
     """Record, and close the Run whatever happens."""
-    with tracker, _ending(seconds) as over, progress("record") as report:
+    with (
+        tracker,
+        _watch_for_end(seconds) as end,
+        show_progress("record") as on_progress,
+    ):
         who = {"tracker": tracker.connect()}
         recorder = Recorder(file, replace(header, devices=who))
         outcome = "failed"
-        begun_s = time.monotonic()
+        start_s = time.monotonic()
 
-        began = False
+        has_samples = False
 
-        def told(samples: int, lost: int, verdict: Verdict) -> None:
-            nonlocal began
-            if samples and not began:
-                began = True
+        def on_samples(samples: int, lost: int, verdict: Verdict) -> None:
+            nonlocal has_samples
+            if samples and not has_samples:
+                has_samples = True
                 say("recording; press Ctrl-C 2 s after the last motion")
-            elapsed_s = time.monotonic() - begun_s
+            elapsed_s = time.monotonic() - start_s
             note = f"{samples} samples, {lost} lost {_NOTES[verdict]}".strip()
-            report(min(elapsed_s / (seconds or 1e9), 1.0), "recording", note)
+            on_progress(min(elapsed_s / (seconds or 1e9), 1.0), "recording", note)
 
         try:
-            record_stream(tracker, recorder, header.rate_hz, over.wait, told)
+            record_stream(tracker, recorder, header.rate_hz, end.wait, on_samples)
             outcome = "finished"
         finally:
             closed = recorder.close(outcome)
@@ -96,16 +100,16 @@ def _recorded(
 
 
 @contextmanager
-def _ending(seconds: float | None) -> Iterator[threading.Event]:
+def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
     """Give what tells the end: Ctrl-C, the end of the process, or the time."""
-    over = threading.Event()
+    end = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {n: signal.signal(n, lambda *_: over.set()) for n in numbers}
-    timer = threading.Timer(seconds or threading.TIMEOUT_MAX, over.set)
+    before = {n: signal.signal(n, lambda *_: end.set()) for n in numbers}
+    timer = threading.Timer(seconds or threading.TIMEOUT_MAX, end.set)
     timer.daemon = True
     timer.start()
     try:
-        yield over
+        yield end
     finally:
         timer.cancel()
         timer.join()
@@ -113,7 +117,7 @@ def _ending(seconds: float | None) -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _tell(closed: ClosedRun, output: Path, *, as_json: bool) -> None:
+def _print_summary(closed: ClosedRun, output: Path, *, as_json: bool) -> None:
     files = sorted(str(path) for path in output.iterdir() if path.is_file())
     if as_json:
         summary: dict[str, Any] = {

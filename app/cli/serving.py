@@ -7,7 +7,7 @@ from typing import Any
 
 from app.cli.client import Client
 from app.cli.main_job import follow_to_the_end, measure_on_the_fly
-from app.cli.terminal import Report, say
+from app.cli.terminal import NotedProgress, say
 from app.errors import BadInput, TruepathError
 from app.main import serve
 from app.settings import load_settings
@@ -34,7 +34,7 @@ def calibrate(address: str) -> None:
     try:
         job_id = measure_on_the_fly(client)
         say(f"calibrating on the fly: watch it at {address}/")
-        follow_to_the_end(client, job_id, _tenths())
+        follow_to_the_end(client, job_id, _make_line_printer())
     except TruepathError as error:
         say(f"the main job ended early: {error}")
         return
@@ -45,15 +45,15 @@ def calibrate(address: str) -> None:
     say("Ctrl-C ends the service.")
 
 
-def _tenths() -> Report:
+def _make_line_printer() -> NotedProgress:
     """Report by lines, one a stage and one every tenth: the log shares the screen."""
     last = ("", -1)
 
-    def report(share: float, stage: str, note: str = "") -> None:
+    def on_progress(share: float, stage: str, note: str = "") -> None:
         nonlocal last
         now = (stage, int(10 * share))
         if now != last:
             say(f"  {stage} {100 * share:3.0f} %, {note}")
             last = now
 
-    return report
+    return on_progress

@@ -6,14 +6,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from app.cli.effects import effect_line
-from app.cli.terminal import print_table
+from app.cli.effects import describe_effect
+from app.cli.terminal import list_files, print_files, print_table
 
 Result = Mapping[str, Any]
+_UNITS = {"um": "µm", "urad": "µrad"}
 _KINDS = ("lowest", "highest", "uncertainty")
 
 
-def summarised(result: Result, folder: Path) -> dict[str, Any]:
+def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
     """Return what a script looks at first; the rest is in `result.json`."""
     return {
         "schema": "summary/1",
@@ -25,23 +26,23 @@ def summarised(result: Result, folder: Path) -> dict[str, Any]:
                 f"{kind}_{unit}": value
                 for kind, value in zip(_KINDS, span, strict=True)
             }
-            for symbol, unit, *span in _spans(result)
+            for symbol, unit, *span in _yield_spans(result)
         },
         "squareness_urad": result["squareness_urad"],
         "effects": result["effects"],
         "residual_rms_um": result["residuals"]["rms_um"],
         "observability": result["observability"],
         "grade": result["grade"],
-        "monte_carlo": _verdict(result),
-        "files": [str(path) for path in _files(folder)],
+        "monte_carlo": _summarise_trials(result),
+        "files": [str(path) for path in list_files(folder)],
     }
 
 
 def print_result(result: Result, folder: Path) -> None:
     """Print the error tables in short, the squarenesses and what stayed unseen."""
     rows = [
-        (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", _shown(unit))
-        for symbol, unit, low, high, uncertainty in _spans(result)
+        (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", _UNITS[unit])
+        for symbol, unit, low, high, uncertainty in _yield_spans(result)
     ]
     rows += [
         (name, f"{at['value']:.1f}", "", f"{at['uncertainty']:.2f}", "µrad")
@@ -50,7 +51,7 @@ def print_result(result: Result, folder: Path) -> None:
     columns = ("error", "lowest", "highest", "largest u (k = 1)", "")
     print_table(f"Errors of {result['machine']['name']}", columns, rows)
     for effect in result["effects"]:
-        print(effect_line(effect))
+        print(describe_effect(effect))
         if effect["agrees"] is False:
             print(
                 "this measurement contradicts what the model knew of it: discover anew"
@@ -63,12 +64,11 @@ def print_result(result: Result, folder: Path) -> None:
         print(f"grade of the set-up: {result['grade']['text']}")
     print(f"residuals {result['residuals']['rms_um']:.2f} µm rms")
     if (trials := result["monte_carlo"]) is not None:
-        print(_worded(trials))
-    for path in _files(folder):
-        print(path)
+        print(_describe_trials(trials))
+    print_files(list_files(folder))
 
 
-def _verdict(result: Result) -> dict[str, Any] | None:
+def _summarise_trials(result: Result) -> dict[str, Any] | None:
     """Return what the trials say, without their tables."""
     trials = result["monte_carlo"]
     if trials is None:
@@ -80,7 +80,7 @@ def _verdict(result: Result) -> dict[str, Any] | None:
     }
 
 
-def _worded(trials: Result) -> str:
+def _describe_trials(trials: Result) -> str:
     count = f"{trials['trials']:,} trials"
     if not trials["settled"]:
         return f"{count} did not settle: the linear uncertainty is not validated"
@@ -91,17 +91,9 @@ def _worded(trials: Result) -> str:
     )
 
 
-def _spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:
+def _yield_spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:
     """Yield (symbol, unit, lowest, highest, largest uncertainty) of each table."""
     for symbol, table in result["error_tables"].items():
         unit = "um" if "value_um" in table else "urad"
         value, uncertainty = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
         yield symbol, unit, min(value), max(value), max(uncertainty)
-
-
-def _shown(unit: str) -> str:
-    return {"um": "µm", "urad": "µrad"}[unit]
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_file())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -19,19 +20,19 @@ from rich.progress import (
 )
 from rich.table import Table
 
-# (share done 0..1, what is being done, what else to show)
-Report = Callable[..., None]
+NotedProgress = Callable[..., None]
+"""Receives the share done, 0 to 1, the stage, and what else to show (`note`)."""
 
 
 @contextmanager
-def progress(title: str) -> Iterator[Report]:
+def show_progress(title: str) -> Iterator[NotedProgress]:
     """Show a bar while the block runs; a line a stage where no person is watching.
 
-    Yields report(share, stage, note=""), share being 0..1 of the whole.
+    Yields the callback of the work.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _stage_lines(title)
+        yield _make_stage_printer(title)
         return
     columns = (
         TextColumn("{task.description}"),
@@ -44,22 +45,22 @@ def progress(title: str) -> Iterator[Report]:
     with Progress(*columns, console=console) as bars:
         bar = bars.add_task(title, total=1.0, note="")
 
-        def report(share: float, stage: str, note: str = "") -> None:
+        def on_progress(share: float, stage: str, note: str = "") -> None:
             bars.update(bar, completed=share, description=stage or title, note=note)
 
-        yield report
+        yield on_progress
 
 
-def _stage_lines(title: str) -> Report:
+def _make_stage_printer(title: str) -> NotedProgress:
     last = ""
 
-    def report(share: float, stage: str, note: str = "") -> None:
+    def on_progress(share: float, stage: str, note: str = "") -> None:
         nonlocal last
         if stage and stage != last:
             say(f"{title}: {stage}")
             last = stage
 
-    return report
+    return on_progress
 
 
 def say(text: str) -> None:
@@ -82,3 +83,14 @@ def print_table(
     for row in rows:
         table.add_row(*row)
     Console().print(table)
+
+
+def list_files(folder: Path) -> list[Path]:
+    """Return the files of a folder, sorted."""
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def print_files(files: Iterable[Path]) -> None:
+    """Write the places of files to standard output, a line each."""
+    for file in files:
+        print(file)

@@ -18,7 +18,7 @@ _SEED = 7  # of the points, which the measurement has not been told
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class TruthComparison:
     """Volumetric error at points all over the travel, rigid motion removed.
 
     before_um, after_um : mean length of the true error, and of what the result leaves
@@ -35,9 +35,9 @@ class Proof:
         return self.after_um / self.before_um
 
 
-def proof(
+def compare_with_truth(
     result: Mapping[str, Any], truth_um: Callable[[np.ndarray], np.ndarray]
-) -> Proof:
+) -> TruthComparison:
     """Compare a result with the truth.
 
     truth_um : axis positions (n, 3) in mm to true volumetric errors (n, 3) in µm
@@ -50,7 +50,7 @@ def proof(
     predicted = predict(loaded, position_mm)
     before = _without_rigid_motion(position_mm, truth_um(position_mm))
     left = before - _without_rigid_motion(position_mm, predicted.error_um)
-    return Proof(
+    return TruthComparison(
         float(np.linalg.norm(before, axis=1).mean()),
         float(np.linalg.norm(left, axis=1).mean()),
         float((np.abs(left) <= 2 * predicted.uncertainty_um).mean()),

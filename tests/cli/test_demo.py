@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.cli.demo import planned
-from app.cli.truth import proof
+from app.cli.demo import plan_path
+from app.cli.truth import compare_with_truth
 from app.errors import PlanningError
 from app.files.bundle import read_bundle
 from app.files.machine_file import machine_from_json
@@ -78,12 +78,12 @@ def test_an_unknown_fault_is_bad_input(tmp_path, capsys):
 
 def test_too_short_a_time_is_bad_input_with_the_least(machine):
     with pytest.raises(PlanningError, match=r"give --minutes \d+\.\d or more"):
-        planned(machine, 2500.0, 0.5)
+        plan_path(machine, 2500.0, 0.5)
 
 
 @pytest.mark.parametrize("minutes", [1.0, 2.0, 4.0])
 def test_the_path_takes_the_minutes_that_were_asked(machine, minutes):
-    path = planned(machine, 6000.0, minutes)
+    path = plan_path(machine, 6000.0, minutes)
     assert travel_time_s(path) / 60.0 == pytest.approx(minutes, rel=0.15)
 
 
@@ -101,7 +101,7 @@ def test_the_proof_is_exact_for_a_result_that_is_the_truth(analysed):
         moved = np.cross([3e-2, -1e-2, 2e-2], position_mm) + np.array([5.0, 6.0, 7.0])
         return predict(loaded, position_mm).error_um + moved
 
-    found = proof(result, truth_um)
+    found = compare_with_truth(result, truth_um)
     assert found.before_um > 1.0
     assert found.after_um == pytest.approx(0.0, abs=1e-6)
     assert found.covered == 1.0

@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from app.cli.command import run
-from app.cli.failures import exit_status
+from app.cli.failures import run_command
 from app.errors import AlignmentError, BadInput, BundleError
 from drivers.interfaces.errors import DeviceTimeout
 
@@ -46,7 +46,7 @@ def failing(error):
     ],
 )
 def test_a_failure_is_one_line_and_a_status(error, status, line, capsys):
-    assert exit_status(failing(error)) == status
+    assert run_command(failing(error)) == status
     captured = capsys.readouterr()
     assert captured.err == line + "\n"
     assert captured.out == ""
@@ -54,18 +54,18 @@ def test_a_failure_is_one_line_and_a_status(error, status, line, capsys):
 
 def test_a_fault_of_the_program_keeps_its_traceback():
     with pytest.raises(ZeroDivisionError):
-        exit_status(failing(ZeroDivisionError()))
+        run_command(failing(ZeroDivisionError()))
     with pytest.raises(OSError, match="nameless"):
-        exit_status(failing(OSError("nameless")))
+        run_command(failing(OSError("nameless")))
 
 
 def test_success_is_zero():
-    assert exit_status(lambda: None) == 0
+    assert run_command(lambda: None) == 0
 
 
 @pytest.mark.parametrize("answer", [1, 3, 130])
 def test_any_other_status_is_a_one(answer):
-    assert exit_status(lambda: answer) == 1
+    assert run_command(lambda: answer) == 1
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,11 @@
 
 import json
 
-from app.cli.terminal import print_json, print_table, progress
+from app.cli.terminal import print_json, print_table, show_progress
 
 
 def test_a_log_gets_a_line_a_stage(capsys):
-    with progress("measure") as report:
+    with show_progress("measure") as report:
         for share in (0.0, 0.2, 0.5):
             report(share, "measuring", f"{share} lost")
         report(1.0, "closing")
@@ -19,7 +19,7 @@ def test_a_log_gets_a_line_a_stage(capsys):
 def test_a_terminal_gets_a_bar_with_share_stage_and_note(monkeypatch, capsys):
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")
-    with progress("measure") as report:
+    with show_progress("measure") as report:
         report(0.25, "measuring", "8000 samples, 0 lost")
     said = capsys.readouterr()
     assert "measuring" in said.err

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scripted_cell import Inline
 
-from app.cli.truth import proof
+from app.cli.truth import compare_with_truth
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.context import JobContext
 from app.jobs.dispatcher import Dispatcher
@@ -128,7 +128,7 @@ def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(followed):
     check_travel(run.machine, run.commanded)
     assert followed.context.runs.get(job.id).complete
     file = followed.context.results / job.id / "result.json"
-    found = proof(json.loads(file.read_text()), followed.bench.truth_at)
+    found = compare_with_truth(json.loads(file.read_text()), followed.bench.truth_at)
     assert found.left < 0.15
     assert found.covered > 0.8
 

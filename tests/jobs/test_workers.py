@@ -208,7 +208,8 @@ def test_dask_without_an_address_or_its_package_is_bad_input(monkeypatch):
 
 def test_dask_is_imported_only_where_it_is_chosen():
     program = (
-        "import sys, app.main, app.cli.science, app.jobs.science, app.jobs.workers\n"
+        "import sys, app.main, app.cli.analysis_commands\n"
+        "import app.jobs.science, app.jobs.workers\n"
         "assert 'app.jobs.workers' in sys.modules\n"
         "assert not {'distributed', 'dask'} & set(sys.modules)"
     )

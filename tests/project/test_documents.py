@@ -60,6 +60,36 @@ def test_every_document_can_be_reached_from_the_index(documents, root):
     assert set(documents) <= reached
 
 
+PLACE = re.compile(
+    r"`((?:app|drivers|simulators|tests|validation|benchmarks|docker|docs)/[\w./-]*\w)/?`"
+)
+
+
+def test_every_file_and_folder_that_documents_name_exists(documents, root):
+    ignored = (root / ".gitignore").read_text()
+    missing = [
+        f"{document.relative_to(root)}: {place}"
+        for document in documents
+        for place in PLACE.findall(document.read_text())
+        if not (root / place).exists() and place not in ignored
+    ]
+    assert not missing, "\n".join(missing)
+
+
+def test_the_way_of_a_sample_names_its_files(root):
+    """The table in architecture.md names a file in each row, and files beside it."""
+    text = (root / "docs" / "architecture.md").read_text()
+    section = text.partition("## One tracker sample")[2].partition("\n## ")[0]
+    rows = [row for row in section.splitlines() if re.match(r"\| \d", row)]
+    assert len(rows) >= 10
+    for row in rows:
+        first, *beside = re.findall(r"`([\w./]+\.py)`", row)
+        assert (root / first).is_file(), first
+        for name in beside:
+            folder = root if "/" in name else (root / first).parent
+            assert (folder / name).is_file(), name
+
+
 def commands(documents):
     """Return (document, words) of every shell line of the documents."""
     for document in documents:

@@ -1,0 +1,128 @@
+"""The commands that state errors: `analyse` measurements, `predict` at points."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from app.cli.computing import compute_on_one_thread
+from app.cli.options import (
+    Json,
+    OutputFolder,
+    PerpendicularOnly,
+    ResultFile,
+    require_folder,
+)
+from app.cli.summary import print_result, summarise_result
+from app.cli.terminal import print_json, say, show_progress
+
+if TYPE_CHECKING:
+    from app.numerics.adaptive_trials import Mapper
+    from app.results.prediction import Prediction
+
+
+def analyse(
+    bundles: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BUNDLE...",
+            help="Measurements of one machine, each a folder or a .zip.",
+        ),
+    ],
+    output: OutputFolder,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL.json",
+            help="Model whose effects are estimated beside the error motions.",
+        ),
+    ] = None,
+    perpendicular_only: PerpendicularOnly = False,
+    monte_carlo: Annotated[
+        bool,
+        typer.Option(
+            "--monte-carlo",
+            help="Hold the uncertainty against GUM Supplement 1 trials.",
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the trials.")] = 1,
+    interval: Annotated[
+        Literal["symmetric", "shortest"],
+        typer.Option(help="Form of the trials' coverage intervals."),
+    ] = "symmetric",
+    json: Json = False,
+) -> None:
+    """Measurements to error tables with their uncertainty, and a report."""
+    compute_on_one_thread()
+    from app.files.bundle import read_bundle
+    from app.numerics.adaptive_trials import TrialPlan
+    from app.reporting.analysis_files import analyse, read_all, write_analysis
+    from app.results.prior_model import read_prior_model
+
+    require_folder(output, "the results")
+    workers = _open_workers() if monte_carlo else nullcontext(map)
+    with show_progress("analyse") as on_progress, workers as mapper:
+        on_progress(0.0, "reading")
+        earlier = None if model is None else read_prior_model(model)
+        analysis = analyse(
+            *read_all(bundles, read_bundle),
+            model=earlier,
+            perpendicular_only=perpendicular_only,
+            monte_carlo=TrialPlan(seed=seed, interval=interval)
+            if monte_carlo
+            else None,
+            mapper=mapper,
+            on_progress=on_progress,
+        )
+        on_progress(1.0, "writing")
+        write_analysis(analysis, output)
+    if json:
+        print_json(summarise_result(analysis.result, output))
+    else:
+        print_result(analysis.result, output)
+
+
+def predict(
+    result: ResultFile,
+    points: Annotated[
+        Path, typer.Option(metavar="P.csv", help="Axis positions: x_mm,y_mm,z_mm[,...]")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUT.csv", help="What to write.")
+    ],
+    json: Json = False,
+) -> None:
+    """Volumetric error and its standard uncertainty at any points."""
+    from app.reporting.analysis_files import predict_points
+
+    predicted = predict_points(result, points, output)
+    for warning in predicted.warnings:
+        say(f"note: {warning}")
+    if json:
+        print_json(_summarise_prediction(predicted, output))
+    else:
+        print(f"{len(predicted.error_um)} points in {output}")
+
+
+def _open_workers() -> AbstractContextManager[Mapper]:
+    # Only trials ask who computes: settings and workers are not loaded for others.
+    from app.jobs.workers import opened, workers_of
+    from app.settings import load_settings
+
+    return opened(workers_of(load_settings()))
+
+
+def _summarise_prediction(predicted: Prediction, output: Path) -> dict[str, object]:
+    length_um = (predicted.error_um**2).sum(axis=1) ** 0.5
+    return {
+        "schema": "prediction-summary/1",
+        "points": len(length_um),
+        "mean_error_um": float(length_um.mean()),
+        "largest_error_um": float(length_um.max()),
+        "largest_uncertainty_um": float(predicted.uncertainty_um.max()),
+        "warnings": list(predicted.warnings),
+        "files": [str(output)],
+    }

@@ -1,0 +1,197 @@
+"""The commands before a measurement: `grade` a set-up, `plan` what to drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from app.cli.computing import compute_on_one_thread
+from app.cli.effects import describe_effect
+from app.cli.options import Json, OutputFolder, PerpendicularOnly, require_folder
+from app.cli.terminal import print_files, print_json, print_table, show_progress
+from app.errors import BadInput
+
+
+def grade(
+    machine: Annotated[Path, typer.Argument(metavar="MACHINE.json")],
+    commanded: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH.csv", help="A path, or standstill points: no feed column."
+        ),
+    ],
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z", help="Where the tracker stands, mm. Else usual places."
+        ),
+    ] = None,
+    perpendicular_only: PerpendicularOnly = False,
+    json: Json = False,
+) -> None:
+    """What a set-up is worth, from its geometry alone; nothing moves."""
+    compute_on_one_thread()
+    from app.results.grading import graded, read_set_up
+
+    place = None if tracker is None else _parse_place(tracker)
+    found = graded(
+        *read_set_up(machine, commanded),
+        tracker_mm=place,
+        perpendicular_only=perpendicular_only,
+    )
+    if json:
+        print_json({"schema": "grade/1", **found})
+    else:
+        for line in _describe_grade(found):
+            print(line)
+
+
+def plan(
+    machine: Annotated[
+        Path, typer.Argument(metavar="MACHINE.json", help="The machine to measure.")
+    ],
+    output: OutputFolder,
+    mode: Annotated[
+        str, typer.Option(metavar="otf|standstill", help="On the fly, or at points.")
+    ] = "otf",
+    minutes: Annotated[
+        float | None, typer.Option(min=0.1, help="At most, dwells included.")
+    ] = None,
+    target_um: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="Volumetric uncertainty (k = 1) to reach, µm."),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL.json",
+            help="Model whose effects are to be told apart as well.",
+        ),
+    ] = None,
+    feed: Annotated[
+        list[float] | None,
+        typer.Option(min=1.0, help="mm/min; several tell dynamic effects apart."),
+    ] = None,
+    dwell: Annotated[
+        float | None, typer.Option(min=0.05, help="At each row, s.")
+    ] = None,
+    workspace: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keep-out boxes, tracker, what blocks it."),
+    ] = None,
+    control: Annotated[
+        list[str] | None, typer.Option(help="Whose NC program; else of all.")
+    ] = None,
+    perpendicular_only: Annotated[
+        bool,
+        typer.Option(
+            "--perpendicular-only", help="Count on deviations across lines only."
+        ),
+    ] = False,
+    corner_path: Annotated[
+        bool,
+        typer.Option("--corner-path", help="The 2023 paper's path, to compare with."),
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    json: Json = False,
+) -> None:
+    """The measurement that tells most in its time, and what it will leave unknown."""
+    compute_on_one_thread()
+    from app.files.machine_file import read_machine
+    from app.files.workspace_file import read_workspace
+    from app.motion.paths import DEFAULT_FEED_MM_MIN
+    from app.motion.workspace import Workspace
+    from app.planning.plan import PlanRequest, make_plan
+    from app.reporting.plan_files import write_plan
+    from app.results.prior_model import read_prior_model
+
+    request = PlanRequest(
+        mode,
+        minutes,
+        target_um,
+        tuple(feed or (DEFAULT_FEED_MM_MIN,)),
+        dwell,
+        perpendicular_only,
+        corner_path,
+        read_workspace(workspace) if workspace else Workspace(),
+        seed,
+        None if model is None else read_prior_model(model),
+    )
+    require_folder(output, "the plan")
+    with show_progress("plan") as on_progress:
+        planned = make_plan(read_machine(machine), request, on_progress=on_progress)
+        on_progress(1.0, "writing")
+        document = write_plan(planned, output, control or ())
+    files = [output / name for name in document["files"]]
+    if json:
+        summary = {k: v for k, v in document.items() if k != "machine"}
+        print_json(summary | {"files": [str(file) for file in files]})
+    else:
+        _print_plan(document)
+        print_files(files)
+
+
+def _describe_grade(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the grade and what is weak about the set-up, a line each."""
+    yield f"grade of the set-up: {found['text']}"
+    for motion in found["weakest"]:
+        if motion["remedy"] is not None:
+            yield (
+                f"weak: {motion['error']} ({motion['meaning']}), "
+                f"{motion['at_tool_um']:.1f} µm at the tool: {motion['remedy']}"
+            )
+    for shape in found["weak_shapes"]:
+        yield f"weak: {shape}"
+    for statement in found["unobservable"]:
+        yield f"cannot be seen: {statement}"
+
+
+def _parse_place(text: str) -> list[float]:
+    try:
+        place = [float(part) for part in text.split(",")]
+    except ValueError:
+        place = []
+    if len(place) != 3 or not all(map(math.isfinite, place)):
+        raise BadInput(
+            f"--tracker {text}: not a place; write X,Y,Z in mm, as 1200,0,300"
+        )
+    return place
+
+
+def _print_plan(document: Mapping[str, Any]) -> None:
+    predicted = document["predicted"]
+    _print_predicted(document["machine"]["name"], predicted)
+    for effect in predicted["effects"]:
+        print(f"foretold: {describe_effect(effect)}")
+    for statement in document["unobservable"]:
+        print(f"will not be seen: {statement}")
+    if document["tracker"]["assumed"]:
+        place = ", ".join(f"{v:.0f}" for v in document["tracker"]["position_mm"])
+        print(f"tracker taken to stand at {place} mm; state it in a workspace file")
+    print(
+        f"{document['rows']} rows, {document['duration_s'] / 60.0:.1f} min, volumetric "
+        f"uncertainty {predicted['volumetric_uncertainty_um']:.2f} µm (k = 1), "
+        f"{predicted['expanded_volumetric_uncertainty_um']:.2f} µm (k = 2)"
+    )
+    if document["target"] is not None and not document["target"]["reached"]:
+        wanted = document["target"]["volumetric_uncertainty_um"]
+        print(f"the target of {wanted:g} µm (k = 1) is out of reach in that time")
+
+
+def _print_predicted(name: str, predicted: Mapping[str, Any]) -> None:
+    rows = [
+        (symbol, f"{2.0 * at[f'uncertainty_{unit}']:.2f}", shown)
+        for symbol, at in predicted["errors"].items()
+        for unit, shown in (("um", "µm"), ("urad", "µrad"))
+        if f"uncertainty_{unit}" in at
+    ]
+    rows += [
+        (f"lag of {axis}", f"{2e3 * at['uncertainty_ms']:.1f}", "µs")
+        for axis, at in predicted["servo_mismatch"].items()
+    ]
+    columns = ("error", "predicted U (k = 2)", "")
+    print_table(f"What a measurement of {name} will leave", columns, rows)

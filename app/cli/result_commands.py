@@ -1,0 +1,136 @@
+"""The commands that use a result: `compare` it with a reference, `export` it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from app.cli.computing import compute_on_one_thread
+from app.cli.options import Json, OutputFolder, ResultFile, require_folder
+from app.cli.terminal import list_files, print_files, print_json, print_table, say
+
+_UNITS = (("um", "µm"), ("urad", "µrad"))
+
+
+def compare(
+    result: ResultFile,
+    reference: Annotated[
+        Path,
+        typer.Argument(
+            metavar="REFERENCE.csv", help="error,position_mm,direction,value,unit"
+        ),
+    ],
+    output: OutputFolder,
+    reference_um: Annotated[
+        float,
+        typer.Option(min=0.0, help="Standard uncertainty of its displacements, µm."),
+    ] = 0.0,
+    reference_urad: Annotated[
+        float, typer.Option(min=0.0, help="Standard uncertainty of its angles, µrad.")
+    ] = 0.0,
+    json: Json = False,
+) -> None:
+    """A result against a direct measurement of single error motions."""
+    compute_on_one_thread()
+    from app.reporting.comparison_output import compare_files
+    from app.results.comparison import ReferenceUncertainty
+
+    require_folder(output, "the comparison")
+    uncertainty = ReferenceUncertainty(reference_um, reference_urad)
+    content = compare_files(result, reference, output, uncertainty)
+    files = list_files(output)
+    if json:
+        print_json(_summarise_comparison(content, files))
+    else:
+        _print_comparison(content, files)
+
+
+def export(
+    result: ResultFile,
+    format: Annotated[
+        str, typer.Option(metavar="F", help="Of the controller; another word lists.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="What to write.")
+    ],
+    spacing: Annotated[
+        float, typer.Option(min=0.1, help="Of the rows of a table, mm.")
+    ] = 10.0,
+    json: Json = False,
+) -> None:
+    """A controller's compensation file, and what it leaves behind."""
+    compute_on_one_thread()
+    from app.compensation.export_files import export_files
+
+    account = export_files(result, format, output, spacing_mm=spacing)
+    sign = account["sign"]
+    if not sign["verified"]:
+        say(
+            "note: the sign is not verified for this control "
+            f"({sign['rule']}): try one deliberate value before first use"
+        )
+    if json:
+        print_json(account)
+    else:
+        _print_compensation(account)
+
+
+def _print_compensation(account: Mapping[str, Any]) -> None:
+    error = account["volumetric_error_um"]
+    before, after = error["before"]["mean"], error["after"]["mean"]
+    print(f"carries: {account['carries']}")
+    print(f"not carried: {account['not_carried']}")
+    print(f"mean volumetric error {before:.2f} µm, with these tables {after:.2f} µm")
+    print(f"lost between rows: {account['interpolation_loss_um']:.2f} µm at most")
+    print(f"do: {account['note']}")
+    for statement in account["unobservable"]:
+        print(f"not in the tables: {statement}")
+    for file in account["files"]:
+        print(file)
+
+
+def _print_comparison(content: Mapping[str, Any], files: Sequence[Path]) -> None:
+    columns = ("error", "largest |d|", "mean |d|", "largest |En|", "agree", "")
+    title = f"Result less reference, {content['machine']}"
+    print_table(title, columns, [*_yield_rows(content)])
+    for symbol, reason in content["not_compared"].items():
+        print(f"not compared: {symbol}: {reason}")
+    print_files(files)
+
+
+def _summarise_comparison(
+    content: Mapping[str, Any], files: Sequence[Path]
+) -> dict[str, Any]:
+    kept = ("largest_difference", "mean_difference", "largest_en", "share_within")
+    return {
+        "schema": "comparison-summary/1",
+        "errors": {
+            symbol: {k: v for k, v in error.items() if k.startswith(kept)}
+            for symbol, error in content["errors"].items()
+        },
+        "numbers": content["numbers"],
+        "kinds": content["kinds"],
+        "volumetric": content["volumetric"],
+        "not_compared": content["not_compared"],
+        "files": [str(file) for file in files],
+    }
+
+
+def _yield_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    for symbol, error in content["errors"].items():
+        unit, shown = next(u for u in _UNITS if f"difference_{u[0]}" in error)
+        yield (
+            symbol,
+            f"{error[f'largest_difference_{unit}']:.2f}",
+            f"{error[f'mean_difference_{unit}']:.2f}",
+            f"{error['largest_en']:.2f}",
+            f"{100.0 * error['share_within']:.0f} %",
+            shown,
+        )
+    for symbol, number in content["numbers"].items():
+        unit, shown = next(u for u in _UNITS if f"difference_{u[0]}" in number)
+        difference = abs(number[f"difference_{unit}"])
+        yield symbol, f"{difference:.2f}", "", f"{abs(number['en']):.2f}", "", shown
