@@ -15,10 +15,10 @@ from app.jobs.plans import commanded_from_plan
 from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded
 from app.motion.nc_programs.programs import (
-    control_of,
-    dialect_names,
-    nc_program,
-    program_file_name,
+    list_dialects,
+    name_control,
+    name_file,
+    write_program,
 )
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -55,7 +55,8 @@ def list_nc_dialects() -> DialectList:
     """List the controls that NC programs can be written for."""
     return DialectList(
         items=[
-            DialectOut(name=name, control=control_of(name)) for name in dialect_names()
+            DialectOut(name=name, control=name_control(name))
+            for name in list_dialects()
         ]
     )
 
@@ -88,8 +89,8 @@ def program_response(
     commanded: Commanded, machine: Machine, dialect: str
 ) -> PlainTextResponse:
     """Return a program as a download, under the name its control wants."""
-    text = nc_program(commanded, machine, dialect)
-    file = program_file_name(text, dialect)
+    text = write_program(commanded, machine, dialect)
+    file = name_file(text, dialect)
     return PlainTextResponse(
         text, headers={"Content-Disposition": f'attachment; filename="{file}"'}
     )

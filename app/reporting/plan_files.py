@@ -13,9 +13,9 @@ from app.files.machine_file import machine_to_json
 from app.files.whole_files import replace_file
 from app.kinematics.symbols import SQUARENESS, is_location, unit
 from app.motion.nc_programs.programs import (
-    dialect_names,
-    nc_program,
-    program_file_name,
+    list_dialects,
+    name_file,
+    write_program,
 )
 from app.planning.plan import Planned
 from app.reporting.plan_report import render_plan_report
@@ -102,9 +102,9 @@ def write_plan(
     rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
     files = {rows: encode_commanded(commanded, machine)}
     feed = planned.request.feeds_mm_min[0]
-    for control in controls or dialect_names():
-        text = nc_program(commanded, machine, control, feed_mm_min=feed)
-        files[f"{control}/{program_file_name(text, control)}"] = text.encode()
+    for control in controls or list_dialects():
+        text = write_program(commanded, machine, control, feed_mm_min=feed)
+        files[f"{control}/{name_file(text, control)}"] = text.encode()
     document = plan_document(planned) | {"files": [*files, "plan.json", "plan.html"]}
     files["plan.json"] = (json.dumps(document, indent=1) + "\n").encode()
     files["plan.html"] = render_plan_report(document).encode()

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.motion.nc_programs.programs import parse_nc_program
+from app.motion.nc_programs.programs import read_program
 
 
 def test_a_ready_job_gives_its_path_as_a_program_of_each_control(client, ready):
@@ -18,7 +18,7 @@ def test_a_ready_job_gives_its_path_as_a_program_of_each_control(client, ready):
         assert answer.status_code == 200
         assert answer.headers["content-type"] == "text/plain; charset=utf-8"
         assert answer.text.isascii()
-        motion = parse_nc_program(answer.text, item["name"])
+        motion = read_program(answer.text, item["name"])
         np.testing.assert_allclose(motion.position, plan["position"])
         np.testing.assert_allclose(motion.feed_mm_min, plan["feed_mm_min"])
 
@@ -30,7 +30,7 @@ def test_a_program_is_called_as_its_control_wants_it(client, ready, dialect, suf
     answer = client.get(
         f"/api/v1/jobs/{ready['id']}/nc-program", params={"dialect": dialect}
     )
-    name = parse_nc_program(answer.text, dialect).name
+    name = read_program(answer.text, dialect).name
     disposition = answer.headers["content-disposition"]
     assert disposition == f'attachment; filename="{name}{suffix}"'
 
@@ -42,7 +42,7 @@ def test_standstill_points_are_a_program_as_well(client, until):
     answer = client.get(
         f"/api/v1/jobs/{job['id']}/nc-program", params={"dialect": "linuxcnc"}
     )
-    motion = parse_nc_program(answer.text, "linuxcnc")
+    motion = read_program(answer.text, "linuxcnc")
     np.testing.assert_allclose(motion.position, [[1, 2, 3], [4, 5, 6]])
 
 

@@ -11,7 +11,7 @@ from scripted_cell import wait_until
 
 from app.files.machine_file import machine_from_json
 from app.jobs.plan_orders import plan_measurement
-from app.motion.nc_programs.programs import parse_nc_program
+from app.motion.nc_programs.programs import read_program
 from simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"))
@@ -103,7 +103,7 @@ def test_no_swept_line_of_a_plan_touches_a_keep_out_box(planned):
 
 def test_a_plan_is_a_program_for_a_control(plan, client):
     answer = client.get(plan["links"]["nc_program"], params={"dialect": "heidenhain"})
-    motion = parse_nc_program(answer.text, "heidenhain")
+    motion = read_program(answer.text, "heidenhain")
     np.testing.assert_allclose(motion.position, plan["commanded"]["position"])
 
 

@@ -8,7 +8,7 @@ import pytest
 from app.cli.command import run
 from app.files.commanded_file import encode_commanded
 from app.files.machine_file import machine_from_json
-from app.motion.nc_programs.programs import nc_program, parse_nc_program
+from app.motion.nc_programs.programs import read_program, write_program
 from app.planning.default_path import default_path
 from app.reporting.analysis_files import predict_points
 from simulators import synthetic
@@ -33,7 +33,7 @@ def driven_by_hand(motion, override, wait_s):
 def bundle_of(content, path, folder, *, override=1.0, wait_s=4.0):
     """Write the bundle an operator makes; return the truth of its machine."""
     machine = machine_from_json(content)
-    motion = parse_nc_program(nc_program(path, machine, "heidenhain"), "heidenhain")
+    motion = read_program(write_program(path, machine, "heidenhain"), "heidenhain")
     program = driven_by_hand(motion, override, wait_s)
     recording = synthetic.record(content, program, 5)
     write_bundle_files(folder, recording, csv=True)

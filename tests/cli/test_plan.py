@@ -8,7 +8,7 @@ import pytest
 from app.cli.command import run
 from app.files.commanded_file import decode_path, decode_points
 from app.files.machine_file import decode_machine
-from app.motion.nc_programs.programs import dialect_names, parse_nc_program
+from app.motion.nc_programs.programs import list_dialects, read_program
 from simulators.scenario import load_machine
 
 
@@ -59,10 +59,10 @@ def test_a_plan_says_what_it_will_leave_and_what_stays_unseen(planned):
     assert "<svg" in (planned / "plan.html").read_text()
 
 
-@pytest.mark.parametrize("control", dialect_names())
+@pytest.mark.parametrize("control", list_dialects())
 def test_every_control_gets_a_program_of_the_same_rows(planned, control):
     (program,) = (planned / control).iterdir()
-    motion = parse_nc_program(program.read_text(), control)
+    motion = read_program(program.read_text(), control)
     rows = json.loads((planned / "plan.json").read_text())["rows"]
     assert len(motion.path) == rows
 

@@ -15,7 +15,7 @@ from app.cli.command import run
 from app.files.bundle import read_bundle
 from app.files.commanded_file import encode_commanded
 from app.files.machine_file import machine_from_json
-from app.motion.nc_programs.programs import nc_program, parse_nc_program
+from app.motion.nc_programs.programs import read_program, write_program
 from app.planning.default_path import default_path
 from drivers.cnc.modbus.driver import ModbusController
 from drivers.interfaces.errors import DeviceTimeout
@@ -39,7 +39,7 @@ def files(bench, tmp_path):
     path = default_path(machine, 15_000.0, lines=8)
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
     (tmp_path / "path.csv").write_bytes(encode_commanded(path, machine))
-    (tmp_path / "path.h").write_text(nc_program(path, machine, "heidenhain"))
+    (tmp_path / "path.h").write_text(write_program(path, machine, "heidenhain"))
     options = ", ".join(
         f"{key} = {json.dumps(v)}" for key, v in bench.tracker_options.items()
     )
@@ -109,7 +109,7 @@ def until_it_stands(cnc):
 def test_a_cnc_without_a_link_is_calibrated_from_the_recording_alone(
     bench, files, recording, volume, rigid_free
 ):
-    motion = parse_nc_program((files / "path.h").read_text(), "heidenhain")
+    motion = read_program((files / "path.h").read_text(), "heidenhain")
     process = recording("--json")
     until_it_records(process)
     stand(bench, 2.0)

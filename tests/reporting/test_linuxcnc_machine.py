@@ -12,7 +12,7 @@ import pytest
 from app.compensation.export import export_result
 from app.compensation.source import source_of
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
-from app.motion.nc_programs.programs import nc_program
+from app.motion.nc_programs.programs import write_program
 from drivers.interfaces.records import Path
 
 sys.path.append(str(FilePath(__file__).parent))
@@ -60,7 +60,7 @@ def driven(source):
     )
     files = export_result(source, "linuxcnc", "comp").files
     tables = {axis: files[f"comp-{axis}.tbl"] for axis in TRAVEL}
-    return (*run_program(nc_program(path, machine, "linuxcnc"), tables), tables)
+    return (*run_program(write_program(path, machine, "linuxcnc"), tables), tables)
 
 
 def speed_mm_s(position_mm):

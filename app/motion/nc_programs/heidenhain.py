@@ -14,10 +14,19 @@ import re
 from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.control import AXES, Control, fault
+from app.motion.nc_programs.blocks import (
+    STOP_RECORDING,
+    arrange_blocks,
+    format_position,
+)
 from app.motion.nc_programs.dialect import Dialect
-from app.motion.nc_programs.motion import ProgrammedMotion
-from app.motion.nc_programs.order import RECORD, THE_END, WAY_FREE, Order, Step
+from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from app.motion.nc_programs.simulated_control import (
+    AXES,
+    SimulatedControl,
+    line_error,
+)
 
 
 class Heidenhain(Dialect):
@@ -29,44 +38,35 @@ class Heidenhain(Dialect):
     counts_degrees: ClassVar[bool] = True
     frame: ClassVar[str] = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
 
-    def write(self, order: Order) -> str:
+    def write(self, content: ProgramContent) -> str:
         """Return the program; blocks are numbered without a gap."""
-        blocks = [f"{n} {block}" for n, block in enumerate(_blocks(order))]
+        blocks = [f"{n} {block}" for n, block in enumerate(_write_blocks(content))]
         return "\n".join(blocks) + "\n"
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return what the control would do."""
-        return _Reader(text).motion()
+        """Return the motion of the control."""
+        return _Reader(text).finish()
 
 
-def _blocks(order: Order) -> Iterator[str]:
-    yield f"BEGIN PGM {order.name} MM"
-    yield from (f"; {line}" for line in order.header)
-    yield from _wait(WAY_FREE)
-    for step in order.steps:
-        if step.change:
-            yield from _wait(step.change)
-        yield _motion(order, step)
-        if step.row == 1:
-            yield from _wait(RECORD)
-        yield "CYCL DEF 9.0 DWELL TIME"
-        yield f"CYCL DEF 9.1 DWELL {step.dwell_s:.3f}"
-    yield f"; {THE_END}"
-    yield "M30"
-    yield f"END PGM {order.name} MM"
+def _write_blocks(content: ProgramContent) -> Iterator[str]:
+    def write_motion(row: ProgramRow) -> Iterator[str]:
+        ends = format_position(content, row, "+.4f")
+        yield f"L {ends} R0 F{row.path_feed:.3f} M91 ; ROW {row.number}"
 
-
-def _motion(order: Order, step: Step) -> str:
-    ends = zip(order.axes, step.position, strict=True)
-    return (
-        "L "
-        + " ".join(f"{name}{value:+.4f}" for name, value in ends)
-        + f" R0 F{step.path_feed:.3f} M91 ; ROW {step.row}"
+    yield f"BEGIN PGM {content.name} MM"
+    yield from (f"; {line}" for line in content.header)
+    yield from arrange_blocks(
+        content.rows,
+        write_stop=lambda message: (f"; {message}", "STOP"),
+        write_motion=write_motion,
+        write_dwell=lambda dwell_s: (
+            "CYCL DEF 9.0 DWELL TIME",
+            f"CYCL DEF 9.1 DWELL {dwell_s:.3f}",
+        ),
     )
-
-
-def _wait(message: str) -> tuple[str, ...]:
-    return f"; {message}", "STOP"
+    yield f"; {STOP_RECORDING}"
+    yield "M30"
+    yield f"END PGM {content.name} MM"
 
 
 _BLOCK = re.compile(r"(\d+) (.+)")
@@ -79,30 +79,32 @@ _DWELL = re.compile(r"CYCL DEF 9\.1 DWELL (\d+\.?\d*)")
 
 class _Reader:
     def __init__(self, text: str) -> None:
-        self._control = Control(text, counts_degrees=True)
+        self._control = SimulatedControl(text, counts_degrees=True)
         self._feed: float | None = None
         self._ended = False
         for number, line in enumerate(text.splitlines(), 1):
             numbered = _BLOCK.fullmatch(line.rstrip())
             if numbered is None or int(numbered.group(1)) != number - 1:
-                raise fault(number, f"does not begin with block number {number - 1}")
+                raise line_error(
+                    number, f"does not begin with block number {number - 1}"
+                )
             block, _, comment = numbered.group(2).partition(";")
-            self._block(number, block.strip(), comment)
+            self._read_block(number, block.strip(), comment)
 
-    def motion(self) -> ProgrammedMotion:
+    def finish(self) -> ProgrammedMotion:
         if not self._ended:
-            raise fault(0, "it has no END PGM")
-        return self._control.motion()
+            raise line_error(0, "it has no END PGM")
+        return self._control.finish()
 
-    def _block(self, line: int, block: str, comment: str) -> None:
+    def _read_block(self, line: int, block: str, comment: str) -> None:
         straight, dwell = _LINE.fullmatch(block), _DWELL.fullmatch(block)
         program = _PROGRAM.fullmatch(block)
         if self._ended:
-            raise fault(line, "a block after END PGM")
+            raise line_error(line, "a block after END PGM")
         if program:
-            self._frame(line, *program.groups())
+            self._read_frame(line, *program.groups())
         elif not self._control.name:
-            raise fault(line, "it does not begin with BEGIN PGM")
+            raise line_error(line, "it does not begin with BEGIN PGM")
         elif straight:
             self._drive(line, straight, comment)
         elif dwell:
@@ -110,27 +112,29 @@ class _Reader:
         elif block == "STOP":
             self._control.halt()
         elif block.startswith("L "):
-            raise fault(
+            raise line_error(
                 line, "a straight line needs signed positions with a point, R0, M91"
             )
         elif block not in ("", "M30", "CYCL DEF 9.0 DWELL TIME"):
-            raise fault(line, f"{block!r} has no place in a measuring path")
+            raise line_error(line, f"{block!r} has no place in a measuring path")
 
-    def _frame(self, line: int, word: str, name: str, unit: str) -> None:
+    def _read_frame(self, line: int, word: str, name: str, unit: str) -> None:
         if unit != "MM":
-            raise fault(line, "the unit is INCH; MM is needed")
+            raise line_error(line, "the unit is INCH; MM is needed")
         begins = word == "BEGIN"
         if begins == bool(self._control.name) or (
             not begins and name != self._control.name
         ):
-            raise fault(line, f"{word} PGM {name} does not fit the lines before it")
+            raise line_error(
+                line, f"{word} PGM {name} does not fit the lines before it"
+            )
         self._control.name, self._ended = name, not begins
 
     def _drive(self, line: int, straight: re.Match[str], comment: str) -> None:
         ends = {name: float(value) for name, value in _END.findall(straight.group(1))}
         odd = [name for name in ends if name not in AXES]
         if odd:
-            raise fault(line, f"{odd[0]} is no axis")
+            raise line_error(line, f"{odd[0]} is no axis")
         if straight.group(2):
             self._feed = float(straight.group(2))
         row = _ROW.search(comment)

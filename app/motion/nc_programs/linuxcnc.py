@@ -13,11 +13,16 @@ import re
 from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.control import AXES, Control, fault
+from app.motion.nc_programs.blocks import (
+    STOP_RECORDING,
+    arrange_blocks,
+    format_position,
+)
 from app.motion.nc_programs.dialect import Dialect
-from app.motion.nc_programs.iso_words import Groups, Modes, words_of
-from app.motion.nc_programs.motion import ProgrammedMotion
-from app.motion.nc_programs.order import RECORD, THE_END, WAY_FREE, Order, Step
+from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name, split_words
+from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from app.motion.nc_programs.simulated_control import AXES
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
 
@@ -29,105 +34,64 @@ class LinuxCnc(Dialect):
     suffix: ClassVar[str] = ".ngc"
     frame: ClassVar[str] = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
 
-    def write(self, order: Order) -> str:
+    def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
-        return "\n".join(_blocks(order)) + "\n"
+        return "\n".join(_write_blocks(content)) + "\n"
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return what the control would do."""
-        return _Reader(text).motion()
+        """Return the motion of the control."""
+        reader = _Reader(text, name=find_name(text, _NAME), counts_degrees=False)
+        for number, line in enumerate(text.splitlines(), 1):
+            if not reader.ended:
+                reader.read_block(number, _COMMENT.sub(" ", line))
+        return reader.finish()
 
 
-def _blocks(order: Order) -> Iterator[str]:
-    yield f"(PROGRAM {order.name})"
-    yield from (f"({line})" for line in order.header)
+def _write_blocks(content: ProgramContent) -> Iterator[str]:
+    def write_motion(row: ProgramRow) -> Iterator[str]:
+        ends = format_position(content, row, ".4f")
+        yield f"N{row.number} G53 G1 {ends} F{row.feed:.3f}"
+
+    yield f"(PROGRAM {content.name})"
+    yield from (f"({line})" for line in content.header)
     yield from _SAFE_START
-    yield from _wait(WAY_FREE)
-    for step in order.steps:
-        if step.change:
-            yield from _wait(step.change)
-        yield _motion(order, step)
-        if step.row == 1:
-            yield from _wait(RECORD)
-        if step.dwell_s > 0:
-            yield f"G4 P{step.dwell_s:.3f}"
-    yield f"(MSG, {THE_END})"
+    yield from arrange_blocks(
+        content.rows,
+        write_stop=lambda message: (f"(MSG, {message})", "M0"),
+        write_motion=write_motion,
+        write_dwell=lambda dwell_s: (f"G4 P{dwell_s:.3f}",) if dwell_s > 0 else (),
+    )
+    yield f"(MSG, {STOP_RECORDING})"
     yield "M2"
 
 
-def _motion(order: Order, step: Step) -> str:
-    ends = zip(order.axes, step.position, strict=True)
-    return (
-        f"N{step.row} G53 G1 "
-        + " ".join(f"{name}{value:.4f}" for name, value in ends)
-        + f" F{step.feed:.3f}"
-    )
-
-
-def _wait(message: str) -> tuple[str, ...]:
-    return f"(MSG, {message})", "M0"
-
-
-_GROUPS: Groups = {
-    "the unit": ("G21", "G20"),
-    "the plane": ("G17", "G18", "G19"),
-    "radius compensation": ("G40", "G41", "G42"),
-    "the tool length": ("G49", "G43", "G43.1"),
-    "the cycle": ("G80", "G81", "G82", "G83"),
-    "the dimension": ("G90", "G91"),
-    "the feed": ("G94", "G93", "G95"),
-}
-_PATH_MODE = ("G61.1", "G61", "G64")
 _NAME = re.compile(r"^\(PROGRAM (\w+)\)$", re.MULTILINE)
 _COMMENT = re.compile(r"\([^()]*\)")
 
 
-class _Reader:
-    def __init__(self, text: str) -> None:
-        self._control = Control(text, counts_degrees=False)
-        named = _NAME.search(text)
-        self._control.name = named.group(1) if named else ""
-        self._modes = Modes(_GROUPS, _PATH_MODE)
-        self._feed: float | None = None
-        self._ended = False
-        for number, line in enumerate(text.splitlines(), 1):
-            if not self._ended:
-                self._block(number, _COMMENT.sub(" ", line))
+class _Reader(GCodeReader):
+    groups: ClassVar[Groups] = {
+        "the unit": ("G21", "G20"),
+        "the plane": ("G17", "G18", "G19"),
+        "radius compensation": ("G40", "G41", "G42"),
+        "the tool length": ("G49", "G43", "G43.1"),
+        "the cycle": ("G80", "G81", "G82", "G83"),
+        "the dimension": ("G90", "G91"),
+        "the feed": ("G94", "G93", "G95"),
+    }
+    path_modes = ("G61.1", "G61", "G64")
+    frame = ("G53",)
+    passive = ("G1", "G4")
+    end = "M2"
 
-    def motion(self) -> ProgrammedMotion:
-        if not self._ended:
-            raise fault(0, "it has no M2 at its end")
-        return self._control.motion()
-
-    def _block(self, line: int, block: str) -> None:
-        words = words_of(line, block)
+    def read_block(self, line: int, block: str) -> None:
+        words = split_words(line, block)
         values = {w.letter: w.value for w in words}
         codes = {w.code for w in words if w.letter in "GM"}
-        self._feed = values.get("F", self._feed)
-        for code in codes - {"G1", "G4", "G53"}:
-            self._take(line, code)
+        self.feed = values.get("F", self.feed)
+        self.apply_codes(line, codes)
         if "G4" in codes:
-            self._control.dwell(line, values.get("P", -1.0))
+            self.control.dwell(line, values.get("P", -1.0))
         ends = {letter: v for letter, v in values.items() if letter in AXES}
         if ends:
-            self._drive(line, ends, codes, int(values.get("N", 0)))
-
-    def _take(self, line: int, code: str) -> None:
-        if code == "M2":
-            self._ended = True
-        elif code == "M0":
-            self._control.halt()
-        else:
-            self._modes.take(line, code)
-
-    def _drive(
-        self, line: int, ends: dict[str, float], codes: set[str], row: int
-    ) -> None:
-        if "G1" not in codes:
-            raise fault(line, "a motion without G1")
-        if "G53" not in codes:
-            raise fault(line, "a position in a work offset; G53 is needed")
-        self._modes.require(line)
-        self._control.move(
-            line, ends, self._feed, exact_stop=self._modes.exact_stop, row=row
-        )
+            self.drive(line, ends, codes, int(values.get("N", 0)))

@@ -9,15 +9,15 @@ from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine, position_unit
 from app.motion.configurations import Configurations
 from app.motion.nc_programs.dialect import Dialect
-from app.motion.nc_programs.motion import ProgrammedMotion, path_checksum
-from app.motion.nc_programs.order import (
+from app.motion.nc_programs.program_content import (
     LARGEST_FEED,
-    Order,
-    as_printed,
-    header_of,
-    plain_name,
-    steps_of,
+    ProgramContent,
+    clean_name,
+    list_rows,
+    round_path,
+    write_header,
 )
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion, compute_checksum
 from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
 from app.plugins import installed, load
 from drivers.interfaces.records import Path
@@ -26,17 +26,17 @@ GROUP = "truepath.nc_dialects"
 _LEAST_FEED = 0.1  # mm/min
 
 
-def dialect_names() -> tuple[str, ...]:
+def list_dialects() -> tuple[str, ...]:
     """Return the controls that programs can be written for."""
     return tuple(sorted(installed(GROUP)))
 
 
-def control_of(dialect: str) -> str:
-    """Return what people call a control."""
-    return _dialect(dialect).control
+def name_control(dialect: str) -> str:
+    """Return the name of a control for people."""
+    return _load_dialect(dialect).control
 
 
-def nc_program(
+def write_program(
     path_or_points: Path | Configurations,
     machine: Machine,
     dialect: str,
@@ -46,51 +46,51 @@ def nc_program(
 ) -> str:
     """Return the program of a path or of standstill points for a control.
 
-    dialect : one of `dialect_names`
-    name : of the program, made fit for the control; the machine's where it is empty
+    dialect : one of `list_dialects`
+    name : of the program, adapted to the control; the machine's if empty
     feed_mm_min : between standstill points, which have no feed of their own
 
-    The text is read back by the dialect's own reader before it is returned, and is
-    held against the path, row by row, and against the travel of the axes.
+    Before it is returned, the text is read back by the dialect's own reader and
+    compared with the path, row by row, and with the travel of the axes.
 
     Raises OutOfTravel naming row, axis, value and remedy; PlanningError where a feed, a
     dwell or the number of rows is beyond the control; BadInput for an unknown dialect.
     """
-    kind = _dialect(dialect)
+    kind = _load_dialect(dialect)
     check_travel(machine, path_or_points)
-    planned = _as_path(path_or_points, feed_mm_min)
-    _refuse_beyond(kind, planned)
-    path = as_printed(
+    planned = _convert_to_path(path_or_points, feed_mm_min)
+    _check_limits(kind, planned)
+    path = round_path(
         planned,
         kind.decimals,
         kind.least_dwell_s,
         counts_degrees=kind.counts_degrees,
     )
-    text = kind.write(_order(kind, path, planned, machine, name))
-    _check(kind.read(text), path, machine, kind)
+    text = kind.write(_compose(kind, path, planned, machine, name))
+    _compare(kind.read(text), path, machine, kind)
     return text
 
 
-def parse_nc_program(text: str, dialect: str) -> ProgrammedMotion:
-    """Return what a control would do with a measuring program.
+def read_program(text: str, dialect: str) -> ProgrammedMotion:
+    """Return the motion of a control that runs a measuring program.
 
     Raises PlanningError naming the line that a measuring path must not have: a position
     that is not in machine coordinates, a mode that was not set, a word unknown here.
     """
-    return _dialect(dialect).read(text)
+    return _load_dialect(dialect).read(text)
 
 
-def program_file_name(text: str, dialect: str) -> str:
-    """Return what a program's file is to be called on its control."""
-    kind = _dialect(dialect)
+def name_file(text: str, dialect: str) -> str:
+    """Return the file name of a program on its control."""
+    kind = _load_dialect(dialect)
     return f"{kind.read(text).name}{kind.suffix}"
 
 
-def _dialect(name: str) -> Dialect:
+def _load_dialect(name: str) -> Dialect:
     return load(GROUP, name)()
 
 
-def _as_path(commanded: Path | Configurations, feed_mm_min: float) -> Path:
+def _convert_to_path(commanded: Path | Configurations, feed_mm_min: float) -> Path:
     if isinstance(commanded, Path):
         return commanded
     feed = np.full(len(commanded), feed_mm_min)
@@ -98,41 +98,41 @@ def _as_path(commanded: Path | Configurations, feed_mm_min: float) -> Path:
     return Path(points.axes, points.position, feed, points.dwell_s, points.target)
 
 
-def _order(
+def _compose(
     kind: Dialect, path: Path, planned: Path, machine: Machine, name: str
-) -> Order:
+) -> ProgramContent:
     rotary = {axis.name for axis in machine.rotary_axes}
-    checksum = path_checksum(path.axes, path.position)
-    wanted = plain_name(name or machine.name)
-    return Order(
+    checksum = compute_checksum(path.axes, path.position)
+    wanted = clean_name(name or machine.name)
+    return ProgramContent(
         name=kind.program_name(wanted, checksum),
         axes=path.axes,
         linear=tuple(n for n in path.axes if n not in rotary),
         rotary=tuple(n for n in path.axes if n in rotary),
-        header=header_of(path, planned, machine, wanted, kind.control, kind.frame),
-        steps=steps_of(path),
+        header=write_header(path, planned, machine, wanted, kind.control, kind.frame),
+        rows=list_rows(path),
     )
 
 
-def _refuse_beyond(kind: Dialect, path: Path) -> None:
-    """Refuse what no program of this control can say."""
+def _check_limits(kind: Dialect, path: Path) -> None:
+    """Refuse a path that no program of this control can state."""
     if len(path) > kind.most_rows:
         raise PlanningError(
             f"the path has {len(path)} rows; a {kind.control} program numbers "
             f"{kind.most_rows}; plan two shorter paths"
         )
     feed, dwell_s = path.feed_mm_min, path.dwell_s
-    _refuse_row(
+    _check_rows(
         feed, (feed >= _LEAST_FEED) & (feed <= LARGEST_FEED), "feed_mm_min",
         f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED:g} mm/min",
     )  # fmt: skip
-    _refuse_row(
+    _check_rows(
         dwell_s, (dwell_s >= 0) & (dwell_s <= kind.longest_dwell_s), "dwell_s",
         f"{kind.control} dwells 0 to {kind.longest_dwell_s:g} s",
     )  # fmt: skip
 
 
-def _refuse_row(
+def _check_rows(
     values: Float64[np.ndarray, " n"],
     good: Bool[np.ndarray, " n"],
     name: str,
@@ -143,10 +143,10 @@ def _refuse_row(
         raise PlanningError(f"row {row + 1}: {name} is {values[row]:g}; {remedy}")
 
 
-def _check(
+def _compare(
     motion: ProgrammedMotion, path: Path, machine: Machine, kind: Dialect
 ) -> None:
-    """Hold what the reader found against the path and the travel."""
+    """Compare what the reader found with the path and the travel."""
     half = 0.5 * 10.0**-kind.decimals
     same = (
         motion.axes == path.axes

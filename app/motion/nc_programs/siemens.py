@@ -13,11 +13,16 @@ import re
 from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.control import AXES, Control, fault
+from app.motion.nc_programs.blocks import (
+    STOP_RECORDING,
+    arrange_blocks,
+    format_position,
+)
 from app.motion.nc_programs.dialect import Dialect
-from app.motion.nc_programs.iso_words import Groups, Modes, words_of
-from app.motion.nc_programs.motion import ProgrammedMotion
-from app.motion.nc_programs.order import RECORD, THE_END, WAY_FREE, Order, Step
+from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name, split_words
+from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from app.motion.nc_programs.simulated_control import AXES, line_error
 
 _SAFE_START = (
     "G17 G40 G90 G94",
@@ -36,136 +41,99 @@ class Siemens(Dialect):
     suffix: ClassVar[str] = ".mpf"
     frame: ClassVar[str] = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
 
-    def write(self, order: Order) -> str:
+    def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
-        return "\n".join(_blocks(order)) + "\n"
+        return "\n".join(_write_blocks(content)) + "\n"
 
     def read(self, text: str) -> ProgrammedMotion:
-        """Return what the control would do."""
-        return _Reader(text).motion()
+        """Return the motion of the control."""
+        reader = _Reader(text, name=find_name(text, _NAME), counts_degrees=False)
+        for number, line in enumerate(text.upper().splitlines(), 1):
+            block = _MESSAGE.sub("", line).partition(";")[0].strip()
+            if block and reader.ended:
+                raise line_error(number, "a block after M30")
+            reader.read_block(number, block)
+        return reader.finish()
 
 
-def _blocks(order: Order) -> Iterator[str]:
-    yield f"; PROGRAM {order.name}"
-    yield from (f"; {line}" for line in order.header)
-    yield from _SAFE_START
-    yield _feed_group(order.linear)
-    yield from _wait(WAY_FREE)
-    group = order.linear
-    for step in order.steps:
-        if step.change:
-            yield from _wait(step.change)
-        wanted = order.rotary if step.turns_only else order.linear
+def _write_blocks(content: ProgramContent) -> Iterator[str]:
+    group = content.linear
+
+    def write_motion(row: ProgramRow) -> Iterator[str]:
+        nonlocal group
+        wanted = content.rotary if row.rotary_only else content.linear
         if wanted != group:
             group = wanted
-            yield _feed_group(group)
-        yield _motion(order, step)
-        if step.row == 1:
-            yield from _wait(RECORD)
-        if step.dwell_s > 0:
-            yield f"G4 F{step.dwell_s:.3f}"
-    yield f'MSG("{THE_END}")'
+            yield _write_feed_group(group)
+        ends = format_position(content, row, ".4f")
+        yield f"N{row.number} G1 SUPA {ends} F{row.feed:.3f}"
+
+    yield f"; PROGRAM {content.name}"
+    yield from (f"; {line}" for line in content.header)
+    yield from _SAFE_START
+    yield _write_feed_group(group)
+    yield from arrange_blocks(
+        content.rows,
+        write_stop=lambda message: (f'MSG("{message}")', "M0"),
+        write_motion=write_motion,
+        write_dwell=lambda dwell_s: (f"G4 F{dwell_s:.3f}",) if dwell_s > 0 else (),
+    )
+    yield f'MSG("{STOP_RECORDING}")'
     yield "M30"
 
 
-def _motion(order: Order, step: Step) -> str:
-    ends = zip(order.axes, step.position, strict=True)
-    return (
-        f"N{step.row} G1 SUPA "
-        + " ".join(f"{name}{value:.4f}" for name, value in ends)
-        + f" F{step.feed:.3f}"
-    )
-
-
-def _feed_group(axes: tuple[str, ...]) -> str:
+def _write_feed_group(axes: tuple[str, ...]) -> str:
     return f"FGROUP({','.join(axes)})"
 
 
-def _wait(message: str) -> tuple[str, ...]:
-    return f'MSG("{message}")', "M0"
-
-
-_GROUPS: Groups = {
-    "the plane": ("G17", "G18", "G19"),
-    "radius compensation": ("G40", "G41", "G42"),
-    "the dimension": ("G90", "G91"),
-    "the feed": ("G94", "G93", "G95", "G96"),
-    "the unit": ("G710", "G71", "G70", "G700"),
-    "the work offset": ("G500", "G54", "G55", "G56", "G57"),
-    "the tool offset": ("D0", "D1", "D2"),
-    "the transformation": ("TRAFOOF", "TRAORI"),
-    "the programmable frame": ("TRANS",),
-}
-_PATH_MODE = ("G60", "G64", "G641", "G642")
-_WINDOW = {"G601", "G602", "G603"}
 _NAME = re.compile(r"^; PROGRAM (\w+)$", re.MULTILINE)
 _MESSAGE = re.compile(r'MSG\s*\(("[^"]*")?\)')
-_GROUP = re.compile(r"FGROUP\(([A-Z](?:,[A-Z])*)\)")
-_WORDS = re.compile(r"\b(?:SUPA|TRAFOOF|TRAORI|TRANS)\b")
+_FEED_GROUP = re.compile(r"FGROUP\(([A-Z](?:,[A-Z])*)\)")
+_KEYWORDS = re.compile(r"\b(?:SUPA|TRAFOOF|TRAORI|TRANS)\b")
 
 
-class _Reader:
-    def __init__(self, text: str) -> None:
-        self._control = Control(text, counts_degrees=False)
-        named = _NAME.search(text)
-        self._control.name = named.group(1) if named else ""
-        self._modes = Modes(_GROUPS, _PATH_MODE)
-        self._feed: float | None = None
-        self._feed_group = ""
-        self._ended = False
-        for number, line in enumerate(text.upper().splitlines(), 1):
-            self._block(number, _MESSAGE.sub("", line).partition(";")[0].strip())
+class _Reader(GCodeReader):
+    groups: ClassVar[Groups] = {
+        "the plane": ("G17", "G18", "G19"),
+        "radius compensation": ("G40", "G41", "G42"),
+        "the dimension": ("G90", "G91"),
+        "the feed": ("G94", "G93", "G95", "G96"),
+        "the unit": ("G710", "G71", "G70", "G700"),
+        "the work offset": ("G500", "G54", "G55", "G56", "G57"),
+        "the tool offset": ("D0", "D1", "D2"),
+        "the transformation": ("TRAFOOF", "TRAORI"),
+        "the programmable frame": ("TRANS",),
+    }
+    path_modes = ("G60", "G64", "G641", "G642")
+    frame = ("SUPA", "G153")
+    passive = ("G1", "G601", "G602", "G603")
+    end = "M30"
+    feed_group = ""
 
-    def motion(self) -> ProgrammedMotion:
-        if not self._ended:
-            raise fault(0, "it has no M30 at its end")
-        return self._control.motion()
-
-    def _block(self, line: int, block: str) -> None:
-        if block and self._ended:
-            raise fault(line, "a block after M30")
-        group = _GROUP.fullmatch(block)
+    def read_block(self, line: int, block: str) -> None:
+        group = _FEED_GROUP.fullmatch(block)
         if group:
-            self._feed_group = group.group(1).replace(",", "")
+            self.feed_group = group.group(1).replace(",", "")
             return
-        keywords = set(_WORDS.findall(block))
-        words = words_of(line, _WORDS.sub("", block))
-        codes = {w.code for w in words if w.letter in "GMD"} | keywords
-        ends = {w.letter: w.value for w in words if w.letter in AXES}
-        feeds = [w.value for w in words if w.letter == "F"]
+        words = split_words(line, _KEYWORDS.sub("", block))
+        codes = {w.code for w in words if w.letter in "GMD"}
+        codes |= set(_KEYWORDS.findall(block))
+        values = {w.letter: w.value for w in words}
         if "G4" in codes:
-            self._control.dwell(line, feeds[0] if feeds else -1.0)
+            self.control.dwell(line, values.get("F", -1.0))
             return
-        self._feed = feeds[0] if feeds else self._feed
-        self._take(line, codes)
-        rows = [int(w.value) for w in words if w.letter == "N"]
+        self.feed = values.get("F", self.feed)
+        self.apply_codes(line, codes)
+        ends = {letter: v for letter, v in values.items() if letter in AXES}
         if ends:
-            self._drive(line, ends, codes, rows[0] if rows else 0)
+            self._check_feed_group(line, ends)
+            self.drive(line, ends, codes, int(values.get("N", 0)))
 
-    def _take(self, line: int, codes: set[str]) -> None:
-        for code in codes - {"SUPA", "G153", "G1"} - _WINDOW:
-            if code == "M30":
-                self._ended = True
-            elif code == "M0":
-                self._control.halt()
-            else:
-                self._modes.take(line, code)
-
-    def _drive(
-        self, line: int, ends: dict[str, float], codes: set[str], row: int
-    ) -> None:
-        if "G1" not in codes:
-            raise fault(line, "a motion without G1")
-        if not codes & {"SUPA", "G153"}:
-            raise fault(line, "a position in a work offset; SUPA is needed")
-        self._modes.require(line)
-        turns_only = self._control.turns_only(ends)
-        if not self._feed_group or turns_only == any(
-            name in "XYZ" for name in self._feed_group
-        ):
-            raise fault(
-                line, f"F belongs to FGROUP({self._feed_group}), which does not move"
+    def _check_feed_group(self, line: int, ends: dict[str, float]) -> None:
+        """Refuse a motion whose feed is that of axes that stand still."""
+        has_linear = any(name in "XYZ" for name in self.feed_group)
+        rotary_only = self.control.moves_rotary_only(ends)
+        if not self.feed_group or rotary_only == has_linear:
+            raise line_error(
+                line, f"F belongs to FGROUP({self.feed_group}), which does not move"
             )
-        self._control.move(
-            line, ends, self._feed, exact_stop=self._modes.exact_stop, row=row
-        )

@@ -1,4 +1,4 @@
-"""A reader's memory: what a control knows while it runs through a program."""
+"""A control that runs a program: where its axes are, and what they have done."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from collections.abc import Mapping
 import numpy as np
 
 from app.errors import PlanningError
-from app.motion.nc_programs.motion import ProgrammedMotion
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion
 
 AXES = "XYZABC"
 _LINEAR = "XYZ"
 _CHECKSUM = re.compile(r"PATH CHECKSUM ([0-9A-F]{12})\b")
 
 
-class Control:
-    """Takes motions and dwells in order. The first motion names every axis.
+class SimulatedControl:
+    """Records motions and dwells in order. The first motion names every axis.
 
     counts_degrees : the rule of the control for the feed of all axes together
     """
 
-    def __init__(self, text: str, *, counts_degrees: bool) -> None:
+    def __init__(self, text: str, name: str = "", *, counts_degrees: bool) -> None:
         self._counts_degrees = counts_degrees
         stated = _CHECKSUM.search(text)
         self._stated = stated.group(1) if stated else ""
@@ -32,7 +32,7 @@ class Control:
         self._dwell_s: list[float] = []
         self._exact: list[bool] = []
         self._row: list[int] = []
-        self.name = ""
+        self.name = name
 
     def move(
         self,
@@ -43,40 +43,40 @@ class Control:
         exact_stop: bool,
         row: int,
     ) -> None:
-        """Drive to where `words` say; axes that are not named stand still."""
+        """Drive to `words`; axes that are not named stand still."""
         if feed is None or not feed > 0:
-            raise fault(line, "a motion without a feed; state F")
+            raise line_error(line, "a motion without a feed; state F")
         if not self._axes:
             self._axes = tuple(name for name in AXES if name in words)
         unknown = [name for name in words if name not in self._axes]
         if unknown:
-            raise fault(
+            raise line_error(
                 line, f"{unknown[0]} moves first here; the first motion names all axes"
             )
         before = self._rows[-1] if self._rows else None
         values = before or (0.0,) * len(self._axes)
         end = tuple(words.get(n, v) for n, v in zip(self._axes, values, strict=True))
-        self._feed.append(feed * self._linear_share(before, end))
+        self._feed.append(feed * self._divide_linear_by_whole(before, end))
         self._rows.append(end)
         self._dwell_s.append(0.0)
         self._exact.append(exact_stop)
         self._row.append(row)
 
     def dwell(self, line: int, seconds: float) -> None:
-        """Stand. Before the first motion it is of no account."""
+        """Dwell after the last motion; ignored before the first."""
         if not (math.isfinite(seconds) and seconds >= 0):
-            raise fault(line, f"a dwell of {seconds:g} s")
+            raise line_error(line, f"a dwell of {seconds:g} s")
         if self._rows:
             self._dwell_s[-1] += seconds
             self._exact[-1] = self._exact[-1] or seconds > 0
 
     def halt(self) -> None:
-        """Stop until the operator goes on."""
+        """Stop until the operator continues."""
         if self._rows:
             self._exact[-1] = True
 
-    def motion(self) -> ProgrammedMotion:
-        """Return what was driven. Raises PlanningError if nothing was."""
+    def finish(self) -> ProgrammedMotion:
+        """Return what was driven. Raises PlanningError if no axis moved."""
         if not self._rows:
             raise PlanningError("the program moves no axis")
         return ProgrammedMotion(
@@ -90,16 +90,16 @@ class Control:
             self._stated,
         )
 
-    def turns_only(self, words: Mapping[str, float]) -> bool:
-        """Tell whether a motion to `words` would leave every linear axis in place."""
+    def moves_rotary_only(self, words: Mapping[str, float]) -> bool:
+        """Return whether a motion to `words` leaves every linear axis in place."""
         here = dict(zip(self._axes, self._rows[-1], strict=True)) if self._rows else {}
         moving = {n for n, v in words.items() if here.get(n) != v}
         return bool(here and moving) and not any(n in _LINEAR for n in moving)
 
-    def _linear_share(
+    def _divide_linear_by_whole(
         self, before: tuple[float, ...] | None, end: tuple[float, ...]
     ) -> float:
-        """Return which part of the stated feed is that of the linear axes."""
+        """Return the share of the linear axes in the stated feed."""
         if before is None or not self._counts_degrees:
             return 1.0
         step = [(n, b - a) for n, a, b in zip(self._axes, before, end, strict=True)]
@@ -108,6 +108,6 @@ class Control:
         return straight / whole if straight > 0 else 1.0
 
 
-def fault(line: int, problem: str) -> PlanningError:
+def line_error(line: int, problem: str) -> PlanningError:
     """Return the error for a line of a program, counted from 1."""
     return PlanningError(f"line {line} of the program: {problem}")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.motion.nc_programs.programs import parse_nc_program
+from app.motion.nc_programs.programs import read_program
 
 SIEMENS = """\
 ; PROGRAM BY_HAND
@@ -104,7 +104,7 @@ every_program = pytest.mark.parametrize("dialect", BY_HAND)
 
 @every_program
 def test_a_program_by_hand_is_read_as_its_control_would_drive_it(dialect):
-    motion = parse_nc_program(BY_HAND[dialect], dialect)
+    motion = read_program(BY_HAND[dialect], dialect)
     assert motion.axes == ("X", "Y", "Z", "C")
     np.testing.assert_allclose(
         motion.position,
@@ -178,11 +178,11 @@ def test_what_a_measuring_path_must_not_have_is_refused_by_line(
 ):
     assert old in BY_HAND[dialect]
     with pytest.raises(PlanningError, match=message):
-        parse_nc_program(BY_HAND[dialect].replace(old, new), dialect)
+        read_program(BY_HAND[dialect].replace(old, new), dialect)
 
 
 def test_a_fanuc_integer_counts_micrometres():
-    motion = parse_nc_program(FANUC.replace("X100.25", "X100"), "fanuc")
+    motion = read_program(FANUC.replace("X100.25", "X100"), "fanuc")
     assert motion.position[1, 0] == pytest.approx(0.1)
 
 
@@ -197,27 +197,25 @@ def test_a_fanuc_integer_counts_micrometres():
 )
 def test_a_program_that_moves_nothing_is_no_path(dialect, text):
     with pytest.raises(PlanningError, match="moves no axis"):
-        parse_nc_program(text, dialect)
+        read_program(text, dialect)
 
 
 @every_program
 def test_text_that_is_no_program_is_refused(dialect):
     for text in ("", "hello\n", "<html></html>"):
         with pytest.raises(PlanningError):
-            parse_nc_program(text, dialect)
+            read_program(text, dialect)
 
 
 @pytest.mark.parametrize("dialect", ["heidenhain", "linuxcnc", "fanuc", "siemens-840d"])
 def test_line_ends_of_other_systems_change_nothing(dialect):
     text = BY_HAND[dialect]
-    motion = parse_nc_program(text.replace("\n", "\r\n"), dialect)
-    np.testing.assert_array_equal(
-        motion.position, parse_nc_program(text, dialect).position
-    )
+    motion = read_program(text.replace("\n", "\r\n"), dialect)
+    np.testing.assert_array_equal(motion.position, read_program(text, dialect).position)
 
 
 def test_a_heidenhain_row_without_a_dwell_is_no_exact_stop():
     text = HEIDENHAIN.replace("DWELL 0.5", "DWELL 0.0")
-    assert parse_nc_program(text, "heidenhain").exact_stop.tolist() == [
+    assert read_program(text, "heidenhain").exact_stop.tolist() == [
         True, False, False, False,
     ]  # fmt: skip

@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from app.motion.nc_programs.programs import nc_program
+from app.motion.nc_programs.programs import write_program
 from app.motion.paths import default_points
 from app.planning.default_path import default_path
 
@@ -73,7 +73,9 @@ def driven(calls):
 
 def test_the_interpreter_drives_the_path_with_exact_stops(rs274, mill):
     path = default_path(mill, 2500.0, lines=6)
-    position, feed, dwell_s, modes = driven(rs274(nc_program(path, mill, "linuxcnc")))
+    position, feed, dwell_s, modes = driven(
+        rs274(write_program(path, mill, "linuxcnc"))
+    )
     np.testing.assert_allclose(position[:, :3], path.position, atol=1e-9)
     np.testing.assert_allclose(feed, path.feed_mm_min)
     np.testing.assert_allclose(dwell_s, path.dwell_s, atol=1e-4)
@@ -82,7 +84,7 @@ def test_the_interpreter_drives_the_path_with_exact_stops(rs274, mill):
 
 def test_the_interpreter_turns_rotary_axes_as_the_points_say(rs274, trunnion):
     points = default_points(trunnion, count=15)
-    calls = rs274(nc_program(points, trunnion, "linuxcnc"))
+    calls = rs274(write_program(points, trunnion, "linuxcnc"))
     position, _, dwell_s, _ = driven(calls)
     np.testing.assert_allclose(position[:, [0, 1, 2, 3, 5]], points.position, atol=1e-9)
     np.testing.assert_allclose(dwell_s, points.dwell_s)
@@ -92,7 +94,7 @@ def test_the_interpreter_turns_rotary_axes_as_the_points_say(rs274, trunnion):
 
 def test_work_offsets_that_are_set_do_not_move_the_path(rs274, mill):
     path = default_path(mill, 2500.0, lines=3)
-    text = nc_program(path, mill, "linuxcnc")
+    text = write_program(path, mill, "linuxcnc")
     position, *_ = driven(rs274(text, {**G54, 5210: 1, **G92}))
     np.testing.assert_allclose(position[:, :3], path.position, atol=2e-4)
     without = text.replace("G53 ", "")
@@ -106,7 +108,7 @@ def test_the_interpreter_waits_for_the_operator_before_and_at_the_first_row(
     rs274, mill
 ):
     path = default_path(mill, lines=2)
-    calls = [name for name, _ in rs274(nc_program(path, mill, "linuxcnc"))]
+    calls = [name for name, _ in rs274(write_program(path, mill, "linuxcnc"))]
     order = [n for n in calls if n in {"PROGRAM_STOP", "STRAIGHT_FEED", "PROGRAM_END"}]
     assert order == [
         "PROGRAM_STOP",

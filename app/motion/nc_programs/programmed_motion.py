@@ -42,19 +42,19 @@ class ProgrammedMotion:
     @property
     def checksum(self) -> str:
         """Checksum of the positions that the program commands."""
-        return path_checksum(self.axes, self.position)
+        return compute_checksum(self.axes, self.position)
 
     @property
     def path(self) -> Path:
-        """The same as a path, for `path.csv` of a bundle."""
+        """The motion as a path, for `path.csv` of a bundle."""
         return Path(self.axes, self.position, self.feed_mm_min, self.dwell_s)
 
 
-def path_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) -> str:
-    """Return twelve hexadecimal digits that stand for positions, to 0.1 µm, in order.
+def compute_checksum(axes: Sequence[str], position: Float64[np.ndarray, "n a"]) -> str:
+    """Return twelve hexadecimal digits of positions, to 0.1 µm, in order.
 
-    Feeds and dwells are left out: the analysis does not rest on them, and an operator
-    may have reason to change them at the control.
+    Feeds and dwells do not count: the analysis does not use them, and an operator
+    may change them at the control.
     """
     rows = [",".join(f"{v:.4f}" for v in row) for row in np.round(position, 4) + 0.0]
     text = "\n".join([",".join(axes), *rows])

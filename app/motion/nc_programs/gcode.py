@@ -1,0 +1,151 @@
+"""What the readers of G-code (ISO 6983) share: words, modal groups, motions."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from app.motion.nc_programs.simulated_control import SimulatedControl, line_error
+
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
+
+Groups = Mapping[str, Sequence[str]]
+"""Modal groups by name; the first code of each is the one a motion needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A letter and its number as written: `X10.` is not `X10` everywhere."""
+
+    letter: str
+    digits: str
+
+    @property
+    def value(self) -> float:
+        """The number."""
+        return float(self.digits)
+
+    @property
+    def code(self) -> str:
+        """A G or M word without leading zeros: `G1` for `G01`."""
+        whole, point, rest = self.digits.partition(".")
+        return f"{self.letter}{int(whole)}{point}{rest}"
+
+
+def split_words(line: int, text: str) -> list[Word]:
+    """Split a block without comments into its words."""
+    words: list[Word] = []
+    at = 0
+    block = text.strip().upper()
+    while at < len(block):
+        word = _WORD.match(block, at)
+        if word is None:
+            raise line_error(line, f"cannot be read at {block[at : at + 12]!r}")
+        words.append(Word(word.group(1), word.group(2)))
+        at = word.end()
+    return words
+
+
+class Modes:
+    """The active code of each modal group; none until the program states it.
+
+    path_modes : codes of one more group, which no motion needs, the exact stop first
+    """
+
+    def __init__(self, groups: Groups, path_modes: Sequence[str]) -> None:
+        self._groups = groups
+        self._exact_stop = path_modes[0]
+        self._group_of = {
+            code: name
+            for name, codes in {**groups, "the path mode": path_modes}.items()
+            for code in codes
+        }
+        self._active: dict[str, str] = {}
+
+    def activate(self, line: int, code: str) -> None:
+        """Activate a code. Raises PlanningError where it belongs to no group."""
+        if code not in self._group_of:
+            raise line_error(line, f"{code} has no place in a measuring path")
+        self._active[self._group_of[code]] = code
+
+    @property
+    def exact_stop(self) -> bool:
+        """Whether the axes come to a stand at the end of each motion."""
+        return self._active.get("the path mode") == self._exact_stop
+
+    def require_motion(self, line: int) -> None:
+        """Raise PlanningError unless every group is as a motion needs it."""
+        for name, codes in self._groups.items():
+            active = self._active.get(name, "not set")
+            if active != codes[0]:
+                raise line_error(
+                    line, f"a motion while {name} is {active}; {codes[0]} is needed"
+                )
+
+
+class GCodeReader(ABC):
+    """Runs a program block by block.
+
+    groups, path_modes : as `Modes` has them
+    frame : codes that make a position one of the machine, the usual first; each motion
+        needs one of them, unless there are none
+    passive : codes that change no mode
+    end : the code that ends the program, where it may stand in any block
+    """
+
+    groups: ClassVar[Groups]
+    path_modes: ClassVar[Sequence[str]]
+    frame: ClassVar[Sequence[str]] = ()
+    passive: ClassVar[Sequence[str]]
+    end: ClassVar[str] = ""
+
+    def __init__(self, text: str, *, name: str = "", counts_degrees: bool) -> None:
+        self.control = SimulatedControl(text, name, counts_degrees=counts_degrees)
+        self.modes = Modes(self.groups, self.path_modes)
+        self.feed: float | None = None
+        self.ended = False
+
+    @abstractmethod
+    def read_block(self, line: int, block: str) -> None:
+        """Run a block without its comment; lines count from 1."""
+
+    def apply_codes(self, line: int, codes: set[str]) -> None:
+        """Stop, end or change modes, as the codes of a block say."""
+        for code in codes.difference(self.passive, self.frame):
+            if code == self.end:
+                self.ended = True
+            elif code == "M0":
+                self.control.halt()
+            else:
+                self.modes.activate(line, code)
+
+    def drive(
+        self, line: int, ends: Mapping[str, float], codes: set[str], row: int
+    ) -> None:
+        """Drive to `ends`, straight, in machine coordinates, in safe modes."""
+        if "G1" not in codes:
+            raise line_error(line, "a motion without G1")
+        if self.frame and codes.isdisjoint(self.frame):
+            raise line_error(
+                line, f"a position in a work offset; {self.frame[0]} is needed"
+            )
+        self.modes.require_motion(line)
+        self.control.move(
+            line, ends, self.feed, exact_stop=self.modes.exact_stop, row=row
+        )
+
+    def finish(self) -> ProgrammedMotion:
+        """Return what was driven. Raises PlanningError if the program has no end."""
+        if not self.ended:
+            raise line_error(0, f"it has no {self.end} at its end")
+        return self.control.finish()
+
+
+def find_name(text: str, comment: re.Pattern[str]) -> str:
+    """Return the name that a comment of the program states, empty without one."""
+    found = comment.search(text)
+    return found.group(1) if found else ""
