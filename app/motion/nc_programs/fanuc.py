@@ -139,10 +139,11 @@ class _Reader(GCodeReader):
             return
         ends = {n: _read_millimetres(w) for n, w in values.items() if n in AXES}
         if ends:
+            self.check_motion(line, codes)
             if not set(range(len(ends))) <= self._checked:
                 raise line_error(line, "a position in G54 whose offset is not checked")
             row = int(values["N"].value) if "N" in values else 0
-            self.drive(line, ends, codes, row)
+            self.drive(line, ends, row)
 
     def _note_guard(self, line: int, machine: int, work: int) -> None:
         if machine - _MACHINE != work - _WORK:

@@ -123,10 +123,8 @@ class GCodeReader(ABC):
             else:
                 self.modes.activate(line, code)
 
-    def drive(
-        self, line: int, ends: Mapping[str, float], codes: set[str], row: int
-    ) -> None:
-        """Drive to `ends`, straight, in machine coordinates, in safe modes."""
+    def check_motion(self, line: int, codes: set[str]) -> None:
+        """Refuse a motion that is not straight, or in another frame or mode."""
         if "G1" not in codes:
             raise line_error(line, "a motion without G1")
         if self.frame and codes.isdisjoint(self.frame):
@@ -134,6 +132,9 @@ class GCodeReader(ABC):
                 line, f"a position in a work offset; {self.frame[0]} is needed"
             )
         self.modes.require_motion(line)
+
+    def drive(self, line: int, ends: Mapping[str, float], row: int) -> None:
+        """Drive to `ends` in a straight line."""
         self.control.move(
             line, ends, self.feed, exact_stop=self.modes.exact_stop, row=row
         )

@@ -94,4 +94,5 @@ class _Reader(GCodeReader):
             self.control.dwell(line, values.get("P", -1.0))
         ends = {letter: v for letter, v in values.items() if letter in AXES}
         if ends:
-            self.drive(line, ends, codes, int(values.get("N", 0)))
+            self.check_motion(line, codes)
+            self.drive(line, ends, int(values.get("N", 0)))

@@ -126,8 +126,9 @@ class _Reader(GCodeReader):
         self.apply_codes(line, codes)
         ends = {letter: v for letter, v in values.items() if letter in AXES}
         if ends:
+            self.check_motion(line, codes)
             self._check_feed_group(line, ends)
-            self.drive(line, ends, codes, int(values.get("N", 0)))
+            self.drive(line, ends, int(values.get("N", 0)))
 
     def _check_feed_group(self, line: int, ends: dict[str, float]) -> None:
         """Refuse a motion whose feed is that of axes that stand still."""
