@@ -44,9 +44,9 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20230307)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def mill() -> Machine:
-    """A machine of three straight axes."""
+    """Three linear axes, Z downwards."""
     return Machine(
         "small mill",
         ("X",),
@@ -193,19 +193,6 @@ def plain_log() -> Iterator[None]:
     )
     yield
     structlog.reset_defaults()
-
-
-@pytest.fixture(scope="session")
-def mill() -> Machine:
-    """Three linear axes, Z downwards."""
-    return Machine(
-        "small mill",
-        ("X",),
-        ("Y", "Z"),
-        (LinearAxis("X", 0, 500), LinearAxis("Y", 0, 400), LinearAxis("Z", -300, 0)),
-        (Target("", "tool", (20.0, 30.0, -150.0)),),
-        TrackerNoise(),
-    )
 
 
 @pytest.fixture(scope="session")
