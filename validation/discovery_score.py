@@ -1,4 +1,4 @@
-"""What discovery says of a world, held against what was hidden in it."""
+"""What discovery says of a world, compared with what was hidden in it."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class Outcome:
         return self.gap_um[1] / self.gap_um[2]
 
 
-def outcome(world: World) -> Outcome:
-    """Let discovery look at a world's Run, and nothing else of it.
+def judge_discovery(world: World) -> Outcome:
+    """Run discovery on the Run of a world and judge its answer.
 
     Every world can be fitted: where discovery says otherwise, that is a wrong answer.
     """
@@ -73,23 +73,23 @@ def outcome(world: World) -> Outcome:
         content = discovery_json(discover([run_of(world.recording)]))
     except EstimationError:
         content = _REFUSED
-    return judged(world, content, time.perf_counter() - begin)
+    return judge(world, content, time.perf_counter() - begin)
 
 
-def judged(world: World, content: Mapping[str, Any], took_s: float) -> Outcome:
-    """Hold a `discovery.json` against a world.
+def judge(world: World, content: Mapping[str, Any], took_s: float) -> Outcome:
+    """Compare a `discovery.json` with a world.
 
     A name is right if it and its keys are the truth, or the truth is among what it
-    says it cannot be told from.
+    says is indistinguishable from it.
     """
     truth, said = world.truth, list(content["effects"])
-    matched = [_match(effect, said) for effect in truth]
+    matched = [_find_match(effect, said) for effect in truth]
     named = [effect for effect in said if any(effect is m for m in matched)]
     again = [e for e in said if any(is_same(t, e) for t in truth)]
     deviation: dict[str, float] = {}
     for effect, match in zip(truth, matched, strict=True):
         if match is not None and is_same(effect, match):
-            deviation |= deviations(effect, match)
+            deviation |= measure_deviations(effect, match)
     gap = content["gap"]
     return Outcome(
         world.seed,
@@ -119,7 +119,7 @@ def is_same(truth: Mapping[str, Any], said: Mapping[str, Any]) -> bool:
     return all(said.get(k) == truth[k] for k in ("name", *_KEYS) if k in truth)
 
 
-def _match(
+def _find_match(
     truth: Mapping[str, Any], said: Sequence[Mapping[str, Any]]
 ) -> Mapping[str, Any] | None:
     """Return the effect that says the truth, by its name before by its equivalents."""
@@ -133,7 +133,9 @@ def _match(
     return None
 
 
-def deviations(truth: Mapping[str, Any], said: Mapping[str, Any]) -> dict[str, float]:
+def measure_deviations(
+    truth: Mapping[str, Any], said: Mapping[str, Any]
+) -> dict[str, float]:
     """Return found minus true in units of the uncertainty, by effect and parameter.
 
     Angles are compared on their circle.

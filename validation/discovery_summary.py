@@ -36,7 +36,7 @@ class Summary:
     closed: float
 
 
-def summary(outcomes: Sequence[Outcome]) -> Summary:
+def summarise(outcomes: Sequence[Outcome]) -> Summary:
     """Return the numbers that are asked for."""
     kinds = {k: [o for o in outcomes if o.kind == k] for k in _kinds(outcomes)}
     off, clean = kinds.get("off-catalogue", []), kinds.get("clean", [])
@@ -49,22 +49,22 @@ def summary(outcomes: Sequence[Outcome]) -> Summary:
         _share([bool(o.said) for o in off]),
         _share([bool(o.unnamed) and not o.said for o in off]),
         _share([abs(v) <= _WITHIN for v in deviation]),
-        _share([o.closed <= _closed_gap(clean) for o in named]),
+        _share([o.closed <= _largest_clean_gap(clean) for o in named]),
     )
 
 
-def missed_marks(got: Summary) -> list[str]:
+def list_missed_marks(got: Summary) -> list[str]:
     """Return what does not reach its mark, one statement each."""
     return [
-        f"{title}: {_pc(value)}, asked for {_range(low, high)}"
-        for title, value, low, high in _judged(got)
+        f"{title}: {_percent(value)}, asked for {_range(low, high)}"
+        for title, value, low, high in _list_marks(got)
         if not low <= value <= high
     ]
 
 
 def marks_table(outcomes: Sequence[Outcome]) -> str:
     """Return the shares against what they have to be."""
-    got = summary(outcomes)
+    got = summarise(outcomes)
     count = Counter(o.kind for o in outcomes)
     named = sum(o.right for o in outcomes if o.kind in ("single", "pair"))
     of = [
@@ -73,11 +73,11 @@ def marks_table(outcomes: Sequence[Outcome]) -> str:
         named,
     ]
     rows = [
-        [title, number, _pc(value), _range(low, high)]
-        for (title, value, low, high), number in zip(_judged(got), of, strict=True)
+        [title, number, _percent(value), _range(low, high)]
+        for (title, value, low, high), number in zip(_list_marks(got), of, strict=True)
     ]
     described = ["off-catalogue effects described", count["off-catalogue"]]
-    rows.insert(4, [*described, _pc(got.described), ""])
+    rows.insert(4, [*described, _percent(got.described), ""])
     return table(["what", "of", "found", "mark"], rows)
 
 
@@ -107,7 +107,7 @@ def size_table(outcomes: Sequence[Outcome]) -> str:
             if low <= s < high
         ]
         name = f"{low:.0f} to {high:.0f}" if np.isfinite(high) else f"over {low:.0f}"
-        rows.append([name, len(found), _pc(_share(found))])
+        rows.append([name, len(found), _percent(_share(found))])
     return table(["size in units of noise", "effects", "named"], rows)
 
 
@@ -123,7 +123,7 @@ def parameter_table(outcomes: Sequence[Outcome]) -> str:
             len(values),
             f"{np.mean(values):+.2f}",
             f"{np.sqrt(np.mean(np.square(values))):.2f}",
-            _pc(_share([abs(v) <= _WITHIN for v in values])),
+            _percent(_share([abs(v) <= _WITHIN for v in values])),
         ]
         for name, values in sorted(by_name.items())
     ]
@@ -150,11 +150,11 @@ def _share(true: Sequence[bool]) -> float:
     return float(np.mean(true)) if len(true) else float("nan")
 
 
-def _pc(share: float) -> str:
+def _percent(share: float) -> str:
     return "–" if np.isnan(share) else f"{100.0 * share:.1f} %"
 
 
-def _judged(got: Summary) -> list[tuple[str, float, float, float]]:
+def _list_marks(got: Summary) -> list[tuple[str, float, float, float]]:
     """Return title, share, and the range in which it has to be."""
     return [
         ("single effects named right", got.singles_right, 0.95, 1.0),
@@ -166,7 +166,7 @@ def _judged(got: Summary) -> list[tuple[str, float, float, float]]:
     ]
 
 
-def _closed_gap(clean: Sequence[Outcome]) -> float:
+def _largest_clean_gap(clean: Sequence[Outcome]) -> float:
     """Return the largest gap over noise floor that noise alone explains.
 
     Held-out lines are few, so that the ratio scatters where nothing is missing: clean

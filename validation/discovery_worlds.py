@@ -1,7 +1,7 @@
-"""Discovery held against worlds that hide something: right names, false alarms, gap.
+"""Discovery on worlds with hidden effects: right names, false alarms, gap.
 
-Outcomes are kept as lines of JSON, one a world, so that a draw goes on where it was
-left; `--fresh` begins anew.
+Outcomes are kept as lines of JSON, one a world, so that a draw continues where it
+stopped; `--fresh` starts again.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from discovery_score import Outcome, as_row, from_row, outcome
+from discovery_score import Outcome, as_row, from_row, judge_discovery
 from discovery_summary import (
     confusion_table,
+    list_missed_marks,
     marks_table,
-    missed_marks,
     parameter_table,
     size_table,
-    summary,
+    summarise,
 )
 from document import write_section
-from hidden_worlds import world
+from hidden_worlds import draw_world
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "discovery.md"
@@ -33,7 +33,7 @@ COUNTS = {"single": 192, "pair": 60, "clean": 100, "off-catalogue": 60}
 Task = tuple[int, str]
 
 
-def draw(counts: dict[str, int]) -> list[Task]:
+def draw_tasks(counts: dict[str, int]) -> list[Task]:
     """Return seed and kind of every world; kinds take turns."""
     tasks = [
         (1000 * number + k, kind, k / count)
@@ -43,21 +43,21 @@ def draw(counts: dict[str, int]) -> list[Task]:
     return [(seed, kind) for seed, kind, _ in sorted(tasks, key=lambda t: t[2])]
 
 
-def outcome_of(task: Task) -> Outcome:
-    """Draw a world, let discovery look at it, and judge what it says."""
-    return outcome(world(*task))
+def judge_world(task: Task) -> Outcome:
+    """Draw a world, run discovery on it, and judge the answer."""
+    return judge_discovery(draw_world(*task))
 
 
-def outcomes(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+def judge_worlds(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
     """Yield the outcomes in the order of the tasks."""
     if jobs == 1:
-        yield from map(outcome_of, tasks)
+        yield from map(judge_world, tasks)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(outcome_of, tasks)
+        yield from pool.map(judge_world, tasks)
 
 
-def told(o: Outcome) -> str:
+def describe(o: Outcome) -> str:
     """Return an outcome in one line."""
     before, after, floor = o.gap_um
     hidden = ", ".join(o.truth) or "nothing"
@@ -75,21 +75,21 @@ def main() -> None:
     """Judge the missing worlds, write the tables; exit 1 if a mark is missed."""
     options, _ = _parser().parse_known_args()
     counts = {kind: max(1, round(options.share * n)) for kind, n in COUNTS.items()}
-    tasks = draw(counts)
+    tasks = draw_tasks(counts)
     if options.fresh:
         options.kept.unlink(missing_ok=True)
-    done = _kept(options.kept)
+    done = _read_kept(options.kept)
     missing = [task for task in tasks if task not in done]
     options.kept.parent.mkdir(parents=True, exist_ok=True)
     with options.kept.open("a", encoding="utf-8") as file:
-        for one in outcomes(missing, options.jobs):
+        for one in judge_worlds(missing, options.jobs):
             done[one.seed, one.kind] = one
-            print(told(one), flush=True)
+            print(describe(one), flush=True)
             file.write(json.dumps(as_row(one)) + "\n")
             file.flush()
     found = [done[task] for task in tasks]
     _write(found)
-    missed = missed_marks(summary(found))
+    missed = list_missed_marks(summarise(found))
     print(*missed, sep="\n")
     sys.exit(bool(missed))
 
@@ -104,7 +104,7 @@ def _write(found: Sequence[Outcome]) -> None:
         write_section(name, make(found), DOCUMENT)
 
 
-def _kept(file: Path) -> dict[Task, Outcome]:
+def _read_kept(file: Path) -> dict[Task, Outcome]:
     if not file.exists():
         return {}
     lines = file.read_text(encoding="utf-8").splitlines()

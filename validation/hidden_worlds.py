@@ -55,33 +55,35 @@ class World:
         return all(effect.in_catalogue for effect in self.recording.hidden)
 
 
-def world(seed: int, kind: str, lines: tuple[int, int] = (22, 40)) -> World:
+def draw_world(seed: int, kind: str, lines: tuple[int, int] = (22, 40)) -> World:
     """Draw a world of a kind.
 
     seed : neighbouring seeds go through all effects in turn
     """
-    names = _names(seed, kind)
+    names = _choose_names(seed, kind)
     for attempt in range(_DRAWS):
-        made = _drawn_world(seed + _APART * attempt, kind, names, lines)
+        made = _draw_once(seed + _APART * attempt, kind, names, lines)
         if all(value >= LEAST_SIGNAL_TO_NOISE for value in made.signal_to_noise):
             return replace(made, seed=seed)
     raise RuntimeError(f"world {seed}: {names} were not to be seen in {_DRAWS} draws")
 
 
-def _drawn_world(
+def _draw_once(
     seed: int, kind: str, names: tuple[str, ...], lines: tuple[int, int]
 ) -> World:
     rng = np.random.default_rng([seed, 11])
     content, air = random_content(seed), random_air(seed)
-    program = _program(content, rng, lines)
+    program = _draw_program(content, rng, lines)
     setting = Setting(air=air, sensors=bool(rng.uniform() < 0.5))
     sizes = tuple(float(s) for s in rng.uniform(*SIZES_UM, len(names)))
-    hidden = _drawn(seed, names, sizes, content, program)
-    recording = _recorded(content, program, seed, setting, hidden)
-    return World(seed, kind, recording, sizes, _seen(recording, setting, seed))
+    hidden = _draw_effects(seed, names, sizes, content, program)
+    recording = _record(content, program, seed, setting, hidden)
+    return World(
+        seed, kind, recording, sizes, _measure_signal(recording, setting, seed)
+    )
 
 
-def _names(seed: int, kind: str) -> tuple[str, ...]:
+def _choose_names(seed: int, kind: str) -> tuple[str, ...]:
     if kind == "single":
         return (CATALOGUED[seed % len(CATALOGUED)],)
     if kind == "pair":
@@ -93,7 +95,7 @@ def _names(seed: int, kind: str) -> tuple[str, ...]:
     return ()
 
 
-def _program(
+def _draw_program(
     content: dict[str, Any], rng: np.random.Generator, lines: tuple[int, int]
 ) -> Program:
     """Draw the product's path or random chords, at one feed or at several."""
@@ -110,7 +112,7 @@ def _program(
     return replace(program, feed_mm_s=np.round(60.0 * program.feed_mm_s * shares) / 60)
 
 
-def _drawn(
+def _draw_effects(
     seed: int,
     names: tuple[str, ...],
     sizes_um: tuple[float, ...],
@@ -130,7 +132,7 @@ def _drawn(
     )
 
 
-def _recorded(
+def _record(
     content: Mapping[str, Any],
     program: Program,
     seed: int,
@@ -145,13 +147,15 @@ def _recorded(
     )
 
 
-def _seen(recording: Recording, setting: Setting, seed: int) -> tuple[float, ...]:
+def _measure_signal(
+    recording: Recording, setting: Setting, seed: int
+) -> tuple[float, ...]:
     """Return the ideal test's signal-to-noise ratio of each effect."""
     if not recording.hidden:
         return ()
     quiet = replace(setting, noise_scale=0.0)
     alone = [
-        _recorded(recording.content, recording.program, seed, quiet, effects)
+        _record(recording.content, recording.program, seed, quiet, effects)
         for effects in ((), *((effect,) for effect in recording.hidden))
     ]
     shifts = [one.position_mm - alone[0].position_mm for one in alone[1:]]

@@ -1,21 +1,29 @@
-"""What the model still lacks: where it errs, which effect it is, how much that closes.
+"""What the model still lacks: where it errs, which effect is missing, and the proof.
 
-A Run is held against the rigid-body model fitted to it, or against a given model. The
-error motions of that base are elastic: whatever a smooth error motion can absorb is no
-evidence for anything else. The noise is judged beside splines of time, so that what is
-slow is left to be explained and does not pass for noise.
+Runs are compared with a baseline (`estimation.baseline`): the rigid-body model fitted to
+them, or a reference model. Each further effect is a term that is linear in its
+parameters; leads, time constants and event times are scanned, then refined.
 
-Families of effects (`kinematics/effects/`, found by entry point) propose candidates,
-linear in their parameters; leads, time constants and moments are scanned, then refined
-by their own column. Effects enter one by one on their Bayes factor less the price of
-the search, and only where lines that the fit did not see are foretold better; they are
-tried again for exchange and removal. No effect is an answer, and so is structure that
-is described without a cause (waves in time or along an axis, errors of two axes).
+Evidence. Machine, poses and the timing of each line are integrated out first, so that a
+displacement that a smooth error motion can absorb is no evidence. A term of information
+S, data r and prior covariance D then has the log Bayes factor
+½ rᵀ (S + D⁻¹)⁻¹ r − ½ log det (I + D S) (Kass & Raftery 1995), less the log of the
+number of alternatives that were tried.
 
-Several Runs are explained together, each with a pose, a timing and a noise of its own.
-Where names compete, lines are planned by the log Bayes factor that they are expected to
-bring a second (Lindley 1956, Box & Hill 1967), and the Runs decide together.
+Search. Terms are added one by one, exchanged and removed. Each needs a log Bayes factor
+of 5, and whole lines held out of the fit must be predicted better. The noise is then
+fitted again beside the terms, and the search repeated. Structure without a physical
+cause (waves, errors of two axes) competes with the causes, and gives way to them.
 
-brunn-hanebeck-2005 leaves non-rigid behaviour, sanders-2023 what its residuals hold, to
-future work.
+Statement. Parameters with their uncertainty, the effects that explain the Runs as well,
+and the gap on held-out lines before and after. Questions that stay open go to
+`planning.discrimination`, which designs lines to decide them; old and new Runs are then
+explained together, each with a pose, a timing and a noise of its own.
+
+Modules in the order of the data: aligned_run, candidate_term, evidence, term_data, scan,
+value_refinement, term_fitter, term_search, findings, gap, discover, extended_model,
+open_questions.
+
+brunn-hanebeck-2005 leaves non-rigid behaviour to future work, and sanders-2023 what its
+residuals hold.
 """

@@ -65,28 +65,28 @@ class World:
 
 
 def test_an_answer_is_right_when_it_or_its_equivalents_say_the_truth(validation):
-    judged = validation("discovery_score").judged
+    judge = validation("discovery_score").judge
     truth = World(effect("backlash", axis="X"))
-    own = judged(truth, said(effect("backlash", 1.3, axis="X")), 0.0)
+    own = judge(truth, said(effect("backlash", 1.3, axis="X")), 0.0)
     assert own.right
     assert own.deviation == pytest.approx({"backlash width_um": 3.0})
     other = effect("squareness", others=[{"name": "backlash", "axis": "X"}])
-    assert judged(truth, said(other), 0.0).right
-    assert not judged(truth, said(other), 0.0).deviation
-    assert not judged(truth, said(effect("backlash", axis="Y")), 0.0).right
-    assert not judged(truth, said(), 0.0).right
+    assert judge(truth, said(other), 0.0).right
+    assert not judge(truth, said(other), 0.0).deviation
+    assert not judge(truth, said(effect("backlash", axis="Y")), 0.0).right
+    assert not judge(truth, said(), 0.0).right
     two = said(effect("backlash", axis="X"), effect("table-drift"))
-    assert judged(truth, two, 0.0).wrong == ("table-drift",)
+    assert judge(truth, two, 0.0).wrong == ("table-drift",)
 
 
 def test_nothing_is_the_answer_where_nothing_is_catalogued(validation):
-    judged = validation("discovery_score").judged
+    judge = validation("discovery_score").judge
     clean = World(kind="clean")
-    assert judged(clean, said(), 0.0).right
-    assert not judged(clean, said(unnamed=["a wave"]), 0.0).right
+    assert judge(clean, said(), 0.0).right
+    assert not judge(clean, said(unnamed=["a wave"]), 0.0).right
     strange = World(effect("twist"), kind="off-catalogue", is_catalogued=False)
-    assert judged(strange, said(unnamed=["a surface"]), 0.0).right
-    assert not judged(strange, said(effect("backlash", axis="X")), 0.0).right
+    assert judge(strange, said(unnamed=["a surface"]), 0.0).right
+    assert not judge(strange, said(effect("backlash", axis="X")), 0.0).right
 
 
 def test_a_world_that_is_refused_is_a_wrong_answer(validation, monkeypatch):
@@ -98,28 +98,28 @@ def test_a_world_that_is_refused_is_a_wrong_answer(validation, monkeypatch):
     monkeypatch.setattr(score, "run_of", refuse)
     clean = World(kind="clean")
     clean.recording = None
-    refused = score.outcome(clean)
+    refused = score.judge_discovery(clean)
     assert refused.said == refused.wrong == ("refused",)
     assert not refused.right
 
 
 def test_phases_are_compared_on_their_circle(validation):
-    deviations = validation("discovery_score").deviations
+    measure_deviations = validation("discovery_score").measure_deviations
     truth = {"name": "vibration", "parameters": {"phase_rad": {"value": 0.1}}}
     late = {"phase_rad": {"value": 2.0 * np.pi, "uncertainty": 0.05}}
-    assert deviations(truth, {"parameters": late}) == pytest.approx(
+    assert measure_deviations(truth, {"parameters": late}) == pytest.approx(
         {"vibration phase_rad": -2.0}
     )
 
 
 def test_the_summary_counts_what_was_asked(validation):
-    judged = validation("discovery_score").judged
+    judge = validation("discovery_score").judge
     summary = validation("discovery_summary")
     truth = World(effect("backlash", axis="X"))
-    found = [judged(truth, said(effect("backlash", axis="X")), 0.0)] * 3
-    found.append(judged(truth, said(effect("table-drift")), 0.0))
-    found += [judged(World(kind="clean"), said(), 0.0)] * 4
-    got = summary.summary(found)
+    found = [judge(truth, said(effect("backlash", axis="X")), 0.0)] * 3
+    found.append(judge(truth, said(effect("table-drift")), 0.0))
+    found += [judge(World(kind="clean"), said(), 0.0)] * 4
+    got = summary.summarise(found)
     assert (got.singles_right, got.false_alarms, got.within) == (0.75, 0.0, 1.0)
     assert got.closed == 1.0
     table = summary.confusion_table(found)
@@ -132,13 +132,13 @@ def test_the_summary_counts_what_was_asked(validation):
 
 def test_an_outcome_is_the_same_after_it_was_kept(validation):
     score = validation("discovery_score")
-    one = score.judged(World(effect("backlash", axis="X")), said(), 0.5)
+    one = score.judge(World(effect("backlash", axis="X")), said(), 0.5)
     assert score.from_row(score.as_row(one)) == one
 
 
 def test_the_ideal_test_sees_twice_as_much_of_twice_the_effect(validation):
     worlds, ideal = validation("hidden_worlds"), validation("ideal_test")
-    world = worlds.world(24, "single", SHORT)
+    world = worlds.draw_world(24, "single", SHORT)
     recording = world.recording
     air = validation("recordings").random_air(24)
     shift = np.zeros((len(recording), 3))
@@ -151,7 +151,7 @@ def test_the_ideal_test_sees_twice_as_much_of_twice_the_effect(validation):
 
 
 def test_a_world_is_drawn_alike_by_its_seed(validation):
-    world = validation("hidden_worlds").world
+    world = validation("hidden_worlds").draw_world
     one, again = (world(30, "single", SHORT) for _ in range(2))
     np.testing.assert_array_equal(
         one.recording.position_mm, again.recording.position_mm
@@ -162,11 +162,15 @@ def test_a_world_is_drawn_alike_by_its_seed(validation):
 
 def test_the_draw_covers_every_effect_and_kind(validation):
     script, worlds = validation("discovery_worlds"), validation("hidden_worlds")
-    tasks = script.draw(script.COUNTS)
+    tasks = script.draw_tasks(script.COUNTS)
     assert len(set(tasks)) == len(tasks) >= 300
-    singles = {worlds._names(seed, kind) for seed, kind in tasks if kind == "single"}
+    singles = {
+        worlds._choose_names(seed, kind) for seed, kind in tasks if kind == "single"
+    }
     assert {name for (name,) in singles} == set(worlds.CATALOGUED)
-    assert all(len(set(worlds._names(s, k))) == 2 for s, k in tasks if k == "pair")
+    assert all(
+        len(set(worlds._choose_names(s, k))) == 2 for s, k in tasks if k == "pair"
+    )
 
 
 def test_the_page_holds_a_table_of_each_kind():
@@ -179,29 +183,32 @@ def test_the_page_holds_a_table_of_each_kind():
 @pytest.mark.parametrize(("kind", "seed"), QUICK)
 @pytest.mark.timeout(60)
 def test_a_small_draw_is_named_right(validation, kind, seed):
-    world = validation("hidden_worlds").world(seed, kind, SHORT)
-    found = validation("discovery_score").outcome(world)
-    assert found.right, validation("discovery_worlds").told(found)
+    world = validation("hidden_worlds").draw_world(seed, kind, SHORT)
+    found = validation("discovery_score").judge_discovery(world)
+    assert found.right, validation("discovery_worlds").describe(found)
 
 
 def test_a_mark_that_is_missed_is_said_with_its_number(validation):
     summary = validation("discovery_summary")
     good = summary.Summary(1.0, 1.0, 0.0, 0.0, 1.0, 0.95, 1.0)
-    assert summary.missed_marks(good) == []
-    (said,) = summary.missed_marks(replace(good, within=0.85))
+    assert summary.list_missed_marks(good) == []
+    (said,) = summary.list_missed_marks(replace(good, within=0.85))
     assert said == "parameters within 2 u: 85.0 %, asked for 90 to 99 %"
-    assert len(summary.missed_marks(replace(good, pairs_right=0.8, misnamed=0.1))) == 2
+    assert (
+        len(summary.list_missed_marks(replace(good, pairs_right=0.8, misnamed=0.1)))
+        == 2
+    )
 
 
 def test_a_gap_is_closed_when_clean_worlds_show_as_much(validation):
     """The ratio of a clean world scatters; a named effect may not stand above that."""
-    judged = validation("discovery_score").judged
-    summary = validation("discovery_summary").summary
+    judge = validation("discovery_score").judge
+    summary = validation("discovery_summary").summarise
     truth = World(effect("backlash", axis="X"))
 
     def world(of, after, *effects):
         gap = {"before": 3.0, "after": after, "noise_floor": 1.0}
-        return judged(of, said(*effects) | {"gap": gap}, 0.0)
+        return judge(of, said(*effects) | {"gap": gap}, 0.0)
 
     clean = [world(World(kind="clean"), after) for after in (1.00, 1.02, 1.04)]
     named = effect("backlash", axis="X")
