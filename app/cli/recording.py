@@ -18,7 +18,7 @@ from app.measurement.detached import record_stream
 from app.measurement.recorder import ClosedRun, Recorder
 from app.measurement.recording import open_run
 from app.measurement.run_file import RunHeader
-from app.measurement.stream_watch import Verdict
+from app.measurement.stream_monitor import StreamState
 from app.plugins import load
 from app.results.grading import read_set_up
 from app.settings import load_settings
@@ -26,10 +26,10 @@ from drivers.interfaces.tracker import Tracker
 
 RUN_FILE = "run.sqlite"
 _NOTES = {
-    Verdict.GOOD: "",
-    Verdict.SILENT: "no samples",
-    Verdict.DEAD: "no samples",
-    Verdict.BEAM_LOST: "beam lost",
+    StreamState.GOOD: "",
+    StreamState.SILENT: "no samples",
+    StreamState.DEAD: "no samples",
+    StreamState.BEAM_LOST: "beam lost",
 }
 
 
@@ -82,7 +82,7 @@ def _record_run(
 
         has_samples = False
 
-        def on_samples(samples: int, lost: int, verdict: Verdict) -> None:
+        def on_samples(samples: int, lost: int, verdict: StreamState) -> None:
             nonlocal has_samples
             if samples and not has_samples:
                 has_samples = True

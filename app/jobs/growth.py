@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
-from app.measurement.parts import extended
+from app.measurement.parts import append_part
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import Path
 
@@ -81,7 +81,7 @@ class Growth:
             log.info("no further part", parts=self._parts)
             self._conclude()
             return
-        self._commanded = extended(self._commanded, part.commanded)
+        self._commanded = append_part(self._commanded, part.commanded)
         self._parts += 1
         total = len(self._commanded) - isinstance(self._commanded, Path)
         body = {

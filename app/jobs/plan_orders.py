@@ -28,7 +28,7 @@ from app.jobs.plans import (
     plan_motion,
 )
 from app.kinematics.machine import Machine
-from app.measurement.progress import schedule_of
+from app.measurement.progress import schedule_rows
 from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
 from app.motion.turning_points import moves_where_seen
 from app.progress import Progress
@@ -131,7 +131,7 @@ def checked_rows(
     """
     commanded = plan_motion(machine, kind, rows, feed_mm_min)
     workspace_from_json(workspace).refuse(machine, commanded)
-    schedule = schedule_of(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
+    schedule = schedule_rows(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
     return len(commanded), float(schedule.row_s.sum())
 
 

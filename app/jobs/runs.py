@@ -29,7 +29,7 @@ from app.jobs.database import Database
 from app.jobs.job import new_id, now_utc
 from app.jobs.plans import plan_json
 from app.jobs.schema import runs
-from app.measurement.recording import open_run, settle
+from app.measurement.recording import open_run, repair_run
 
 _NAME_LENGTH = 200
 
@@ -84,7 +84,7 @@ class RunCatalogue:
         try:
             return self.get(run_id)
         except NotFound:
-            settle(file)
+            repair_run(file)
             run = open_run(file)
             complete = run.provenance.get("outcome") == "finished"
             return self._insert(run_id, run, file, "measured", complete=complete)

@@ -17,8 +17,8 @@ from types import FrameType
 from typing import Any
 
 from app.errors import TruepathError
-from app.measurement.faults import fault_of
-from app.measurement.limits import Limits
+from app.measurement.engine_settings import EngineSettings
+from app.measurement.faults import classify_fault
 from app.measurement.measurement import Measurement
 from app.measurement.messages import (
     Abort,
@@ -136,11 +136,11 @@ class _Cell:
     def _connect(self) -> None:
         self._state(CellState.CONNECTING)
         self._identities = {}
-        tracker, motion = self._made()
+        tracker, motion = self._make_devices()
         self._identities = {"tracker": tracker.connect(), "motion": motion.connect()}
         self._state(CellState.READY)
 
-    def _made(self) -> tuple[Tracker, MotionController]:
+    def _make_devices(self) -> tuple[Tracker, MotionController]:
         """Return the devices, made by their drivers when first asked for."""
         config, tracker, motion = self._config, self._tracker, self._motion
         if tracker is None or motion is None:
@@ -167,7 +167,7 @@ class _Cell:
                 self._motion,
                 self._identities,
                 self._outbox.report,
-                limits=Limits(patience=self._config.patience),
+                settings=EngineSettings(timeouts=self._config.timeouts),
             )
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
@@ -184,7 +184,7 @@ class _Cell:
                 verbs[type(command)]()
         except DeviceError as error:
             # The engine insists on the command, and notices the lost link.
-            fault = fault_of(error)
+            fault = classify_fault(error)
             name = type(command).__name__.lower()
             log.warning("%s did not reach the controller: %s", name, error)
             self._fault(fault.code, fault.text, fault.action)

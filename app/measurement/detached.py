@@ -11,17 +11,17 @@ import time
 from collections.abc import Callable
 
 from app.errors import MeasurementFailed
-from app.measurement.limits import Patience
-from app.measurement.pump import Pump
+from app.measurement.engine_settings import StreamTimeouts
 from app.measurement.recorder import Recorder
-from app.measurement.stream_watch import StreamWatch, Verdict
+from app.measurement.stream_monitor import StreamMonitor, StreamState
+from app.measurement.stream_reader import StreamReader
 from drivers.interfaces.errors import DeviceError, DeviceTimeout
 from drivers.interfaces.tracker import Tracker
 
 TICK_S = 0.1
 
-Told = Callable[[int, int, Verdict], None]
-"""Samples so far, samples lost, and how the stream is; several times a second."""
+OnStreamState = Callable[[int, int, StreamState], None]
+"""Receives samples so far, samples lost and the stream's state, again and again."""
 
 
 def record_stream(
@@ -29,7 +29,7 @@ def record_stream(
     recorder: Recorder,
     rate_hz: float,
     is_over: Callable[[float], bool],
-    told: Told,
+    on_state: OnStreamState,
 ) -> None:
     """Record a connected tracker until it is over; the caller closes the recorder.
 
@@ -38,15 +38,15 @@ def record_stream(
     Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
     DeviceError of the driver; what has been recorded by then is kept.
     """
-    watch = StreamWatch(Patience(), time.monotonic())
-    pump = Pump(tracker, recorder, watch)
-    pump.start(rate_hz)
+    monitor = StreamMonitor(StreamTimeouts(), time.monotonic())
+    reader = StreamReader(tracker, recorder, monitor)
+    reader.start(rate_hz)
     try:
         while not is_over(TICK_S):
-            _refuse_failures(pump, recorder)
-            verdict = watch.verdict(time.monotonic())
-            told(recorder.samples, recorder.lost_samples, verdict)
-            if verdict is Verdict.DEAD:
+            _refuse_failures(reader, recorder)
+            state = monitor.assess(time.monotonic())
+            on_state(recorder.samples, recorder.lost_samples, state)
+            if state is StreamState.DEAD:
                 raise DeviceTimeout(
                     "no sample has come for some seconds; check the tracker and its "
                     "cable, then run the program again"
@@ -54,16 +54,16 @@ def record_stream(
     except BaseException:
         # A tracker that is gone cannot be told to stop: what went wrong first counts.
         with contextlib.suppress(DeviceError):
-            pump.stop()
+            reader.stop()
         raise
-    pump.stop()
-    _refuse_failures(pump, recorder)
+    reader.stop()
+    _refuse_failures(reader, recorder)
 
 
-def _refuse_failures(pump: Pump, recorder: Recorder) -> None:
-    if pump.failure is not None:
-        raise pump.failure
+def _refuse_failures(reader: StreamReader, recorder: Recorder) -> None:
+    if reader.failure is not None:
+        raise reader.failure
     if recorder.failure:
         raise MeasurementFailed(recorder.failure)
-    if recorder.low_space:
+    if recorder.is_space_low:
         raise MeasurementFailed("too little room is left on the disk; free some")

@@ -49,7 +49,7 @@ _FAMILIES: tuple[tuple[type[DeviceError], str, str, bool], ...] = (
 )
 
 
-def fault_of(error: Exception) -> Fault:
+def classify_fault(error: Exception) -> Fault:
     """Return the fault that an error of a device or of the service amounts to."""
     if isinstance(error, Fault):
         return error
@@ -106,7 +106,7 @@ STILL_HELD = Fault(
 )
 
 
-def held_at_machine(reason: str) -> Fault:
+def make_held_fault(reason: str) -> Fault:
     """Return why a machine stands that nobody has told to stand."""
     return Fault(
         "held-at-machine",
@@ -116,7 +116,7 @@ def held_at_machine(reason: str) -> Fault:
     )
 
 
-def tracker_dead(after_s: float) -> Fault:
+def make_silence_fault(after_s: float) -> Fault:
     """Return the fault of a stream that has been silent for too long."""
     return Fault(
         "tracker-silent",

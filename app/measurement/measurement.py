@@ -1,4 +1,4 @@
-"""One order from beginning to end: what is checked, done, recorded, told."""
+"""One measurement from beginning to end: checks, motion, recording, reports."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import MeasurementFailed
-from app.measurement.control import Control
-from app.measurement.faults import Aborted, Fault, fault_of
-from app.measurement.limits import Limits
+from app.measurement.engine_settings import EngineSettings
+from app.measurement.faults import Aborted, Fault, classify_fault
 from app.measurement.live_view import LiveView
+from app.measurement.measurement_monitor import MeasurementMonitor
+from app.measurement.measurement_state import MeasurementState
+from app.measurement.measurement_steps import MeasurementSteps
 from app.measurement.messages import (
     BlockRecorded,
     CellState,
@@ -25,14 +27,11 @@ from app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from app.measurement.on_the_fly import stream_path
-from app.measurement.parts import More, extended
-from app.measurement.progress import schedule_of
-from app.measurement.recorder import ClosedRun, Committed, Recorder
+from app.measurement.parts import RequestPart, append_part
+from app.measurement.procedures import step_through, stream_path
+from app.measurement.progress import schedule_rows
+from app.measurement.recorder import ClosedRun, OnRecorded, Recorder
 from app.measurement.run_file import RunHeader
-from app.measurement.session import Session
-from app.measurement.step_through import step_through
-from app.measurement.watch import Watch
 from app.motion.configurations import Commanded, Configurations
 from app.motion.paths import check_travel
 from drivers.interfaces.errors import DeviceError
@@ -46,9 +45,9 @@ STOP_S = 3.0
 
 
 class Measurement:
-    """One order on connected devices. `run` belongs to one thread, verbs to any.
+    """One order on connected devices. `run` is for one thread, all else for any.
 
-    limits : how long it waits for what; clock : by which it waits, monotonic
+    clock : by which it waits, monotonic
     """
 
     def __init__(
@@ -59,37 +58,37 @@ class Measurement:
         devices: Mapping[str, Identity],
         report: ReportEvent,
         *,
-        limits: Limits | None = None,
+        settings: EngineSettings | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._order, self._tracker, self._motion = order, tracker, motion
-        self._devices, self._report, self._limits = dict(devices), report, limits
+        self._devices, self._report, self._settings = dict(devices), report, settings
         self._clock = clock
-        self._control = Control(self._state_changed)
-        self._watch: Watch | None = None
-        self._session: Session | None = None
+        self._control = MeasurementState(self._report_state)
+        self._monitor: MeasurementMonitor | None = None
+        self._steps: MeasurementSteps | None = None
         self._recorder: Recorder | None = None
-        self._halted = False
+        self._is_halted = False
 
     def pause(self) -> None:
         """Feed hold, now."""
-        if self._session is not None:
-            self._session.pause()
+        if self._steps is not None:
+            self._steps.pause()
 
     def resume(self) -> None:
         """Go on."""
-        if self._session is not None:
-            self._session.resume()
+        if self._steps is not None:
+            self._steps.resume()
 
     def conclude(self) -> None:
         """Finish the line or point under way, leave out the rest, end in order."""
-        if self._session is not None:
-            self._session.conclude()
+        if self._steps is not None:
+            self._steps.conclude()
 
     def extend(self, part: Commanded) -> None:
         """Go on with a further part once the machine stands at the end of the last."""
-        if self._session is not None:
-            self._session.extend(part)
+        if self._steps is not None:
+            self._steps.extend(part)
 
     def abort(self) -> None:
         """Stop and forget the path, whatever is going on.
@@ -101,30 +100,30 @@ class Measurement:
 
     def halt(self) -> None:
         """Hold the feed and end the measurement: the service goes away."""
-        self._halted = True
+        self._is_halted = True
         self._control.aborted.set()
         self._motion.hold()
 
     def run(self) -> None:
-        """Measure. Never raises: how it ended is told by the last two events."""
-        self._state_changed(CellState.RUNNING, self._order.run_name)
+        """Measure. Never raises: the last two events say how it ended."""
+        self._report_state(CellState.RUNNING, self._order.run_name)
         state, text = CellState.FINISHED, "all rows have been driven"
         try:
             self._measure()
-            if self._session is not None and self._session.is_concluding:
+            if self._steps is not None and self._steps.is_concluding:
                 text = "ended early: enough is known"
         except Aborted as error:
             state, text = CellState.ABORTED, str(error)
-            self._stop(self._motion.hold if self._halted else self._motion.abort)
+            self._stop(self._motion.hold if self._is_halted else self._motion.abort)
         except Exception as error:
-            fault = fault_of(error)
+            fault = classify_fault(error)
             if fault.code == "internal":
                 log.exception("run %s: defect while measuring", self._order.run_name)
             state = CellState.FAULTED if fault.latched else CellState.FAILED
             text = str(fault)
             with contextlib.suppress(DeviceError):
                 self._hold_if_ours()
-            self._tell(fault)
+            self._report_fault(fault)
             self._stop(self._motion.hold)
         closed = self._close(state, text)
         self._control.end(state, text)
@@ -144,8 +143,8 @@ class Measurement:
                 "let it end or stop it at the machine",
                 latched=False,
             )
-        self._motion.abort()  # what it still holds of an earlier order must not go on
-        commanded = arranged(order.commanded, self._motion.axes, status.position)
+        self._motion.abort()  # what an earlier order has left there must not go on
+        commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
         view = LiveView(self._report)
         header = RunHeader(
             order.run_name,
@@ -158,48 +157,54 @@ class Measurement:
         self._recorder = Recorder(
             FilePath(order.run_file),
             header,
-            committed=self._shown_by(view),
+            on_recorded=self._make_on_recorded(view),
             reserve_bytes=order.reserve_bytes,
         )
-        self._watch = Watch(
+        self._monitor = MeasurementMonitor(
             self._tracker,
             self._motion,
             self._recorder,
             self._control,
             view,
             self._report,
-            schedule_of(order.commanded, order.feed_mm_min),
-            limits=self._limits,
+            schedule_rows(order.commanded, order.feed_mm_min),
+            settings=self._settings,
             clock=self._clock,
         )
-        self._session = Session(
-            self._watch, self._motion, self._recorder, self._control, self._report
+        self._steps = MeasurementSteps(
+            self._monitor, self._motion, self._recorder, self._control, self._report
         )
         rate_hz, feed = order.rate_hz, order.feed_mm_min
-        more = self._more(self._session, status.position)
+        request_part = self._make_part_source(self._steps, status.position)
         if isinstance(commanded, Path):
-            stream_path(self._session, commanded, more, rate_hz=rate_hz, feed=feed)
+            stream_path(
+                self._steps, commanded, request_part, rate_hz=rate_hz, feed=feed
+            )
         else:
-            step_through(self._session, commanded, more, rate_hz=rate_hz, feed=feed)
+            step_through(
+                self._steps, commanded, request_part, rate_hz=rate_hz, feed=feed
+            )
 
-    def _more(self, session: Session, stand: tuple[float, ...]) -> More:
-        """Return what waits for further parts, checks them and writes them down."""
+    def _make_part_source(
+        self, steps: MeasurementSteps, position: tuple[float, ...]
+    ) -> RequestPart:
+        """Return a function that waits for a further part, checks and records it."""
         order, commanded = self._order, self._order.commanded
 
-        def more() -> Commanded | None:
+        def request_part() -> Commanded | None:
             nonlocal commanded
-            part = session.wait_for_part() if order.grows else None
+            part = steps.wait_for_part() if order.grows else None
             if part is None:
                 return None
             check_travel(order.machine, part)
-            commanded = extended(commanded, part)
-            session.add_rows(commanded, schedule_of(commanded, order.feed_mm_min))
-            return arranged(part, self._motion.axes, stand)
+            commanded = append_part(commanded, part)
+            steps.add_rows(commanded, schedule_rows(commanded, order.feed_mm_min))
+            return arrange_axes(part, self._motion.axes, position)
 
-        return more
+        return request_part
 
-    def _shown_by(self, view: LiveView) -> Committed:
-        """Return what is told committed blocks: the eye, and the live estimate."""
+    def _make_on_recorded(self, view: LiveView) -> OnRecorded:
+        """Return what passes recorded blocks to the display and the live estimate."""
 
         def show(samples: TrackerSamples) -> None:
             view.show(samples)
@@ -209,12 +214,12 @@ class Measurement:
         return show
 
     def _hold_if_ours(self) -> None:
-        if self._session is not None:
+        if self._steps is not None:
             self._motion.hold()
 
     def _stop(self, verb: Callable[[], None]) -> None:
-        """Bring the machine to a stand if it moves by our order; wait a little."""
-        if self._session is None:
+        """Stop the machine if it moves by our order; wait a little."""
+        if self._steps is None:
             return
         deadline_s = time.monotonic() + STOP_S
         while time.monotonic() < deadline_s:
@@ -225,38 +230,38 @@ class Measurement:
             time.sleep(0.05)
 
     def _close(self, state: CellState, text: str) -> ClosedRun:
-        if self._watch is not None:
-            self._watch.end_stream()
+        if self._monitor is not None:
+            self._monitor.end_stream()
         if self._recorder is None:
             return ClosedRun(FilePath(self._order.run_file), "", 0, 0)
-        self._note("outcome", f"{state}: {text}")
+        self._record_event("outcome", f"{state}: {text}")
         closed = self._recorder.close(str(state))
         self._recorder = None
         if closed.failure:
             action = "keep the file; what was committed can be read"
-            self._tell(Fault("storage", closed.failure, action, latched=False))
+            self._report_fault(Fault("storage", closed.failure, action, latched=False))
         return closed
 
-    def _tell(self, fault: Fault) -> None:
+    def _report_fault(self, fault: Fault) -> None:
         self._report(fault.event)
-        self._note(fault.code, fault.text)
+        self._record_event(fault.code, fault.text)
 
-    def _state_changed(self, state: CellState, text: str) -> None:
-        self._note("state", f"{state}: {text}" if text else str(state))
+    def _report_state(self, state: CellState, text: str) -> None:
+        self._record_event("state", f"{state}: {text}" if text else str(state))
         self._report(StateChanged(state, text))
 
-    def _note(self, kind: str, text: str) -> None:
+    def _record_event(self, kind: str, text: str) -> None:
         if self._recorder is not None:
             with contextlib.suppress(MeasurementFailed):
                 self._recorder.event(kind, text)
 
 
-def arranged(
-    commanded: Path | Configurations, axes: tuple[str, ...], stand: tuple[float, ...]
+def arrange_axes(
+    commanded: Path | Configurations, axes: tuple[str, ...], here: tuple[float, ...]
 ) -> Path | Configurations:
     """Return the rows in the axis order of a controller.
 
-    Axes that the plan does not name stay where they stand. Raises Fault if the plan
+    Axes that the plan does not name stay where they are. Raises Fault if the plan
     names an axis that the controller has not got.
     """
     missing = [name for name in commanded.axes if name not in axes]
@@ -267,7 +272,7 @@ def arranged(
             "check the machine file and the controller",
             latched=False,
         )
-    position: NDArray[np.float64] = np.tile(np.array(stand, float), (len(commanded), 1))
+    position: NDArray[np.float64] = np.tile(np.array(here, float), (len(commanded), 1))
     for column, name in enumerate(commanded.axes):
         position[:, axes.index(name)] = commanded.position[:, column]
     return replace(commanded, axes=axes, position=position)

@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Any
 
 from app.kinematics.machine import Machine
-from app.measurement.limits import Patience
+from app.measurement.engine_settings import StreamTimeouts
 from app.motion.configurations import Commanded, Configurations
 from drivers.interfaces.records import Identity, Path, TrackerSamples
 
@@ -42,7 +42,7 @@ class CellConfig:
     tracker_options: Mapping[str, Any]
     motion_driver: str
     motion_options: Mapping[str, Any]
-    patience: Patience = field(default_factory=Patience)
+    timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,12 @@ from app.errors import PlanningError
 from app.motion.configurations import Commanded, Configurations
 from drivers.interfaces.records import Path
 
-More = Callable[[], Commanded | None]
-"""Waits for a further part, in the controller's axes; None if none follows."""
+RequestPart = Callable[[], Commanded | None]
+"""Requests a further part and waits for it, in the controller's axes; None: the end."""
 _SAME = 1e-6  # mm or deg
 
 
-def extended(before: Commanded, part: Commanded) -> Commanded:
+def append_part(before: Commanded, part: Commanded) -> Commanded:
     """Return all rows: those before, then those that the part adds.
 
     Raises PlanningError if the part does not go on where the rows before have ended.

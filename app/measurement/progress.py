@@ -17,7 +17,7 @@ _TRUST_S = 3.0  # before it the pace so far says little
 
 
 @dataclass(frozen=True, slots=True)
-class Schedule:
+class RowSchedule:
     """Planned time of each row, line towards it and dwell included.
 
     unit : what is counted, `lines` or `points`
@@ -51,18 +51,18 @@ class Schedule:
         return left_s * active_s / planned_s
 
 
-def schedule_of(commanded: Path | Configurations, feed_mm_min: float) -> Schedule:
+def schedule_rows(commanded: Path | Configurations, feed_mm_min: float) -> RowSchedule:
     """Return the schedule of a path, or of points stepped through at a feed."""
     if isinstance(commanded, Path):
-        return Schedule("lines", line_times_s(commanded))
+        return RowSchedule("lines", line_times_s(commanded))
     n = len(commanded)
     path = Path(
         commanded.axes, commanded.position, np.full(n, feed_mm_min), commanded.dwell_s
     )
-    return Schedule("points", line_times_s(path))
+    return RowSchedule("points", line_times_s(path))
 
 
-class Course:
+class ProgressEstimator:
     """Where a measurement is on its schedule.
 
     stage : `preparing`, `measuring`, `closing`
@@ -72,26 +72,26 @@ class Course:
     """
 
     def __init__(
-        self, schedule: Schedule, period_s: float, clock: Callable[[], float]
+        self, schedule: RowSchedule, period_s: float, clock: Callable[[], float]
     ) -> None:
         self.is_cut_short = False
         self.first_row = 0
         self.stage = "preparing"
         self.row = 0
         self._schedule, self._period_s, self._clock = schedule, period_s, clock
-        self._begun_s = self._seen_s = clock()
+        self._begun_s = self._received_s = clock()
         self._active_s = 0.0
-        self._told_s = -np.inf
+        self._reported_s = -np.inf
         self._is_loaded = False  # a further part, which has not begun
 
     def begin(self, row: int = 0) -> None:
         """Move towards a row from now on; the first call starts the clock."""
         if self.stage == "preparing":
-            self._begun_s = self._seen_s = self._clock()
+            self._begun_s = self._received_s = self._clock()
             self._active_s = 0.0
         self.stage, self.row, self._is_loaded = "measuring", row, False
 
-    def extend(self, schedule: Schedule) -> None:
+    def extend(self, schedule: RowSchedule) -> None:
         """Go on with more rows; the earlier ones are in the schedule as well."""
         unit = schedule.unit
         self.first_row = len(self._schedule.row_s) - (unit == "lines")
@@ -107,21 +107,21 @@ class Course:
 
     def end(self) -> None:
         """All rows are done; tell so at once."""
-        self.stage, self._told_s = "closing", -np.inf
+        self.stage, self._reported_s = "closing", -np.inf
 
     def pass_time(self, *, active: bool) -> None:
         """Keep the time without pauses, which the pace is reckoned from."""
         now_s = self._clock()
         if active:
-            self._active_s += now_s - self._seen_s
-        self._seen_s = now_s
+            self._active_s += now_s - self._received_s
+        self._received_s = now_s
 
-    def news(self) -> MeasurementProgress | None:
+    def next_report(self) -> MeasurementProgress | None:
         """Return what there is to tell, None if it was told a moment ago."""
         now_s = self._clock()
-        if now_s - self._told_s < self._period_s:
+        if now_s - self._reported_s < self._period_s:
             return None
-        self._told_s = now_s
+        self._reported_s = now_s
         finished = self.stage == "closing"
         done = self._schedule.done(self.row)
         if finished:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import queue
 import shutil
 import sqlite3
@@ -40,13 +41,15 @@ from app.measurement.run_file import (
     TRACKER_STREAM,
     Batch,
     RunHeader,
-    manifest_of,
+    encode_manifest,
     pack_axes,
     pack_samples,
-    with_commanded,
+    replace_commanded,
 )
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import AxisSamples, TrackerSamples
+
+log = logging.getLogger(__name__)
 
 RESERVE_BYTES = 500 << 20
 QUEUE_ITEMS = 200
@@ -54,7 +57,7 @@ PUT_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 60.0
 GUARD_PERIOD_S = 1.0
 
-Committed = Callable[[TrackerSamples], None]
+OnRecorded = Callable[[TrackerSamples], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +97,7 @@ class Recorder:
     """One Run being written. `put…` and `event` may be called from any thread.
 
     committed : called from the writer's thread with each block of samples once it is on
-        disk; must return at once
+        disk; must return at once; an error of it is logged
     reserve_bytes : space on the disk below which `low_space` turns true
 
     Raises MeasurementFailed if the file cannot be begun.
@@ -105,18 +108,19 @@ class Recorder:
         file: Path,
         header: RunHeader,
         *,
-        committed: Committed | None = None,
+        on_recorded: OnRecorded | None = None,
         reserve_bytes: int = RESERVE_BYTES,
         free_bytes: Callable[[], int] | None = None,
         queue_items: int = QUEUE_ITEMS,
     ) -> None:
         self.file = file
-        self._committed = committed
+        self._on_recorded = on_recorded
         self._reserve_bytes = reserve_bytes
         self._free_bytes = free_bytes or (lambda: shutil.disk_usage(file.parent).free)
         self._queue: queue.Queue[_Item | None] = queue.Queue(queue_items)
         self._failure = ""
-        self._low_space = False
+        self._is_space_low = False
+        self._has_callback_failed = False
         self._guarded_at = time.monotonic()
         self._samples = self._lost = self._link_bytes = self._axis_rows = 0
         self._last_sequence: int | None = None
@@ -133,17 +137,17 @@ class Recorder:
         return self._failure
 
     @property
-    def low_space(self) -> bool:
+    def is_space_low(self) -> bool:
         """Whether the disk has less left than the reserve."""
-        return self._low_space
+        return self._is_space_low
 
     @property
-    def strained(self) -> bool:
+    def is_strained(self) -> bool:
         """Whether the disk is so slow that the queue is half full."""
         return self._queue.qsize() * 2 > self._queue.maxsize
 
     @property
-    def relaxed(self) -> bool:
+    def is_relaxed(self) -> bool:
         """Whether hardly anything waits."""
         return self._queue.qsize() * 10 < self._queue.maxsize
 
@@ -164,7 +168,7 @@ class Recorder:
         the device's counter went back.
         """
         with self._lock:
-            batches = [*self._tracker_batch(samples), *self._link_batch(link)]
+            batches = [*self._make_tracker_batch(samples), *self._make_link_batch(link)]
             if batches:
                 self._put(_Item(batches=tuple(batches), samples=samples))
 
@@ -172,7 +176,7 @@ class Recorder:
         """Hand over controller positions."""
         rows = len(samples.host_time_s)
         with self._lock:
-            batch = _stamped(AXES_STREAM, self._axis_rows, rows, pack_axes(samples))
+            batch = _stamp_batch(AXES_STREAM, self._axis_rows, rows, pack_axes(samples))
             self._axis_rows += rows
             self._put(_Item(batches=(batch,)))
 
@@ -186,7 +190,7 @@ class Recorder:
     def extend(self, commanded: Commanded) -> None:
         """Write down that more is commanded: all rows, the earlier ones included."""
         with self._lock:
-            self._manifest = with_commanded(self._manifest, commanded)
+            self._manifest = replace_commanded(self._manifest, commanded)
             self._put(_Item(manifest=self._manifest))
 
     def close(self, outcome: str) -> ClosedRun:
@@ -205,7 +209,7 @@ class Recorder:
             self._write_end(outcome)
             sha256 = seal(self._database, self.file)
         except (sqlite3.Error, OSError) as error:
-            self._failure = self._failure or _storage_text(self.file, error)
+            self._failure = self._failure or _describe_storage_error(self.file, error)
             self._database.close()
         return ClosedRun(self.file, sha256, self._samples, self._lost, self._failure)
 
@@ -215,19 +219,23 @@ class Recorder:
         try:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             if self._free_bytes() < self._reserve_bytes:
-                raise MeasurementFailed(_space_text(self.file, self._reserve_bytes))
+                raise MeasurementFailed(
+                    _describe_low_space(self.file, self._reserve_bytes)
+                )
             database = connect(self.file)
             database.executescript(TABLES)
-            self._manifest = manifest_of(header, datetime.now(UTC).isoformat())
+            self._manifest = encode_manifest(header, datetime.now(UTC).isoformat())
             insert_manifest(database, self._manifest)
             # Without its tables and its manifest a log that is cut is worth nothing.
             database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             sync_folder(self.file.parent)
         except (sqlite3.Error, OSError) as error:
-            raise MeasurementFailed(_storage_text(self.file, error)) from error
+            raise MeasurementFailed(
+                _describe_storage_error(self.file, error)
+            ) from error
         return database
 
-    def _tracker_batch(self, samples: TrackerSamples) -> list[Batch]:
+    def _make_tracker_batch(self, samples: TrackerSamples) -> list[Batch]:
         if not len(samples):
             return []
         sequence = samples.sequence
@@ -241,12 +249,12 @@ class Recorder:
         self._samples += len(samples)
         self._last_sequence = int(sequence[-1])
         payload = pack_samples(samples)
-        return [_stamped(TRACKER_STREAM, int(sequence[0]), len(samples), payload)]
+        return [_stamp_batch(TRACKER_STREAM, int(sequence[0]), len(samples), payload)]
 
-    def _link_batch(self, link: bytes) -> list[Batch]:
+    def _make_link_batch(self, link: bytes) -> list[Batch]:
         if not link:
             return []
-        batch = _stamped(LINK_STREAM, self._link_bytes, len(link), link)
+        batch = _stamp_batch(LINK_STREAM, self._link_bytes, len(link), link)
         self._link_bytes += len(link)
         return [batch]
 
@@ -271,10 +279,20 @@ class Recorder:
                 self._commit(item)
                 self._guard()
             except (sqlite3.Error, OSError) as error:
-                self._failure = _storage_text(self.file, error)
+                self._failure = _describe_storage_error(self.file, error)
                 continue
-            if item.samples is not None and self._committed is not None:
-                self._committed(item.samples)
+            self._hand_on(item)
+
+    def _hand_on(self, item: _Item) -> None:
+        """Pass recorded samples on. A failure there must not end the recording."""
+        if item.samples is None or self._on_recorded is None:
+            return
+        try:
+            self._on_recorded(item.samples)
+        except Exception:
+            if not self._has_callback_failed:
+                log.exception("recorded samples cannot be shown; recording goes on")
+            self._has_callback_failed = True
 
     def _commit(self, item: _Item) -> None:
         with transaction(self._database):
@@ -289,7 +307,7 @@ class Recorder:
         now = time.monotonic()
         if now - self._guarded_at >= GUARD_PERIOD_S:
             self._guarded_at = now
-            self._low_space = self._free_bytes() < self._reserve_bytes
+            self._is_space_low = self._free_bytes() < self._reserve_bytes
 
     def _write_end(self, outcome: str) -> None:
         end = {
@@ -301,16 +319,16 @@ class Recorder:
         insert_manifest(self._database, {CLOSED: json.dumps(end)})
 
 
-def _stamped(stream: str, seq0: int, n: int, payload: bytes) -> Batch:
+def _stamp_batch(stream: str, seq0: int, n: int, payload: bytes) -> Batch:
     return Batch(stream, seq0, n, time.monotonic_ns(), time.time_ns(), payload)
 
 
-def _space_text(file: Path, reserve_bytes: int) -> str:
+def _describe_low_space(file: Path, reserve_bytes: int) -> str:
     return (
         f"less than {reserve_bytes >> 20} MiB are free under {file.parent}; "
         "free some space, then measure again"
     )
 
 
-def _storage_text(file: Path, error: Exception) -> str:
+def _describe_storage_error(file: Path, error: Exception) -> str:
     return f"the Run cannot be written to {file} ({error}); check disk space and rights"

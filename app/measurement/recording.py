@@ -24,20 +24,19 @@ from app.files.whole_files import sync_folder
 from app.measurement.recorder import ClosedRun
 from app.measurement.run_database import (
     connect,
+    hash_file,
     insert_batches,
     insert_manifest,
     seal,
-    sha256_of,
     transaction,
 )
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
-    LINK_STREAM,
     TABLES,
     TRACKER_STREAM,
     Batch,
-    header_of,
+    decode_header,
     unpack_axes,
     unpack_samples,
 )
@@ -71,7 +70,7 @@ def open_run(file: str | Path) -> Run:
     place = Path(file)
     content = _read(place)
     try:
-        header = header_of(content.manifest, file=place.name)
+        header = decode_header(content.manifest, file=place.name)
         closed = json.loads(content.manifest.get(CLOSED, "{}"))
         started = json.loads(content.manifest["started"])
     except (KeyError, ValueError) as error:
@@ -79,14 +78,14 @@ def open_run(file: str | Path) -> Run:
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
     tracker = _tracker(content.batches)
-    missing = [*content.problems, *_gaps(tracker)]
+    missing = [*content.problems, *_find_gaps(tracker)]
     return Run(
         name=header.name,
         machine=header.machine,
         commanded=header.commanded,
         tracker=tracker,
         axis_samples=_axes(content.batches, header.axes),
-        events=(*content.events, *_notes(missing)),
+        events=(*content.events, *_make_events(missing)),
         provenance={
             "source": place.name,
             "started": started,
@@ -99,13 +98,7 @@ def open_run(file: str | Path) -> Run:
     )
 
 
-def link_bytes(file: str | Path) -> bytes:
-    """Return the bytes that the tracker's port received, to decode them again."""
-    batches = _read(Path(file)).batches
-    return b"".join(b.payload for b in batches if b.stream == LINK_STREAM)
-
-
-def settle(file: str | Path) -> ClosedRun:
+def repair_run(file: str | Path) -> ClosedRun:
     """Make one closed file of a Run whose writer was killed.
 
     What SQLite itself cannot repair is copied batch by batch into a new file; the
@@ -121,7 +114,7 @@ def settle(file: str | Path) -> ClosedRun:
         content.manifest.setdefault(CLOSED, json.dumps(end))
         sha256 = _salvage(place, content)
     elif CLOSED in content.manifest and not _log(place).exists():
-        sha256 = sha256_of(place)
+        sha256 = hash_file(place)
     else:
         database = connect(place)
         if CLOSED not in content.manifest:
@@ -134,7 +127,7 @@ def _read(file: Path) -> _Content:
     if not file.is_file():
         raise BundleError("no such Run", file=str(file), remedy="check the path")
     try:
-        with _opened(file) as database:
+        with _open_database(file) as database:
             return _rows(database, file)
     except sqlite3.Error as error:
         raise BundleError(
@@ -143,7 +136,7 @@ def _read(file: Path) -> _Content:
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[sqlite3.Connection]:
+def _open_database(file: Path) -> Iterator[sqlite3.Connection]:
     """Open a Run to read. One with a log left behind is recovered in a copy of both."""
     log = _log(file)
     if not log.exists():
@@ -171,17 +164,17 @@ def _log(file: Path) -> Path:
 
 def _rows(database: sqlite3.Connection, file: Path) -> _Content:
     problems: list[str] = []
-    manifest = _table(database, "manifest", "key, value", file, problems)
+    manifest = _read_table(database, "manifest", "key, value", file, problems)
     columns = "stream, seq0, n, mono_ns, wall_ns, payload, crc32"
     batches: list[Batch] = []
-    for *row, crc32 in _table(database, "batch", columns, file, problems):
+    for *row, crc32 in _read_table(database, "batch", columns, file, problems):
         batch = Batch(*row)
         if _is_whole(batch, crc32):
             batches.append(batch)
         else:
             problems.append(f"batch of {row[0]} at {row[1]}: its CRC does not match")
     batches.sort(key=lambda b: (b.stream, b.seq0))
-    event_rows = _table(
+    event_rows = _read_table(
         database, "event", "seq, mono_ns, wall_ns, kind, body", file, problems
     )
     events = [_event(row, problems) for row in event_rows]
@@ -206,7 +199,7 @@ def _event(row: Row, problems: list[str]) -> RunEvent | None:
         return None
 
 
-def _table(
+def _read_table(
     database: sqlite3.Connection,
     table: str,
     columns: str,
@@ -247,7 +240,7 @@ def _axes(batches: list[Batch], axes: tuple[str, ...]) -> AxisSamples | None:
     )
 
 
-def _gaps(tracker: TrackerSamples) -> list[str]:
+def _find_gaps(tracker: TrackerSamples) -> list[str]:
     steps = np.diff(tracker.sequence)
     return [
         f"gap: {steps[i] - 1} samples after sequence {tracker.sequence[i]}"
@@ -255,7 +248,7 @@ def _gaps(tracker: TrackerSamples) -> list[str]:
     ]
 
 
-def _notes(missing: list[str]) -> list[RunEvent]:
+def _make_events(missing: list[str]) -> list[RunEvent]:
     return [
         RunEvent(0, "gap" if text.startswith("gap") else "bad-batch", text)
         for text in missing[:_NAMED_PROBLEMS]

@@ -74,10 +74,10 @@ def seal(database: sqlite3.Connection, file: Path) -> str:
         database.execute("PRAGMA journal_mode = DELETE")
     file.chmod(0o444)
     sync_folder(file.parent)
-    return sha256_of(file)
+    return hash_file(file)
 
 
-def sha256_of(file: Path) -> str:
+def hash_file(file: Path) -> str:
     """Return the SHA-256 of a file."""
     with file.open("rb") as source:
         return hashlib.file_digest(source, "sha256").hexdigest()

@@ -82,14 +82,14 @@ class RunHeader:
     axes: tuple[str, ...]
 
 
-def manifest_of(header: RunHeader, started: str) -> dict[str, str]:
+def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
     """Return the manifest rows of a header, values in JSON."""
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "name": header.name,
         "started": started,
         "machine": machine_to_json(header.machine),
-        "commanded": commanded_to_json(header.commanded),
+        "commanded": encode_commanded(header.commanded),
         "rate_hz": header.rate_hz,
         "devices": {name: asdict(who) for name, who in header.devices.items()},
         "axes": list(header.axes),
@@ -115,16 +115,16 @@ def manifest_of(header: RunHeader, started: str) -> dict[str, str]:
     return {**rows, _CRC: str(_manifest_crc(rows))}
 
 
-def with_commanded(
+def replace_commanded(
     manifest: dict[str, str], commanded: Path | Configurations
 ) -> dict[str, str]:
     """Return the manifest rows with other commanded rows, their CRC anew."""
-    text = json.dumps(commanded_to_json(commanded), ensure_ascii=False)
+    text = json.dumps(encode_commanded(commanded), ensure_ascii=False)
     rows = {k: v for k, v in manifest.items() if k != _CRC} | {"commanded": text}
     return {**rows, _CRC: str(_manifest_crc(rows))}
 
 
-def header_of(manifest: dict[str, str], *, file: str) -> RunHeader:
+def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
     """Return the header of manifest rows. Raises ValueError if they are damaged."""
     rows = {key: v for key, v in manifest.items() if key not in (CLOSED, _CRC)}
     if str(_manifest_crc(rows)) != manifest.get(_CRC):
@@ -135,7 +135,7 @@ def header_of(manifest: dict[str, str], *, file: str) -> RunHeader:
     return RunHeader(
         name=content["name"],
         machine=machine_from_json(content["machine"], file=f"{file}, machine"),
-        commanded=commanded_from_json(content["commanded"]),
+        commanded=decode_commanded(content["commanded"]),
         rate_hz=float(content["rate_hz"]),
         devices={key: Identity(**who) for key, who in content["devices"].items()},
         axes=tuple(content["axes"]),
@@ -146,7 +146,7 @@ def _manifest_crc(rows: dict[str, str]) -> int:
     return zlib.crc32(json.dumps(sorted(rows.items()), default=str).encode())
 
 
-def commanded_to_json(commanded: Path | Configurations) -> dict[str, Any]:
+def encode_commanded(commanded: Path | Configurations) -> dict[str, Any]:
     """Return the JSON of a path or of points."""
     content: dict[str, Any] = {
         "kind": "path" if isinstance(commanded, Path) else "points",
@@ -160,7 +160,7 @@ def commanded_to_json(commanded: Path | Configurations) -> dict[str, Any]:
     return content
 
 
-def commanded_from_json(content: dict[str, Any]) -> Path | Configurations:
+def decode_commanded(content: dict[str, Any]) -> Path | Configurations:
     """Return the path or the points of JSON."""
     axes, target = tuple(content["axes"]), tuple(content["target"])
     position = np.array(content["position"], np.float64).reshape(-1, len(axes))

@@ -16,8 +16,8 @@ import numpy as np
 from app.errors import PlanningError
 from app.estimation.live import Findings
 from app.kinematics.machine import Machine, linear_part
-from app.measurement.parts import extended
-from app.measurement.progress import schedule_of
+from app.measurement.parts import append_part
+from app.measurement.progress import schedule_rows
 from app.motion.configurations import Commanded, Configurations
 from app.motion.motion_times import Drive, drive_of
 from app.motion.paths import ACCELERATION_MM_S2
@@ -84,7 +84,7 @@ class PartChoice:
         ratio = _criterion(told.outlook) / _criterion(planner.outlook)
         part = planned if self._on_the_fly else _rows(planned, 2, first=1)
         before_s = self._used_s
-        self.commanded = extended(self.commanded, part)
+        self.commanded = append_part(self.commanded, part)
         rows = len(part) - self._on_the_fly
         predicted_mm = sigma_mm * float(np.sqrt(ratio))
         return Part(part, rows, self._used_s - before_s, predicted_mm)
@@ -151,7 +151,7 @@ class PartChoice:
     @property
     def _used_s(self) -> float:
         feed = self._request.feeds_mm_min[0]
-        return float(schedule_of(self.commanded, feed).row_s.sum())
+        return float(schedule_rows(self.commanded, feed).row_s.sum())
 
 
 def _rows(points: Commanded, count: int, *, first: int = 0) -> Configurations:

@@ -101,7 +101,7 @@ class ScriptedCell:
         self._recorder = Recorder(
             FilePath(order.run_file),
             header,
-            committed=self._note_committed,
+            on_recorded=self._note_committed,
             reserve_bytes=0,
         )
         self._samples = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,8 +12,9 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from app.measurement.limits import Limits, Patience
+from app.measurement.engine_settings import EngineSettings, StreamTimeouts
 from app.measurement.messages import CellEvent, FaultReported, StateChanged
+from app.measurement.run_file import LINK_STREAM
 from drivers.interfaces.errors import DeviceTimeout
 from drivers.interfaces.link import ByteLink
 from drivers.interfaces.motion import MotionController
@@ -43,17 +45,31 @@ def no_thread_is_left_over() -> Iterator[None]:
 
 
 @pytest.fixture
-def calm() -> Limits:
+def calm() -> EngineSettings:
     """Patience that no loaded machine wears out."""
-    return Limits(
+    return EngineSettings(
         poll_s=0.02,
         confirm_s=30.0,
         link_s=30.0,
         first_sample_s=30.0,
         progress_s=0.0,
         axes_rows=5,
-        patience=Patience(silent_s=30.0, dead_s=60.0, beam_s=30.0),
+        timeouts=StreamTimeouts(silent_s=30.0, dead_s=60.0, beam_s=30.0),
     )
+
+
+@pytest.fixture
+def read_link_bytes() -> Callable[[str | FilePath], bytes]:
+    """Read the bytes that the tracker's port received from a closed Run."""
+
+    def read(file: str | FilePath) -> bytes:
+        database = sqlite3.connect(file)
+        query = "SELECT payload FROM batch WHERE stream = ? ORDER BY seq0"
+        rows = database.execute(query, (LINK_STREAM,)).fetchall()
+        database.close()
+        return b"".join(payload for (payload,) in rows)
+
+    return read
 
 
 class FakeTracker(Tracker, ByteLink):

@@ -25,7 +25,7 @@ from app.files.machine_file import machine_from_json
 from app.measurement import cell as cell_module
 from app.measurement.cell import Cell
 from app.measurement.cell_process import serve
-from app.measurement.limits import Patience
+from app.measurement.engine_settings import StreamTimeouts
 from app.measurement.messages import (
     Begin,
     BlockRecorded,
@@ -43,7 +43,7 @@ from app.measurement.messages import (
     StateChanged,
 )
 from app.measurement.outbox import MAX_BLOCKS, Outbox
-from app.measurement.recording import link_bytes, open_run, settle
+from app.measurement.recording import open_run, repair_run
 from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
 from app.plugins import load
@@ -54,7 +54,7 @@ from simulators.bench import Bench
 E = TypeVar("E")
 SPEED = 10.0
 # A computer that is busy with other things is no silent tracker.
-CALM = Patience(silent_s=10.0, dead_s=30.0, beam_s=10.0)
+CALM = StreamTimeouts(silent_s=10.0, dead_s=30.0, beam_s=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +65,9 @@ def bench(tmp_path_factory) -> Iterator[Bench]:
         yield started
 
 
-def config_of(bench: Bench, patience: Patience = CALM) -> CellConfig:
+def config_of(bench: Bench, timeouts: StreamTimeouts = CALM) -> CellConfig:
     return CellConfig(
-        "streaming", bench.tracker_options, "modbus", bench.motion_options, patience
+        "streaming", bench.tracker_options, "modbus", bench.motion_options, timeouts
     )
 
 
@@ -126,7 +126,7 @@ def connected(driven) -> Driven:
 @pytest.fixture
 def watchful(bench) -> Iterator[Driven]:
     """A connected cell with the patience of the service."""
-    made = Driven(config_of(bench, Patience()))
+    made = Driven(config_of(bench, StreamTimeouts()))
     made.cell.start()
     made.cell.connect()
     yield made
@@ -161,7 +161,9 @@ def moves(run) -> int:
     return int((np.diff((speed > 2.0).astype(int)) == 1).sum())
 
 
-def test_a_whole_run_over_serial_and_modbus_loses_no_sample(connected, order, tmp_path):
+def test_a_whole_run_over_serial_and_modbus_loses_no_sample(
+    connected, order, tmp_path, read_link_bytes
+):
     connected.cell.begin(order)
     closed = connected.until_closed()
     assert closed.outcome == "finished"
@@ -171,7 +173,7 @@ def test_a_whole_run_over_serial_and_modbus_loses_no_sample(connected, order, tm
     assert (np.diff(run.tracker.sequence) == 1).all()
     assert (run.tracker.status == 0).all()
     assert moves(run) == 4
-    assert len(link_bytes(order.run_file)) > 44 * len(run.tracker)
+    assert len(read_link_bytes(order.run_file)) > 44 * len(run.tracker)
     write_bundle(run, tmp_path / "bundle")
     copy = read_bundle(tmp_path / "bundle")
     np.testing.assert_array_equal(copy.tracker.position_mm, run.tracker.position_mm)
@@ -183,13 +185,15 @@ def test_a_whole_run_over_serial_and_modbus_loses_no_sample(connected, order, tm
     )
 
 
-def test_the_bytes_of_a_run_decode_to_its_samples_again(connected, order):
+def test_the_bytes_of_a_run_decode_to_its_samples_again(
+    connected, order, read_link_bytes
+):
     from drivers.tracker.streaming.codec import SampleDecoder
     from drivers.tracker.streaming.framing import FrameReader
 
     connected.cell.begin(order)
     connected.until_closed()
-    bodies = FrameReader().feed(link_bytes(order.run_file))
+    bodies = FrameReader().feed(read_link_bytes(order.run_file))
     again = SampleDecoder().decode(bodies).samples
     run = open_run(order.run_file)
     at = np.searchsorted(again.device_time_s, run.tracker.device_time_s[0] - 1e-4)
@@ -306,7 +310,7 @@ def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     assert (np.diff(run.tracker.sequence) == 1).all()
     assert run.provenance["outcome"] == "torn"
     assert moves(run) >= 2
-    assert settle(order.run_file).samples == len(run.tracker)
+    assert repair_run(order.run_file).samples == len(run.tracker)
 
 
 def test_another_cell_takes_over_from_a_killed_one(

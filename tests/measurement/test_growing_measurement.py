@@ -17,7 +17,7 @@ from app.measurement.messages import (
     PartRequested,
     RunClosed,
 )
-from app.measurement.parts import extended
+from app.measurement.parts import append_part
 from app.measurement.recording import open_run
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -33,11 +33,11 @@ def path_through(rows, like):
 class Growing:
     """A measurement on fake devices, in a thread; it asks for parts."""
 
-    def __init__(self, order, tracker, motion, journal, limits):
+    def __init__(self, order, tracker, motion, journal, settings):
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
         self.measurement = Measurement(
-            order, tracker, motion, devices, journal.report, limits=limits
+            order, tracker, motion, devices, journal.report, settings=settings
         )
         self.thread = threading.Thread(target=self.measurement.run)
         self.thread.start()
@@ -156,8 +156,8 @@ def test_a_pause_between_parts_keeps_the_next_one_waiting(grown, square, motion)
 def test_parts_of_another_mode_or_place_are_refused(square):
     points = Configurations(square.axes, square.position[-1:], np.ones(1))
     with pytest.raises(PlanningError, match="the mode"):
-        extended(square, points)
+        append_part(square, points)
     with pytest.raises(PlanningError, match="where the machine stands"):
-        extended(square, path_through(ON[1:], square))
+        append_part(square, path_through(ON[1:], square))
     with pytest.raises(PlanningError, match="axes"):
-        extended(square, replace(path_through(ON, square), axes=("Y", "X", "Z")))
+        append_part(square, replace(path_through(ON, square), axes=("Y", "X", "Z")))

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.measurement.engine_settings import EngineSettings
 from app.measurement.faults import Fault
-from app.measurement.limits import Limits
-from app.measurement.measurement import Measurement, arranged
+from app.measurement.measurement import Measurement, arrange_axes
 from app.measurement.messages import (
     FaultReported,
     LivePoints,
@@ -21,7 +21,7 @@ from app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from app.measurement.recording import link_bytes, open_run
+from app.measurement.recording import open_run
 from app.motion.configurations import Configurations
 from drivers.interfaces.errors import (
     ConnectionLost,
@@ -33,7 +33,7 @@ from drivers.interfaces.errors import (
 
 # Nothing is judged by the clock of a busy computer: where a test is not about patience,
 # there is plenty of it; where it is, the test passes the time by hand.
-JUDGED = Limits(poll_s=0.02, progress_s=0.0, axes_rows=5)
+JUDGED = EngineSettings(poll_s=0.02, progress_s=0.0, axes_rows=5)
 """The patience of the service, on a clock that the test passes."""
 
 
@@ -58,12 +58,18 @@ class HandClock:
 class Running:
     """A measurement on fake devices, in a thread."""
 
-    def __init__(self, order, tracker, motion, journal, limits, clock) -> None:
+    def __init__(self, order, tracker, motion, journal, settings, clock) -> None:
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
         self.clock = clock
         self.measurement = Measurement(
-            order, tracker, motion, devices, journal.report, limits=limits, clock=clock
+            order,
+            tracker,
+            motion,
+            devices,
+            journal.report,
+            settings=settings,
+            clock=clock,
         )
         self.thread = threading.Thread(target=self.measurement.run)
 
@@ -145,10 +151,10 @@ def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Running]]:
     def start(
         order: MeasurementOrder,
         *,
-        limits: Limits = calm,
+        settings: EngineSettings = calm,
         clock: Callable[[], float] = time.monotonic,
     ) -> Running:
-        begun.append(Running(order, tracker, motion, journal, limits, clock).start())
+        begun.append(Running(order, tracker, motion, journal, settings, clock).start())
         return begun[-1]
 
     yield start
@@ -190,10 +196,12 @@ def test_what_is_told_at_the_end_is_what_the_file_holds(begin, order, journal):
     assert len(closed.sha256) == 64
 
 
-def test_the_bytes_of_the_link_are_kept_beside_the_samples(begin, order):
+def test_the_bytes_of_the_link_are_kept_beside_the_samples(
+    begin, order, read_link_bytes
+):
     running = begin(order)
     running.ended()
-    assert len(link_bytes(order.run_file)) == len(running.run.tracker)
+    assert len(read_link_bytes(order.run_file)) == len(running.run.tracker)
 
 
 def test_axis_positions_are_recorded_slowly(begin, order):
@@ -411,7 +419,7 @@ def test_halt_holds_the_feed_and_forgets_nothing(begin, long_order, motion):
 def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     tracker.silent = True
     running.pass_until(lambda: "paused" in journal.states)
@@ -431,7 +439,7 @@ def test_a_short_silence_holds_the_feed_and_goes_on_by_itself(
 def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_stands(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     motion.ignores_hold = True  # as one that still brakes
     tracker.silent = True
@@ -458,7 +466,7 @@ def test_a_hold_is_seen_through_even_if_the_stream_is_back_before_the_machine_st
 def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
     begin, long_order, tracker, motion, journal, who, first
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     if first == "machine":
         motion.stand(who)
@@ -487,7 +495,7 @@ def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
 def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     tracker.silent = True
     running.pass_until(lambda: journal.states[-1] == "paused")
@@ -509,7 +517,7 @@ def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
 
 def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, journal):
     clock = HandClock()
-    running = begin(long_order, limits=JUDGED, clock=clock)
+    running = begin(long_order, settings=JUDGED, clock=clock)
     running.until_moving()
     for _ in range(3):
         clock.now_s += 10.0  # as after a suspension of the process
@@ -521,7 +529,7 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, jou
 
 
 def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     running.measurement.pause()
     running.until_state("paused")
@@ -540,7 +548,7 @@ def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, jou
 def test_a_long_silence_is_a_fault_with_the_feed_held(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     tracker.silent = True
     running.pass_until(lambda: len(journal.faults) == 2)
@@ -554,7 +562,7 @@ def test_a_long_silence_is_a_fault_with_the_feed_held(
 def test_a_lost_beam_holds_until_somebody_resumes(
     begin, long_order, tracker, motion, journal
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     tracker.beam = False
     running.pass_until(lambda: "paused" in journal.states)
@@ -574,7 +582,7 @@ def test_a_tracker_that_never_sends_is_a_fault_before_the_path_starts(
     begin, order, tracker, motion, journal
 ):
     tracker.silent = True
-    running = begin(order, limits=JUDGED, clock=HandClock())
+    running = begin(order, settings=JUDGED, clock=HandClock())
     running.pass_until(lambda: bool(journal.of(RunClosed)))
     assert running.ended() == "faulted"
     assert journal.faults[-1] == "tracker-silent"
@@ -585,7 +593,7 @@ def test_a_tracker_without_a_beam_fails_before_the_path_starts(
     begin, order, tracker, motion, journal
 ):
     tracker.beam = False
-    running = begin(order, limits=JUDGED, clock=HandClock())
+    running = begin(order, settings=JUDGED, clock=HandClock())
     running.pass_until(lambda: bool(journal.of(RunClosed)))
     assert "beam-lost" in journal.faults
     assert running.ended() == "failed"
@@ -685,7 +693,7 @@ def test_a_pause_is_kept_against_a_release_at_the_machine(
 
 
 def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     motion.ignores_hold = True
     running.measurement.pause()
@@ -695,7 +703,7 @@ def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal
 
 
 def test_a_resume_that_is_not_obeyed_stays_a_pause(begin, long_order, motion, journal):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     running.measurement.pause()
     running.until_state("paused")
@@ -724,7 +732,7 @@ def test_a_controller_out_of_reach_for_a_moment_is_borne(
 def test_a_controller_out_of_reach_for_long_is_a_fault(
     begin, long_order, motion, journal
 ):
-    running = begin(long_order, limits=JUDGED, clock=HandClock())
+    running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     motion.out_of_reach = True
     running.pass_until(lambda: bool(journal.faults))
@@ -855,7 +863,7 @@ def test_a_run_file_that_exists_is_never_overwritten(begin, order, journal, tmp_
 
 
 def test_rows_are_put_into_the_axis_order_of_the_controller(square):
-    turned = arranged(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))
+    turned = arrange_axes(square, ("Z", "C", "X", "Y"), (1.0, 2.0, 3.0, 4.0))
     np.testing.assert_array_equal(turned.position[:, 0], square.position[:, 2])
     np.testing.assert_array_equal(turned.position[:, 1], np.full(4, 2.0))
     np.testing.assert_array_equal(turned.position[:, 2:], square.position[:, :2])
@@ -863,4 +871,4 @@ def test_rows_are_put_into_the_axis_order_of_the_controller(square):
 
 def test_an_axis_that_the_controller_lacks_is_named(square):
     with pytest.raises(Fault, match="axes X, Y, none is Z"):
-        arranged(square, ("X", "Y"), (0.0, 0.0))
+        arrange_axes(square, ("X", "Y"), (0.0, 0.0))

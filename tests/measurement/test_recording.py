@@ -19,8 +19,8 @@ import pytest
 from app.errors import BundleError, MeasurementFailed
 from app.measurement import recorder as recorder_module
 from app.measurement.recorder import Recorder
-from app.measurement.recording import link_bytes, open_run, settle
-from app.measurement.run_database import sha256_of
+from app.measurement.recording import open_run, repair_run
+from app.measurement.run_database import hash_file
 from app.measurement.run_file import RunHeader
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
@@ -105,10 +105,10 @@ def test_points_are_read_back(file, header, square):
     assert run.axis_samples is None
 
 
-def test_the_bytes_of_the_link_are_read_back(recorder, file):
+def test_the_bytes_of_the_link_are_read_back(recorder, file, read_link_bytes):
     fill(recorder, 3)
     recorder.close("finished")
-    assert link_bytes(file) == b"000" * 20 + b"001" * 20 + b"002" * 20
+    assert read_link_bytes(file) == b"000" * 20 + b"001" * 20 + b"002" * 20
 
 
 def test_a_closed_run_is_one_signed_read_only_file(recorder, file):
@@ -116,7 +116,7 @@ def test_a_closed_run_is_one_signed_read_only_file(recorder, file):
     closed = recorder.close("finished")
     assert [p.name for p in file.parent.iterdir()] == ["monday.sqlite"]
     assert file.stat().st_mode & 0o777 == 0o444
-    assert closed.sha256 == sha256_of(file)
+    assert closed.sha256 == hash_file(file)
     assert (closed.samples, closed.lost_samples, closed.failure) == (1000, 0, "")
 
 
@@ -144,7 +144,7 @@ def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
         database.close()
         seen.append((len(samples), rows[0]))
 
-    recorder = Recorder(file, header, committed=look, reserve_bytes=0)
+    recorder = Recorder(file, header, on_recorded=look, reserve_bytes=0)
     for i in range(3):
         recorder.put_tracker(block(50 * i))
     recorder.close("finished")
@@ -152,11 +152,26 @@ def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
     assert all(on_disk >= 50 * (i + 1) for i, (_, on_disk) in enumerate(seen))
 
 
-def test_an_empty_block_is_nothing(recorder, file):
+def test_a_display_that_fails_does_not_stop_the_recording(file, header, caplog):
+    def fail(samples: TrackerSamples) -> None:
+        raise ValueError("no screen")
+
+    recorder = Recorder(file, header, on_recorded=fail, reserve_bytes=0, queue_items=3)
+    for i in range(20):
+        recorder.put_tracker(block(50 * i))
+    closed = recorder.close("finished")
+    assert closed.failure == ""
+    assert closed.samples == len(open_run(file).tracker) == 1000
+    assert [r.getMessage() for r in caplog.records] == [
+        "recorded samples cannot be shown; recording goes on"
+    ]
+
+
+def test_an_empty_block_is_nothing(recorder, file, read_link_bytes):
     recorder.put_tracker(TrackerSamples.empty())
     recorder.put_tracker(TrackerSamples.empty(), b"noise")
     recorder.close("finished")
-    assert link_bytes(file) == b"noise"
+    assert read_link_bytes(file) == b"noise"
 
 
 def test_a_file_that_exists_is_not_touched(recorder, file, header):
@@ -183,9 +198,9 @@ def test_a_disk_that_fills_up_is_noticed_in_time(file, header, monkeypatch):
     free[0] = 1 << 20
     recorder.put_tracker(block(50))
     deadline_s = time.monotonic() + 5.0
-    while not recorder.low_space and time.monotonic() < deadline_s:
+    while not recorder.is_space_low and time.monotonic() < deadline_s:
         time.sleep(0.005)
-    assert recorder.low_space
+    assert recorder.is_space_low
     assert recorder.close("failed").failure == ""
 
 
@@ -232,7 +247,7 @@ def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
         recorder.put_tracker(block(50 * i))
     with pytest.raises(MeasurementFailed, match="too slow: 4 batches wait"):
         recorder.put_tracker(block(250))
-    assert recorder.strained
+    assert recorder.is_strained
     go_on.set()
     closed = recorder.close("failed")
     assert "too slow" in closed.failure
@@ -262,7 +277,7 @@ def test_a_run_that_somebody_reads_cannot_be_sealed(recorder, file):
     assert closed.sha256 == ""
     assert "open elsewhere" in closed.failure or "locked" in closed.failure
     assert len(open_run(file).tracker) == 100
-    assert settle(file).sha256
+    assert repair_run(file).sha256
 
 
 WRITER = """
@@ -280,7 +295,7 @@ mill = Machine("m", (), ("X", "Y", "Z"), axes, (Target("", "tool", (0, 0, 0)),),
 path = Lines(("X", "Y", "Z"), np.zeros((2, 3)), np.ones(2), np.zeros(2))
 header = RunHeader("killed", mill, path, 500.0, {{}}, ("X", "Y", "Z"))
 tell = lambda samples: print(samples.sequence[-1], flush=True)
-recorder = Recorder(Path({file!r}), header, committed=tell, reserve_bytes=0)
+recorder = Recorder(Path({file!r}), header, on_recorded=tell, reserve_bytes=0)
 first = 0
 while True:
     s = np.arange(first, first + 50)
@@ -320,12 +335,12 @@ def test_nothing_committed_is_lost_when_the_writer_is_killed(killed):
 
 def test_a_killed_run_is_settled_into_one_file(killed):
     file, last = killed
-    closed = settle(file)
+    closed = repair_run(file)
     assert closed.samples > last
     assert closed.lost_samples == 0
     assert closed.failure == ""
     assert [p.name for p in file.parent.iterdir()] == [file.name]
-    assert settle(file) == closed
+    assert repair_run(file) == closed
     assert len(open_run(file).tracker) == closed.samples
 
 
@@ -409,13 +424,13 @@ def test_a_damaged_run_is_salvaged_and_kept_as_torn(closed_file):
     damaged_at = block(1000 + 50 * 7).position_mm[10].tobytes()
     damage(closed_file, damaged_at)
     before = closed_file.read_bytes()
-    closed = settle(closed_file)
+    closed = repair_run(closed_file)
     assert "CRC does not match" in closed.failure
     assert closed.samples == 39 * 50
     assert closed.lost_samples == 50
     torn = closed_file.with_name("monday.sqlite.torn")
     assert torn.read_bytes() == before
-    assert closed.sha256 == sha256_of(closed_file)
+    assert closed.sha256 == hash_file(closed_file)
     run = open_run(closed_file)
     assert len(run.tracker) == 39 * 50
     assert [e.kind for e in run.events] == ["start", "gap"]
@@ -428,7 +443,7 @@ def test_a_damaged_killed_run_keeps_its_log_as_well(killed):
     shutil.copy(log, log.with_suffix(".kept"))
     with sqlite3.connect(file) as database:
         database.execute("UPDATE batch SET crc32 = 0 WHERE seq0 = 100")
-    settle(file)
+    repair_run(file)
     database.close()
     assert len(open_run(file).tracker) > 100
     assert file.with_name(file.name + ".torn").exists()

@@ -1,4 +1,4 @@
-"""The controller as the engine sees it: watched, fed with beats, noted down."""
+"""Watches the controller: feeds its watchdog, reads its state, records its position."""
 
 from __future__ import annotations
 
@@ -8,34 +8,35 @@ from collections.abc import Callable
 import numpy as np
 
 from app.errors import MeasurementFailed
-from app.measurement.faults import fault_of
-from app.measurement.limits import Limits
+from app.measurement.clocks import Stopwatch
+from app.measurement.engine_settings import EngineSettings
+from app.measurement.faults import classify_fault
 from app.measurement.recorder import Recorder
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import AxisSamples, MotionStatus
 
 
-class MotionWatch:
+class ControllerMonitor:
     """Reads a controller that may be out of reach for a moment.
 
-    position : where the axes were when last seen
+    position : where the axes were at the last reading
     """
 
     def __init__(
         self,
         motion: MotionController,
         recorder: Recorder,
-        limits: Limits,
+        settings: EngineSettings,
         clock: Callable[[], float],
     ) -> None:
         self._motion, self._recorder = motion, recorder
-        self._limits, self._clock = limits, clock
-        self._unreached_s: float | None = None
+        self._settings, self._clock = settings, clock
+        self._out_of_reach = Stopwatch(clock)
         self._rows: list[tuple[float, ...]] = []
         self.position: tuple[float, ...] = ()
 
-    def look(self) -> MotionStatus | None:
+    def poll(self) -> MotionStatus | None:
         """Feed the watchdog and read the controller; None if it did not answer.
 
         Raises Fault once it has been out of reach for too long.
@@ -44,25 +45,23 @@ class MotionWatch:
             self._motion.beat()
             status = self._motion.status()
         except (ConnectionLost, DeviceTimeout) as error:
-            now_s = self._clock()
-            self._unreached_s = self._unreached_s or now_s
-            if now_s - self._unreached_s > self._limits.link_s:
-                raise fault_of(error) from error
+            if self._out_of_reach.measure_s() > self._settings.link_s:
+                raise classify_fault(error) from error
             return None
-        self._unreached_s = None
+        self._out_of_reach.reset()
         self.position = status.position
         self._rows.append((self._clock(), *status.position))
-        if len(self._rows) >= self._limits.axes_rows:
+        if len(self._rows) >= self._settings.axes_rows:
             self._write()
         return status
 
     def command(self, verb: Callable[[], None]) -> None:
-        """Tell the controller. Out of reach is for `look` to notice; ask again then."""
+        """Send a command. If the controller is out of reach, `poll` notices it."""
         with contextlib.suppress(ConnectionLost, DeviceTimeout):
             verb()
 
     def flush(self) -> None:
-        """Write the positions that wait. Never raises."""
+        """Record the positions that wait. Never raises."""
         with contextlib.suppress(MeasurementFailed):
             self._write()
 

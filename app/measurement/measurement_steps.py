@@ -1,6 +1,6 @@
 """The steps that every measurement is made of.
 
-All waiting of a measurement happens in the `tick` of its watch, which every step that
+All waiting of a measurement happens in the `tick` of its monitor, which every step that
 waits calls again and again.
 """
 
@@ -14,18 +14,18 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.control import Control, HoldReason
 from app.measurement.faults import NO_BEAM, UNSTOPPED, Fault
+from app.measurement.measurement_monitor import MeasurementMonitor
+from app.measurement.measurement_state import HoldReason, MeasurementState
 from app.measurement.messages import PartRequested, ReportEvent
-from app.measurement.progress import Schedule
+from app.measurement.progress import RowSchedule
 from app.measurement.recorder import Recorder
-from app.measurement.watch import Watch
 from app.motion.configurations import Commanded
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import MotionState, MotionStatus, Path
 
-_STANDS = frozenset(
+_STANDING = frozenset(
     {
         MotionState.IDLE,
         MotionState.READY,
@@ -35,8 +35,8 @@ _STANDS = frozenset(
 )
 
 
-class Session:
-    """One measurement under way, as its engine sees it.
+class MeasurementSteps:
+    """The steps of one measurement under way.
 
     `pause`, `resume`, `extend` and `conclude` may be called by any thread; everything
     else belongs to the thread of the engine.
@@ -44,20 +44,22 @@ class Session:
 
     def __init__(
         self,
-        watch: Watch,
+        monitor: MeasurementMonitor,
         motion: MotionController,
         recorder: Recorder,
-        control: Control,
+        control: MeasurementState,
         report: ReportEvent,
     ) -> None:
-        self.motion, self.limits = motion, watch.limits
-        self._watch, self._course, self._clock = watch, watch.course, watch.clock
+        self.motion, self.settings = motion, monitor.settings
+        self._monitor, self._progress, self._clock = (
+            monitor,
+            monitor.progress,
+            monitor.clock,
+        )
         self._recorder, self._control, self._report = recorder, control, report
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self._concluding = threading.Event()
         self._concluded_row: int | None = None
-
-    # What an engine does.
 
     def approach(self, position: NDArray[np.float64], feed_mm_min: float) -> None:
         """Move straight to a position and wait there."""
@@ -67,13 +69,13 @@ class Session:
 
     def open_stream(self, rate_hz: float) -> None:
         """Start the tracker's stream and record `lead_s` of it before any motion."""
-        self._watch.begin_stream(rate_hz)
-        self.record_for(self.limits.lead_s)
+        self._monitor.begin_stream(rate_hz)
+        self.record_for(self.settings.lead_s)
 
     def run_path(self, path: Path) -> None:
         """Start the loaded path and follow it to its end."""
         self.checkpoint()
-        self._course.begin(self._course.first_row)
+        self._progress.begin(self._progress.first_row)
         self._recorder.event("start", "cycle start")
         self.motion.start()
         self.wait_motion(path.position[-1], lambda now: self._is_line_done(now, path))
@@ -85,79 +87,81 @@ class Session:
     ) -> None:
         """Wait until the machine stands where it was sent.
 
-        may_end : tells while the machine moves whether the rest is to be left out
+        may_end : tells for a status whether the rest is to be left out now
 
         Raises Fault if it stands elsewhere: the motion ended early.
         """
-        grace_by_s = self._clock() + self.limits.confirm_s
+        grace_by_s = self._clock() + self.settings.confirm_s
         while True:
-            status = self._watch.tick()
+            status = self._monitor.tick()
             if status is not None and may_end(status):
                 self._end_motion()
                 return
-            if status is None or status.state not in _STANDS or self._control.standing:
+            if (
+                status is None
+                or status.state not in _STANDING
+                or self._control.must_stand
+            ):
                 if status is not None and status.state is MotionState.RUNNING:
-                    grace_by_s = self._clock() + 10 * self.limits.poll_s
+                    grace_by_s = self._clock() + 10 * self.settings.poll_s
                 continue
-            away = np.abs(np.array(status.position) - goal)
-            if (away <= self.limits.arrival).all():
+            distance = np.abs(np.array(status.position) - goal)
+            if (distance <= self.settings.arrival).all():
                 return
             if status.state is MotionState.ABORTED or self._clock() > grace_by_s:
-                raise self._ended_early(status, goal)
+                raise self._make_ended_early_fault(status, goal)
 
     def record_for(self, device_s: float) -> None:
         """Stand and let the stream run for so long on the tracker's clock.
 
         After a pause it starts over: what came before may lack the beam.
         """
-        begin_s = self._watch.device_s
-        while self._watch.device_s - begin_s < device_s:
-            self._watch.tick()
-            if self._control.standing:
+        begin_s = self._monitor.device_s
+        while self._monitor.device_s - begin_s < device_s:
+            self._monitor.tick()
+            if self._control.must_stand:
                 self.checkpoint()
-                begin_s = self._watch.device_s
+                begin_s = self._monitor.device_s
 
     def checkpoint(self) -> None:
-        """Stand here for as long as the operator wishes."""
-        self._watch.tick()
-        while self._control.standing:
-            self._watch.tick()
+        """Stand here for as long as a hold lasts."""
+        self._monitor.tick()
+        while self._control.must_stand:
+            self._monitor.tick()
 
     def begin_row(self, row: int) -> None:
-        """Note that the machine is sent to this row of its part now."""
-        self._course.begin(self._course.first_row + row)
+        """Note that the machine moves to this row of its part now."""
+        self._progress.begin(self._progress.first_row + row)
 
-    def point_done(self, row: int) -> None:
-        """Write down that a standstill point has been measured."""
-        number = self._course.first_row + row + 1
+    def record_point(self, row: int) -> None:
+        """Record that a standstill point has been measured."""
+        number = self._progress.first_row + row + 1
         self._recorder.event(
-            "point", f"row {number} until {self._watch.device_s:.6f} s"
+            "point", f"row {number} until {self._monitor.device_s:.6f} s"
         )
 
     def wait_for_part(self) -> Commanded | None:
-        """Stand and ask for a further part; None if enough is known."""
+        """Stand and request a further part; None if enough is known."""
         if not self.is_concluding:
-            self.record_for(self.limits.settle_s)  # what the last row told goes first
-            self._report(PartRequested(self._course.row))
+            self.record_for(self.settings.settle_s)  # the data of the last row go first
+            self._report(PartRequested(self._progress.row))
         while not self.is_concluding:
-            self._watch.tick()
-            if not self._control.standing and not self._parts.empty():
+            self._monitor.tick()
+            if not self._control.must_stand and not self._parts.empty():
                 return self._parts.get_nowait()
         return None
 
-    def add_rows(self, commanded: Commanded, schedule: Schedule) -> None:
-        """Write down that more is commanded, the earlier rows included."""
+    def add_rows(self, commanded: Commanded, schedule: RowSchedule) -> None:
+        """Record that more is commanded; the earlier rows are included."""
         self._recorder.extend(commanded)
-        self._course.extend(schedule)
+        self._progress.extend(schedule)
 
     def finish(self) -> None:
         """Record `lead_s` after the last motion."""
-        self._course.end()
-        begin_s = self._watch.device_s
-        while self._watch.device_s - begin_s < self.limits.lead_s:
-            self._watch.tick()
-
-    # What anybody may wish.
+        self._progress.end()
+        begin_s = self._monitor.device_s
+        while self._monitor.device_s - begin_s < self.settings.lead_s:
+            self._monitor.tick()
 
     def pause(self) -> None:
         """Feed hold, now. The state is `paused` once the controller confirms."""
@@ -166,17 +170,17 @@ class Session:
 
     def resume(self) -> None:
         """Go on after a pause, a lost beam or a hold at the machine."""
-        if not self._watch.is_beam_good:
-            self._watch.tell(NO_BEAM)
+        if not self._monitor.is_beam_good:
+            self._monitor.report_fault(NO_BEAM)
             return
         self._control.release(*HoldReason, text="resume")
 
     def extend(self, part: Commanded) -> None:
-        """Go on with a further part, as soon as the machine stands and asks."""
+        """Go on with a further part once it has been requested."""
         self._parts.put(part)
 
     def conclude(self) -> None:
-        """Enough is known: finish the line or point under way, leave out the rest."""
+        """Finish the line or point under way, leave out the rest."""
         self._concluding.set()
 
     @property
@@ -185,36 +189,38 @@ class Session:
         return self._concluding.is_set()
 
     def leave_out_rest(self) -> None:
-        """Write down that the rest of the rows is not driven."""
-        self._course.is_cut_short = True
-        text = f"row {self._course.row + 1}: enough is known, the rest is left out"
+        """Record that the rest of the rows is not driven."""
+        self._progress.is_cut_short = True
+        text = f"row {self._progress.row + 1}: enough is known, the rest is left out"
         self._recorder.event("concluded", text)
 
     def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
-        """Tell whether the line that was under way at the wish has been driven."""
-        moving = status.state is MotionState.RUNNING and not self._control.standing
+        """Tell whether the line that was under way at `conclude` has been driven."""
+        moving = status.state is MotionState.RUNNING and not self._control.must_stand
         if not self.is_concluding or not moving:
             return False
         if self._concluded_row is None:
             self._concluded_row = status.line
-        away = np.abs(np.array(status.position) - path.position[status.line])
-        arrived = bool((away <= self.limits.arrival).all())
+        distance = np.abs(np.array(status.position) - path.position[status.line])
+        arrived = bool((distance <= self.settings.arrival).all())
         return arrived or status.line > self._concluded_row
 
     def _end_motion(self) -> None:
         """Let the controller forget the rest of its path; wait until it stands."""
         self.leave_out_rest()
-        stand_by_s = self._clock() + self.limits.confirm_s
+        stand_by_s = self._clock() + self.settings.confirm_s
         while True:
             with contextlib.suppress(ConnectionLost, DeviceTimeout):
                 self.motion.abort()
-            status = self._watch.tick()
-            if status is not None and status.state in _STANDS:
+            status = self._monitor.tick()
+            if status is not None and status.state in _STANDING:
                 return
             if self._clock() > stand_by_s:
                 raise UNSTOPPED
 
-    def _ended_early(self, status: MotionStatus, goal: NDArray[np.float64]) -> Fault:
+    def _make_ended_early_fault(
+        self, status: MotionStatus, goal: NDArray[np.float64]
+    ) -> Fault:
         here = ", ".join(
             f"{axis} {value:.3f}"
             for axis, value in zip(self.motion.axes, status.position, strict=True)

@@ -35,10 +35,10 @@ class HoldReason(StrEnum):
 
 
 # What a controller says of a hold that we have asked for.
-_OURS = frozenset({"", "command"})
+_OWN_HOLDS = frozenset({"", "command"})
 
 
-class Control:
+class MeasurementState:
     """State of one measurement.
 
     changed : told every new state with a text, by the thread that caused it
@@ -58,7 +58,7 @@ class Control:
         return self._state
 
     @property
-    def standing(self) -> bool:
+    def must_stand(self) -> bool:
         """Whether the machine must not be moved now."""
         return self._state is not CellState.RUNNING
 
@@ -99,8 +99,8 @@ class Control:
             running = motion is MotionState.RUNNING
             if running:
                 self._holds.discard(HoldReason.MACHINE)
-            elif held and self._is_foreign(hold_reason):
-                self._stand_by_machine(f"held at the machine: {hold_reason}")
+            elif held and self._is_external_hold(hold_reason):
+                self._hold_by_machine(f"held at the machine: {hold_reason}")
             if self._state is CellState.PAUSING and not running:
                 self._enter(CellState.PAUSED, "")
             if self._state is CellState.PAUSED and not self._holds:
@@ -115,22 +115,22 @@ class Control:
         """Give up resuming: the controller keeps holding."""
         with self._lock:
             if self._state is CellState.RESUMING:
-                self._stand_by_machine(text)
+                self._hold_by_machine(text)
 
     def end(self, state: CellState, text: str) -> None:
         """Enter a final state."""
         with self._lock:
             self._enter(state, text)
 
-    def _is_foreign(self, hold_reason: str) -> bool:
+    def _is_external_hold(self, hold_reason: str) -> bool:
         """Tell whether a hold is none that we have asked for."""
         if self._state is CellState.RUNNING:
             return True
         # A person who resumes takes back what the machine still says for a moment.
         asked = self._state is CellState.RESUMING and self._may_release_machine
-        return hold_reason not in _OURS and not asked
+        return hold_reason not in _OWN_HOLDS and not asked
 
-    def _stand_by_machine(self, text: str) -> None:
+    def _hold_by_machine(self, text: str) -> None:
         self._holds.add(HoldReason.MACHINE)
         if self._state in (CellState.RUNNING, CellState.RESUMING):
             self._enter(CellState.PAUSED, text)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class StreamTimeouts:
     """For how long, in seconds that the host has run, a stream may be less than good.
 
     late_s : what counts at most of a time in which the host did not run: a suspended or
@@ -20,7 +20,7 @@ class Patience:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class EngineSettings:
     """Times of the host in seconds where nothing else is said.
 
     confirm_s : a hold, a cycle start or a resume is confirmed by then
@@ -40,4 +40,4 @@ class Limits:
     arrival: float = 0.02
     progress_s: float = 0.2
     axes_rows: int = 10
-    patience: Patience = field(default_factory=Patience)
+    timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)

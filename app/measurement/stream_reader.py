@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from app.measurement.recorder import Recorder
-from app.measurement.stream_watch import StreamWatch
+from app.measurement.stream_monitor import StreamMonitor
 from drivers.interfaces.link import ByteLink
 from drivers.interfaces.records import TrackerSamples
 from drivers.interfaces.tracker import Tracker
@@ -16,7 +16,7 @@ BATCH_S = 0.1  # that is committed at once
 READ_S = 0.02  # between looks at the tracker
 
 
-class Pump:
+class StreamReader:
     """Reads blocks of some 20 ms and hands batches of some 100 ms to the recorder.
 
     clock : stamps what has come, for the watch
@@ -26,10 +26,10 @@ class Pump:
         self,
         tracker: Tracker,
         recorder: Recorder,
-        watch: StreamWatch,
+        monitor: StreamMonitor,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._tracker, self._recorder, self._watch = tracker, recorder, watch
+        self._tracker, self._recorder, self._monitor = tracker, recorder, monitor
         self._clock = clock
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pump", daemon=True)
@@ -70,7 +70,7 @@ class Pump:
         end_s = time.monotonic() + BATCH_S
         while (left_s := end_s - time.monotonic()) > 0 and not self._stopping.is_set():
             block = self._tracker.read(left_s)
-            self._watch.seen(block, self._clock())
+            self._monitor.add_block(block, self._clock())
             blocks.append(block)
             self._stopping.wait(READ_S)
         self._hand_over(blocks)
