@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import pathlib
 import sqlite3
 import threading
 import time
@@ -46,7 +47,7 @@ def no_thread_is_left_over() -> Iterator[None]:
 
 @pytest.fixture
 def calm() -> EngineSettings:
-    """Patience that no loaded machine wears out."""
+    """Timeouts that a busy computer does not reach."""
     return EngineSettings(
         poll_s=0.02,
         confirm_s=30.0,
@@ -59,10 +60,10 @@ def calm() -> EngineSettings:
 
 
 @pytest.fixture
-def read_link_bytes() -> Callable[[str | FilePath], bytes]:
+def read_link_bytes() -> Callable[[str | pathlib.Path], bytes]:
     """Read the bytes that the tracker's port received from a closed Run."""
 
-    def read(file: str | FilePath) -> bytes:
+    def read(file: str | pathlib.Path) -> bytes:
         database = sqlite3.connect(file)
         query = "SELECT payload FROM batch WHERE stream = ? ORDER BY seq0"
         rows = database.execute(query, (LINK_STREAM,)).fetchall()
