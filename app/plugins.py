@@ -22,11 +22,3 @@ def load(group: str, name: str) -> Any:
             f"installed: {', '.join(sorted(known)) or 'none'}"
         )
     return known[name].load()
-
-
-def effect_families() -> dict[str, Any]:
-    """Return the factories of all families of effects, by name."""
-    return {
-        name: load("truepath.effects", name)
-        for name in sorted(installed("truepath.effects"))
-    }

@@ -9,8 +9,8 @@ import re
 import sys
 from pathlib import Path
 
-from app.discovery.candidate_term import list_families
-from app.kinematics.effects.catalogue import Described, Family
+from app.kinematics.effects.catalogue import Family
+from app.kinematics.effects.installed import list_families
 
 PAGE = Path(__file__).with_name("discovery.md")
 _PLACE = re.compile(
@@ -19,9 +19,9 @@ _PLACE = re.compile(
 
 
 def _row(family: Family) -> str:
-    words = family.signature
+    words = family.words["en"]
     home = "machine" if family.in_machine else "measurement"
-    name = f"`{family.name}`" + (" *" if isinstance(family, Described) else "")
+    name = f"`{family.name}`" + (" *" if not family.names_cause else "")
     cells = (name, words.cause, words.looks_like, words.remedy, home)
     return f"| {' | '.join(cells)} |"
 

@@ -19,7 +19,7 @@ from app.compensation.order import CompensationOrder
 from app.compensation.places import positions, without_rigid
 from app.compensation.source import Source
 from app.files.units import UM_PER_MM
-from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.catalogue_effect import CatalogueEffect
 from app.kinematics.symbols import is_positioning
 
 _NOTHING_MM = 1e-9
@@ -34,7 +34,7 @@ class Carried:
         where it depends on speed, temperature or the way since a reversal
     """
 
-    effect: Catalogued
+    effect: CatalogueEffect
     before_um: float
     after_um: float
 
@@ -82,7 +82,7 @@ def _rms(
     return float(np.sqrt(3.0 * np.mean(every**2)))
 
 
-def _without(source: Source, effect: Catalogued) -> Source:
+def _without(source: Source, effect: CatalogueEffect) -> Source:
     """Return the source as if the effect were not there."""
     theta = source.result.theta.copy()
     theta[source.result.model.slices[effect.name]] = 0.0

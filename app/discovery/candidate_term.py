@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, in_run
-from app.kinematics.effects.catalogue import Candidate, Described, Family, Scan, Wave
-from app.kinematics.effects.of_run import OfRun
-from app.plugins import effect_families
+from app.kinematics.effects.base import Effect, name_in_run
+from app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave
+from app.kinematics.effects.of_run import EffectOfRun
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,12 @@ class CandidateTerm:
     def effect(self) -> Effect:
         """The candidate's effect, in its Run."""
         effect = self.candidate.effect
-        return effect if self.run is None else OfRun(effect, self.run)
+        return effect if self.run is None else EffectOfRun(effect, self.run)
 
     @property
     def label(self) -> str:
         """Name and keys, and the number of the Run beyond the first."""
-        return in_run(self.candidate.label, self.run or 0)
+        return name_in_run(self.candidate.label, self.run or 0)
 
     @property
     def size(self) -> int:
@@ -55,7 +54,7 @@ class CandidateTerm:
     @property
     def has_cause(self) -> bool:
         """Whether the family is a physical cause; else it only describes structure."""
-        return not isinstance(self.family, Described)
+        return self.family.names_cause
 
     @property
     def is_fast(self) -> bool:
@@ -68,17 +67,13 @@ class CandidateTerm:
 
     def wave(self, at: Conditions) -> Wave | None:
         """Return the scan as a wave, if it is one."""
-        return self.family.wave(self.candidate, at)
+        return self.family.find_wave(self.candidate, at)
 
     def with_value(self, at: Conditions, value: float) -> CandidateTerm:
         """Return the term with another scanned value."""
-        return replace(self, candidate=self.family.at_value(self.candidate, at, value))
-
-
-def list_families(*, with_squareness: bool = True) -> tuple[Family, ...]:
-    """Return one of each installed family of effects, in the order of their names."""
-    made = (make() for make in effect_families().values())
-    return tuple(f for f in made if with_squareness or f.name != "squareness")
+        return replace(
+            self, candidate=self.family.with_value(self.candidate, at, value)
+        )
 
 
 def propose_terms(
@@ -91,7 +86,7 @@ def propose_terms(
     of_machine: set[str] = set()
     for run, conditions in enumerate(at):
         for family in families:
-            for candidate in family.candidates(conditions):
+            for candidate in family.propose(conditions):
                 if not family.outlasts(candidate, conditions.machine):
                     yield CandidateTerm(family, candidate, run)
                 elif candidate.label not in of_machine:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from app.alignment.surroundings import with_pose
 from app.discovery.aligned_run import AlignedRun, align_runs
-from app.discovery.candidate_term import list_families
 from app.discovery.findings import Finding, state_findings
 from app.discovery.gap import Gap, measure_gap
 from app.discovery.residual_location import RunResidual, locate_residuals
@@ -23,6 +22,7 @@ from app.estimation.baseline import (
 )
 from app.files.one_machine import one_machine
 from app.files.run import Run
+from app.kinematics.effects.installed import list_families
 from app.progress import ShareProgress, ignore_progress
 
 
@@ -76,7 +76,11 @@ def discover(
     baseline = fit_baseline(machine, [a.coarse for a in aligned], reference)
     on_progress(0.35)
     # A fitted baseline has every squareness already.
-    families = list_families(with_squareness=reference is not None)
+    families = [
+        family
+        for family in list_families()
+        if reference is not None or not family.is_rigid_body
+    ]
     fitter = TermFitter(_run_data(aligned, baseline), baseline.prior, families)
     best = TermSearch(fitter).add_terms()
     on_progress(0.6)

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from app.discovery.discover import Discovery, Finding
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.model import MachineModel
 
 
@@ -73,9 +73,8 @@ def baseline_model(found: Discovery) -> ExtendedModel:
 def _make_effect(finding: Finding, model: MachineModel) -> Effect | None:
     """Return the effect as part of a model; None if it ends with its Run."""
     family, candidate = finding.family, finding.candidate
-    if not family.in_machine:
-        return None
-    return catalogued(family, model.machine, candidate.keys, family.kept(candidate))
+    numbers = family.list_numbers(candidate)
+    return restore_effect(family, model.machine, candidate.keys, numbers)
 
 
 def _join(effects: list[Effect], base: MachineModel) -> MachineModel:

@@ -10,7 +10,12 @@ from jaxtyping import Float64
 from app.discovery.candidate_term import CandidateTerm
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
-from app.kinematics.effects.catalogue import Candidate, Described, Family, Measured
+from app.kinematics.effects.catalogue import (
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+)
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,7 @@ class Finding:
     """
 
     term: CandidateTerm
-    parameters: dict[str, Measured]
+    parameters: dict[str, Quantity]
     theta: Float64[np.ndarray, " p"]
     covariance: Float64[np.ndarray, "p p"]
     evidence: Evidence
@@ -57,9 +62,9 @@ class Finding:
         return self.term.candidate
 
     @property
-    def structure(self) -> Described | None:
+    def structure(self) -> Family | None:
         """Its family, if it is structure without a catalogued cause."""
-        return self.family if isinstance(self.family, Described) else None
+        return None if self.family.names_cause else self.family
 
 
 def state_findings(
@@ -84,7 +89,9 @@ def _state(
         covariance = term.covariance
     return Finding(
         term,
-        term.family.parameters(term.candidate, theta, covariance, term.value_sigma),
+        term.family.state(
+            CandidateEstimate(term.candidate, theta, covariance, term.value_sigma)
+        ),
         theta,
         covariance,
         _evidence(log_bayes, baseline.misfit, without.misfit, best.misfit),

@@ -18,7 +18,7 @@ from app.discovery.candidate_term import CandidateTerm
 from app.discovery.evidence import log_bayes
 from app.discovery.residual import Residual
 from app.discovery.spectrum import transform
-from app.kinematics.effects.catalogue import Scan, Wave, averaged
+from app.kinematics.effects.catalogue import Scan, Wave, attenuation
 
 _RATES = 8  # groups of cells of similar rate
 _FINER = 17  # values between neighbours of a scan's best one
@@ -134,7 +134,7 @@ def _wave_sums(
         rate = float(np.mean(wave.rate[cells]))
         angular_rate = 2.0 * np.pi * wave.waves * rate
         span_s = np.full(len(angular_rate), float(np.mean(span[cells])))
-        kept = averaged(angular_rate, span_s)
+        kept = attenuation(angular_rate, span_s)
         products += kept * transform(wave.coordinate[cells], data[cells], wave.waves)
         share = 1.0 / (1.0 + residual.ou_density(wave.waves * rate))
         information += 0.5 * kept**2 * share * float(weight[cells].sum())

@@ -15,7 +15,7 @@ from app.alignment.reduction import beam_frame
 from app.estimation.noise import NoiseModel
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
-from app.kinematics.effects.of_run import OfRun
+from app.kinematics.effects.of_run import EffectOfRun
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
@@ -47,7 +47,9 @@ class Base:
     @property
     def poses(self) -> tuple[Effect, ...]:
         """Where the tracker stands, in each Run."""
-        return tuple(OfRun(TrackerPose(self.centre_mm), k) for k in range(self.runs))
+        return tuple(
+            EffectOfRun(TrackerPose(self.centre_mm), k) for k in range(self.runs)
+        )
 
 
 class FastSums(Protocol):

@@ -23,7 +23,7 @@ from app.estimation.noise_fit import first_noise, looked_at
 from app.estimation.prior import BendingPrior, first_guess, fitted
 from app.estimation.runs import Measured
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.of_run import OfRun
+from app.kinematics.effects.of_run import EffectOfRun
 from app.kinematics.effects.time_spline import time_splines
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -150,7 +150,7 @@ def _fit_noise(
 ) -> tuple[Measured, ...]:
     """Return the Runs with pose and noise beside effects and what changes slowly."""
     slow = [
-        OfRun(spline, number)
+        EffectOfRun(spline, number)
         for number, run in enumerate(runs)
         for spline in time_splines(run.seen.at, _knot_spacing_s(run.seen))
     ]

@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from scipy.special import chdtrc
 
 from app.estimation.information import Information, Posterior
-from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.catalogue_effect import CatalogueEffect
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 
@@ -57,7 +57,7 @@ class KnownEffects:
     theta : (k,), covariance : (k, k), one effect after another
     """
 
-    effects: tuple[Catalogued, ...] = ()
+    effects: tuple[CatalogueEffect, ...] = ()
     theta: Float64[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
     covariance: Float64[np.ndarray, "k k"] = field(
         default_factory=lambda: np.zeros((0, 0))

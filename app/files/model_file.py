@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from app.errors import BadInput
 from app.files.file_model import FileModel, Text, quote, refuse, validate
@@ -24,13 +24,13 @@ from app.kinematics.conditions import standstill
 from app.kinematics.effects.axis_location import axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import Family
-from app.kinematics.effects.catalogued import Catalogued, catalogued
+from app.kinematics.effects.catalogue_effect import CatalogueEffect, restore_effect
 from app.kinematics.effects.error_motion import error_motion_over
+from app.kinematics.effects.installed import find_family
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, error_motions, unit
-from app.plugins import load
 
 SCHEMA = "model/1"
 _MOST = 20_000  # stated numbers; a larger covariance would not fit in memory
@@ -119,28 +119,23 @@ class NumberFile(FileModel):
 
 
 class CataloguedFile(FileModel):
-    """An effect of the catalogue.
+    """An effect of the catalogue, with the keys of its family.
 
     numbers : make the effect (a lead, a decay)
     values : its linear parameters, in the units that the file states beside them
     """
 
+    model_config = ConfigDict(extra="allow")
+
     effect: Literal["catalogued"]
     name: Text
-    axis: Text | None = None
-    by: Text | None = None
-    direction: Text | None = None
-    motion: Text | None = None
-    plane: Text | None = None
-    symbol: Text | None = None
-    circle: Text | None = None
     numbers: dict[str, float]
     values: list[float]
 
     def restore(self, machine: Machine) -> Stated:
         """Return the effect and its stated values."""
         try:
-            family: Family = load("truepath.effects", self.name)()
+            family = find_family(self.name)
         except BadInput as error:
             remedy = "install what brings this effect"
             raise refuse(str(error), remedy, "name") from error
@@ -152,12 +147,14 @@ class CataloguedFile(FileModel):
 
     def _restore_effect(self, family: Family, machine: Machine) -> Effect:
         """Make the effect, and ask it once: numbers that cannot be show themselves."""
-        keys = self.model_dump(
-            exclude={"effect", "name", "numbers", "values"}, exclude_none=True
-        )
+        stated = self.model_extra or {}
+        keys = {key: stated[key] for key in family.keys if key in stated}
+        for key, text in keys.items():
+            if not isinstance(text, str):
+                raise refuse(f"is {quote(text)}", "write a text", key)
         middle_mm = [[0.5 * (axis.low + axis.high) for axis in machine.axes]]
         try:
-            effect = catalogued(family, machine, keys, self.numbers)
+            effect = restore_effect(family, machine, keys, self.numbers)
             at = standstill(machine, np.array(middle_mm))
             moved = np.zeros(0) if effect is None else effect.jacobian(at)
         except (KeyError, ValueError, ZeroDivisionError) as error:
@@ -330,7 +327,7 @@ def _rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
 
 
 def _effect_json(
-    effect: Effect, known: Catalogued | None, values: Float64[np.ndarray, " s"]
+    effect: Effect, known: CatalogueEffect | None, values: Float64[np.ndarray, " s"]
 ) -> dict[str, Any]:
     """Return one effect with its stated values. known : it, if it has a family."""
     symbol = effect.iso_symbol

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.catalogue_effect import CatalogueEffect
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 
@@ -21,6 +21,13 @@ class MachineModel:
 
     machine: Machine
     effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse effects of one name: their parameters would share a place in θ."""
+        names = [effect.name for effect in self.effects]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"a model has one effect of a name; twice: {twice}")
 
     @cached_property
     def slices(self) -> dict[str, slice]:
@@ -49,9 +56,9 @@ class MachineModel:
         return tuple(e for e in self.effects if isinstance(e, ErrorMotion))
 
     @cached_property
-    def catalogued(self) -> tuple[Catalogued, ...]:
+    def catalogued(self) -> tuple[CatalogueEffect, ...]:
         """The effects of the catalogue, in the order of θ."""
-        return tuple(e for e in self.effects if isinstance(e, Catalogued))
+        return tuple(e for e in self.effects if isinstance(e, CatalogueEffect))
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return ∂(displacement in the workpiece frame, mm)/∂θ."""

@@ -103,7 +103,7 @@ def _describe_finding(finding: Finding, found: Discovery, model: NextModel) -> V
             in_words(name, number.value, number.uncertainty)
             for name, number in finding.parameters.items()
         ),
-        "signature": finding.family.signature,
+        "words": finding.family.words["en"],
         "share": plain(100 * evidence.share, 0),
         "log_bayes": plain(evidence.log_bayes),
         "held_out": plain(evidence.held_out),
@@ -116,9 +116,9 @@ def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
     """Return structure that no effect of the catalogue explains."""
     return [
         {
-            "text": f.structure.told(f.candidate, f.parameters),
+            "text": f.structure.describe(f.candidate, f.parameters),
             "share": plain(100 * f.evidence.share, 0),
-            "signature": f.structure.signature,
+            "words": f.structure.words["en"],
         }
         for f in findings
         if f.structure is not None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from app.kinematics.effects.catalogue import Measured
+from app.kinematics.effects.catalogue import Quantity
 from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import error_motions as symbols_of
 from app.kinematics.symbols import meaning
@@ -162,7 +162,7 @@ def _list_values(findings: Findings, axis: Axis) -> View:
     }
 
 
-def _state_numbers(parameters: Mapping[str, Measured]) -> str:
+def _state_numbers(parameters: Mapping[str, Quantity]) -> str:
     return "; ".join(
         in_words(name, number.value, number.uncertainty)
         for name, number in parameters.items()

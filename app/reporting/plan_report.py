@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from app.kinematics.effects.installed import find_family
 from app.reporting.chart import Scale
 from app.reporting.svg import (
     NUMBER,
@@ -20,7 +21,6 @@ from app.reporting.svg import (
     write_label,
 )
 from app.reporting.templating import render_page
-from app.results.effect_titles import effect_title
 from app.results.model_difference import in_words
 
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
@@ -63,7 +63,7 @@ def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
         )
         for when in ("known_before", "parameters")
     )
-    return effect_title(effect["name"], keys), *numbers
+    return find_family(effect["name"]).title(keys), *numbers
 
 
 def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:

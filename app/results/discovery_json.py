@@ -9,7 +9,7 @@ from typing import Any
 from app.discovery.discover import Discovery
 from app.discovery.findings import Finding
 from app.discovery.residual_location import RunResidual, Segment
-from app.kinematics.effects.catalogue import Candidate, Described
+from app.kinematics.effects.catalogue import Candidate, Family
 from app.kinematics.symbols import is_turn
 from app.results.effects_beside import parameters_json
 
@@ -58,7 +58,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
 
 def effect_json(finding: Finding) -> dict[str, Any]:
     """Return one effect with its parameters and its evidence."""
-    words = finding.family.signature
+    words = finding.family.words["en"]
     return {
         **_key(finding.candidate),
         "parameters": parameters_json(finding.parameters),
@@ -74,14 +74,14 @@ def effect_json(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _unnamed_json(family: Described, finding: Finding) -> dict[str, Any]:
+def _unnamed_json(family: Family, finding: Finding) -> dict[str, Any]:
     amplitude = finding.parameters.get("amplitude_um")
     rms = finding.parameters.get("rms_um")
     size = rms.value if rms else (amplitude.value / 2**0.5 if amplitude else 0.0)
     return {
         "structure": family.name,
-        "depends_on": family.depends_on(finding.candidate),
-        "description": family.told(finding.candidate, finding.parameters),
+        "depends_on": family.list_covariates(finding.candidate),
+        "description": family.describe(finding.candidate, finding.parameters),
         "rms_um": size,
         **{k: v for k, v in effect_json(finding).items() if k not in ("name", "axis")},
     }

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from app.discovery.findings import Finding
 from app.kinematics.effects.catalogue import Candidate
-from app.results.effect_titles import effect_title
+from app.kinematics.effects.installed import find_family
 
 
 def title(candidate: Candidate) -> str:
     """Return an effect in words: `Backlash of Y`."""
-    return effect_title(candidate.family, candidate.keys)
+    return find_family(candidate.family).title(candidate.keys)
 
 
 def others(finding: Finding) -> str:

@@ -15,11 +15,9 @@ from jaxtyping import Float64
 
 from app.estimation.estimate import Estimate
 from app.estimation.known_effects import KnownEffects
-from app.kinematics.effects.catalogue import Measured
-from app.kinematics.effects.catalogued import Catalogued, measured
+from app.kinematics.effects.catalogue import Quantity
+from app.kinematics.effects.catalogue_effect import CatalogueEffect
 from app.kinematics.model import MachineModel
-from app.plugins import load
-from app.results.effect_titles import effect_title
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
 
@@ -50,15 +48,15 @@ class EffectBeside:
         not tell
     """
 
-    effect: Catalogued
-    before: dict[str, Measured]
-    after: dict[str, Measured]
+    effect: CatalogueEffect
+    before: dict[str, Quantity]
+    after: dict[str, Quantity]
     chance: float | None
 
     @property
     def title(self) -> str:
         """The effect in words."""
-        return effect_title(self.effect.family, dict(self.effect.keys))
+        return self.effect.title
 
     @property
     def agrees(self) -> bool | None:
@@ -74,17 +72,11 @@ def effects_beside(estimate: Estimate) -> tuple[EffectBeside, ...]:
     for effect, chance in zip(known.effects, estimate.chances, strict=True):
         own = slice(begin, begin + len(effect.parameters))
         now, begin = model.slices[effect.name], own.stop
-        family = load("truepath.effects", effect.family)()
         found.append(
             EffectBeside(
                 effect,
-                measured(family, effect, known.theta[own], known.covariance[own, own]),
-                measured(
-                    family,
-                    effect,
-                    estimate.theta[now],
-                    estimate.covariance[now, now],
-                ),
+                effect.state(known.theta[own], known.covariance[own, own]),
+                effect.state(estimate.theta[now], estimate.covariance[now, now]),
                 chance,
             )
         )
@@ -108,7 +100,7 @@ def effects_json(
     ]
 
 
-def parameters_json(found: Mapping[str, Measured]) -> dict[str, Any]:
+def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
     """Return values and uncertainties; `name[x]`, `name[y]` … make a list."""
     stated: dict[str, Any] = {}
     for name, m in found.items():
@@ -136,9 +128,8 @@ def foretold_json(
     for effect in known.effects:
         own = slice(begin, begin + len(effect.parameters))
         now, begin = model.slices[effect.name], own.stop
-        family = load("truepath.effects", effect.family)()
         before, after = (
-            parameters_json(measured(family, effect, known.theta[own], C))
+            parameters_json(effect.state(known.theta[own], C))
             for C in (known.covariance[own, own], covariance[now, now])
         )
         found.append(

@@ -10,9 +10,7 @@ import numpy as np
 from app.files.model_file import EstimatedModel
 from app.files.units import unit_of
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogued import measured
 from app.kinematics.effects.error_curve import ErrorCurve
-from app.plugins import load
 from app.results.error_tables import error_table, table_positions_mm
 from app.results.numbers_as_text import expanded, plain
 
@@ -78,17 +76,16 @@ def _of(state: EstimatedModel, effect: Effect, kind: str) -> Change:
     theta, covariance = state.part(effect.name)
     catalogued = {e.name: e for e in state.model.catalogued}
     if known := catalogued.get(effect.name):
-        family = load("truepath.effects", known.family)()
-        found = measured(family, known, theta, covariance)
+        found = known.state(theta, covariance)
         numbers = [in_words(n, m.value, m.uncertainty) for n, m in found.items()]
-        return Change(kind, effect.name, f"{effect.name}: {', '.join(numbers)}")
+        return Change(kind, known.label, f"{known.label}: {', '.join(numbers)}")
     size = f"{len(theta)} parameters"
     if len(theta) == 1:
         unit, scale = unit_of(effect.parameters[0])
         sigma = float(np.sqrt(covariance[0, 0]))
         said = expanded(scale * float(theta[0]), scale * sigma)
         size = f"{said} {SIGN.get(unit, unit)}"
-    return Change(kind, effect.name, f"{effect.name}: {size}")
+    return Change(kind, effect.label, f"{effect.label}: {size}")
 
 
 def _changed(
@@ -104,7 +101,7 @@ def _changed(
             unit, scale = unit_of(parameter)
             said = expanded(scale * float(b), scale * float(s))
             text = f"{parameter.name}: from {plain(scale * float(a))} to {said}"
-            yield Change("changed", new.name, f"{text} {SIGN.get(unit, unit)}")
+            yield Change("changed", new.label, f"{text} {SIGN.get(unit, unit)}")
 
 
 def _motion_changed(

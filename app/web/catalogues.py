@@ -4,20 +4,43 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import asdict
 from functools import cache
 from importlib.resources import files
+
+from app.kinematics.effects.installed import list_families
 
 LANGUAGES = ("en", "de")
 DEFAULT_LANGUAGE = "en"
 
 
-@cache
 def catalogue(language: str) -> dict[str, str]:
-    """Return the texts of one of `LANGUAGES` by key."""
+    """Return the texts of one of `LANGUAGES` by key, those of effects among them."""
     if language not in LANGUAGES:
         raise KeyError(language)
+    return _read_texts(language) | _effect_texts(language)
+
+
+@cache
+def _read_texts(language: str) -> dict[str, str]:
     path = files("app.web") / "static" / "locales" / f"{language}.json"
     return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _effect_texts(language: str) -> dict[str, str]:
+    """Return the words of all installed effects that have them in the language.
+
+    A discovery comes with the English sentences; only others are needed here.
+    """
+    texts: dict[str, str] = {}
+    for family in list_families():
+        if words := family.words.get(language):
+            key = f"effect.{family.name}"
+            texts[key] = words.title
+            if language != DEFAULT_LANGUAGE:
+                sentences = {f"{key}.{k}": text for k, text in asdict(words).items()}
+                texts |= {k: s for k, s in sentences.items() if k != f"{key}.title"}
+    return texts
 
 
 def choose_language(remembered: str | None, accepted: str | None) -> str:

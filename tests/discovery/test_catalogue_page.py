@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from app.discovery.aligned_run import align_runs
-from app.discovery.candidate_term import list_families
-from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.catalogue import CandidateEstimate
+from app.kinematics.effects.catalogue_effect import restore_effect
+from app.kinematics.effects.installed import list_families
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp
 from app.web.catalogues import LANGUAGES, catalogue
@@ -46,7 +47,7 @@ def test_the_catalogue_of_the_page_is_that_of_the_code():
 
 
 def test_every_effect_of_the_contract_is_installed_and_explained():
-    known = {family.name: family.signature for family in list_families()}
+    known = {family.name: family.words["en"] for family in list_families()}
     for name in CONTRACT:
         words = known[name]
         for sentence in (words.cause, words.looks_like, words.remedy):
@@ -55,9 +56,9 @@ def test_every_effect_of_the_contract_is_installed_and_explained():
 
 @pytest.mark.parametrize("family", list_families(), ids=lambda f: f.name)
 def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at):
-    for candidate in family.candidates(at):
-        numbers = family.kept(candidate)
-        again = catalogued(family, at.machine, candidate.keys, numbers)
+    for candidate in family.propose(at):
+        numbers = family.list_numbers(candidate)
+        again = restore_effect(family, at.machine, candidate.keys, numbers)
         if not family.in_machine or isinstance(candidate.effect, WarmingUp):
             assert again is None
             continue
@@ -70,9 +71,11 @@ def test_an_effect_of_the_machine_is_made_again_from_keys_and_numbers(family, at
 
 @pytest.mark.parametrize("family", list_families(), ids=lambda f: f.name)
 def test_every_number_of_an_effect_has_a_name_on_the_page(family, at):
-    for candidate in family.candidates(at):
+    for candidate in family.propose(at):
         size = len(candidate.usual)
-        numbers = family.parameters(candidate, np.ones(size), np.eye(size), 1.0)
+        numbers = family.state(
+            CandidateEstimate(candidate, np.ones(size), np.eye(size), 1.0)
+        )
         for name in numbers:
             whole = UNIT.sub("", name.partition("[")[0])
             for language in LANGUAGES:

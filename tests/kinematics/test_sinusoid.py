@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from app.kinematics.conditions import RecordedState, standstill
+from app.kinematics.effects.position_wave import PositionWave
 from app.kinematics.effects.screw_cyclic import ScrewCyclic
-from app.kinematics.effects.sinusoid import amplitude_and_phase
+from app.kinematics.effects.sinusoid import find_amplitude_and_phase
+from app.kinematics.effects.time_wave import TimeWave
 from app.kinematics.effects.vibration import Vibration
-from app.kinematics.effects.waves import PositionWave, TimeWave
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 SPAN_S = 0.08
@@ -18,7 +19,7 @@ RATE_MM_S = np.array([60.0, 0.0, 0.0])
 
 def test_amplitude_and_phase_make_the_same_wave():
     theta = np.array([-0.003, 0.004])
-    amplitude, phase = amplitude_and_phase(theta, np.eye(2) * 1e-8)
+    amplitude, phase = find_amplitude_and_phase(theta, np.eye(2) * 1e-8)
     at = np.linspace(0.0, 2.0 * np.pi, 9)
     wave = amplitude.value * np.sin(at + phase.value)
     assert wave == pytest.approx(theta[0] * np.sin(at) + theta[1] * np.cos(at))
@@ -38,8 +39,8 @@ def test_the_uncertainties_are_the_spread_of_what_could_have_been_found(
 ):
     theta = np.array([0.003, 0.004])
     drawn = theta + rng.standard_normal((20_000, 2)) @ root.T
-    amplitude, phase = amplitude_and_phase(theta, root @ root.T)
-    found = [amplitude_and_phase(one, np.eye(2)) for one in drawn]
+    amplitude, phase = find_amplitude_and_phase(theta, root @ root.T)
+    found = [find_amplitude_and_phase(one, np.eye(2)) for one in drawn]
     spread = np.std([[a.value, p.value] for a, p in found], axis=0)
     # A spread of 20 000 draws is known to half a per cent.
     assert amplitude.uncertainty == pytest.approx(spread[0], rel=within)

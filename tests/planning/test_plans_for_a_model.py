@@ -11,7 +11,7 @@ from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
-from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
@@ -44,7 +44,7 @@ def model() -> PriorModel:
     families = (BacklashFamily(), ServoMismatchFamily(), ElasticSagFamily())
     keys = ({"axis": "X"}, {"axis": "X"}, {"axis": "X", "by": "Y", "direction": "Z"})
     effects = tuple(
-        catalogued(family, MACHINE, key, {})
+        restore_effect(family, MACHINE, key, {})
         for family, key in zip(families, keys, strict=True)
     )
     likeness = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -9,7 +9,7 @@ from app.compensation.export import export_result
 from app.compensation.source import source_of
 from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
-from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.screw_cyclic import ScrewCyclicFamily
@@ -34,7 +34,7 @@ EFFECTS = (
 
 @pytest.fixture(scope="module")
 def source():
-    effects = tuple(catalogued(f, MACHINE, keys, n) for f, keys, n, _ in EFFECTS)
+    effects = tuple(restore_effect(f, MACHINE, keys, n) for f, keys, n, _ in EFFECTS)
     model = MachineModel(MACHINE, effects)
     theta = np.concatenate([values for *_, values in EFFECTS])
     covariance = 1e-12 * np.eye(len(theta))

@@ -29,7 +29,7 @@ def test_a_finding_comes_with_numbers_cause_and_remedy(knocked, page):
     (finding,) = knocked.found.findings
     said = text_of(page)
     assert "Step of the set-up" in said
-    words = finding.family.signature
+    words = finding.family.words["en"]
     for sentence in (words.cause, words.looks_like, words.remedy):
         assert sentence in said
     step = finding.parameters["step_um[x]"]

@@ -19,7 +19,7 @@ from app.estimation.batch import estimate
 from app.estimation.monte_carlo import drawn as trials_drawn
 from app.estimation.monte_carlo import prepared
 from app.files.result_file import CalibrationResult, result_from_json
-from app.kinematics.effects.catalogued import catalogued
+from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
@@ -56,7 +56,7 @@ def taken(content) -> PriorModel:
 def only_named(run, hidden) -> PriorModel:
     """Return a model that names the effect and knows no number of it."""
     family = ServoMismatchFamily() if hidden is LAG else ElasticSagFamily()
-    effect = catalogued(family, run.machine, hidden.keys, {})
+    effect = restore_effect(family, run.machine, hidden.keys, {})
     model = MachineModel(run.machine, (effect,))
     loaded = CalibrationResult(model, np.zeros(1), np.eye(1))
     return PriorModel(loaded, "named.json", "abc")
@@ -208,7 +208,7 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
 def test_lost_motion_of_a_model_stands_among_both_directions(run_of):
     setting = Setting(machine_seed=3, hidden=(Backlash("Y", 8.0),))
     run = run_of(driven(7, 20, setting))
-    effect = catalogued(BacklashFamily(), run.machine, {"axis": "Y"}, {})
+    effect = restore_effect(BacklashFamily(), run.machine, {"axis": "Y"}, {})
     loaded = CalibrationResult(
         MachineModel(run.machine, (effect,)),
         np.array([-0.004]),

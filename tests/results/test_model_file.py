@@ -10,7 +10,7 @@ import pytest
 from app.discovery.discover import discover
 from app.errors import BundleError
 from app.files.result_file import CalibrationResult, result_from_json
-from app.kinematics.effects.catalogued import Catalogued
+from app.kinematics.effects.catalogue_effect import CatalogueEffect
 from app.results.model_file import given_by, next_model
 from app.results.prediction import predict
 from app.results.prior_model import PriorModel
@@ -71,7 +71,7 @@ def test_the_effect_stands_with_parameters_covariance_and_evidence(content):
 
 def test_the_file_comes_back_as_the_model_that_was_written(found, loaded):
     grown = next_model(found, None).extended
-    (sag,) = (e for e in loaded.model.effects if isinstance(e, Catalogued))
+    (sag,) = (e for e in loaded.model.effects if isinstance(e, CatalogueEffect))
     names = [e.name for e in loaded.model.effects]
     assert names == [e.name for e in grown.model.effects]
     part = loaded.model.slices[sag.name]

@@ -8,8 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
-from app.discovery.candidate_term import list_families
-from app.kinematics.effects.catalogue import Described
+from app.kinematics.effects.installed import list_families
 from app.web.catalogues import catalogue
 
 WORDS = ("cause", "looks_like", "remedy")
@@ -231,8 +230,8 @@ def test_it_speaks_german_and_fits_a_dark_telephone(panel, service):
 def test_every_effect_of_the_catalogue_is_told_in_german(panel, service):
     german, kinds = catalogue("de"), list_families()
     service.discovery = copy.deepcopy(DISCOVERY) | {
-        "effects": [told(k) for k in kinds if not isinstance(k, Described)],
-        "unnamed": [told(k) for k in kinds if isinstance(k, Described)],
+        "effects": [told(k) for k in kinds if k.names_cause],
+        "unnamed": [told(k) for k in kinds if not k.names_cause],
     }
     page = panel.open(f"#/discover/{discovered(service)}", language="de")
     expect(page.locator("[data-effect], [data-structure]")).to_have_count(len(kinds))
@@ -240,7 +239,7 @@ def test_every_effect_of_the_catalogue_is_told_in_german(panel, service):
     for kind in kinds:
         for word in WORDS:
             assert german[f"effect.{kind.name}.{word}"] in shown
-            assert getattr(kind.signature, word) not in shown
+            assert getattr(kind.words["en"], word) not in shown
         assert german[f"effect.{kind.name}"] in shown
         assert kind.name not in shown
 
@@ -256,9 +255,9 @@ def test_an_effect_of_others_keeps_the_words_it_came_with(panel, service):
 
 def told(kind) -> dict:
     """Return an effect as a discovery states it, in the words of the code."""
-    words = {word: getattr(kind.signature, word) for word in WORDS}
+    words = {word: getattr(kind.words["en"], word) for word in WORDS}
     names = {"structure": kind.name, "depends_on": ["t"], "description": "a thing"}
-    names = names if isinstance(kind, Described) else {"name": kind.name}
+    names = names if not kind.names_cause else {"name": kind.name}
     return copy.deepcopy(DISCOVERY["effects"][1]) | names | words
 
 

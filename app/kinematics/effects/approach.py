@@ -35,17 +35,13 @@ class Backlash(ErrorCurve, Effect):
     varies : the part that changes along the axis and has no mean; else the constant
     """
 
+    role = Role.DIRECTION
     varies: bool
 
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
+    def spell(self, digits: str) -> str:
+        """Return `backlash` with the symbol."""
+        del digits
         return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.DIRECTION
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

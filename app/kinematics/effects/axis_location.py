@@ -28,9 +28,9 @@ class AxisLocation(Effect):
     symbol: str
     axis: RotaryAxis
 
-    @property
-    def name(self) -> str:
-        """ISO 230-1 symbol."""
+    def spell(self, digits: str) -> str:
+        """Return the symbol."""
+        del digits
         return self.symbol
 
     @property

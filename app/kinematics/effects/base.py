@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
 from enum import Enum
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.machine import LinearAxis, RotaryAxis
 from app.kinematics.symbols import DIRECTION
 from app.numerics.value_equality import ValueEquality
 
@@ -59,19 +62,40 @@ class QuadraticPrior:
 class Effect(ValueEquality, ABC):
     """One physical cause that moves the measured point off its nominal, linear in θ.
 
-    Three answers make an effect: name, parameters and Jacobian. The others have a
-    default, and tell the rooms that use effects what they need to know of this one.
+    A dataclass: its fields are what is fixed, θ is what is estimated. Kind, units and
+    Jacobian make an effect; the other answers have a default.
+
+    kind : what it is; with its axes, words and numbers, it is its name
+    units : inside unit of each parameter, by what follows the effect's label
+    role : what it belongs to
     """
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Identifies the effect in a model: family or ISO symbol, keys, numbers."""
+    kind: ClassVar[str] = ""
+    units: ClassVar[Mapping[str, str]] = {}
+    role: ClassVar[Role] = Role.MACHINE
 
     @property
-    @abstractmethod
+    def name(self) -> str:
+        """Identifies the effect in a model, its numbers to the last digit."""
+        return self.spell("")
+
+    @property
+    def label(self) -> str:
+        """The name with its numbers rounded, for texts."""
+        return self.spell(".5g")
+
+    def spell(self, digits: str) -> str:
+        """Return kind, axes, words and numbers. digits : format of a number."""
+        return "-".join(filter(None, [self.kind, *_spell_fields(self, digits)]))
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The p parameters, in the order of the Jacobian's columns."""
+        label = self.label
+        return tuple(
+            Parameter(f"{label}-{part}" if part else label, unit)
+            for part, unit in self.units.items()
+        )
 
     @abstractmethod
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
@@ -101,11 +125,6 @@ class Effect(ValueEquality, ABC):
         """Return it with fewer knots, if it is a spline along an axis; else itself."""
         del intervals
         return self
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.MACHINE
 
     @property
     def iso_symbol(self) -> str:
@@ -138,13 +157,24 @@ class Effect(ValueEquality, ABC):
         return None
 
 
-def along(
+def _spell_fields(effect: Effect, digits: str) -> Iterator[str]:
+    for field in fields(effect):
+        value = getattr(effect, field.name)
+        if isinstance(value, LinearAxis | RotaryAxis):
+            yield value.name
+        elif isinstance(value, str):
+            yield value
+        elif isinstance(value, float):
+            yield format(value, digits)
+
+
+def columns_along(
     direction: str, size: Float64[np.ndarray, "n p"]
 ) -> Float64[np.ndarray, "n 3 p"]:
     """Return columns of displacements along X, Y or Z, of given sizes."""
     return np.eye(3)[DIRECTION[direction]][:, None] * size[:, None, :]
 
 
-def in_run(name: str, run: int) -> str:
+def name_in_run(name: str, run: int) -> str:
     """Return the name of an effect of one Run; the first Run's needs no number."""
     return name if run == 0 else f"{name}-{run + 1}"

@@ -8,46 +8,43 @@ which lead, which time constant) fixed. What is scanned has a range and a step.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
-from app.kinematics.machine import Machine
+from app.kinematics.effects.base import Effect, Role
+from app.kinematics.effects.keys import Key
+from app.kinematics.machine import LinearAxis, Machine
 from app.numerics.value_equality import ValueEquality
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
+LANGUAGES = ("en", "de")
 
 
 @dataclass(frozen=True, slots=True)
-class Signature:
-    """An effect in a metrologist's words."""
+class Words:
+    """An effect in a metrologist's words, in one language."""
 
+    title: str
     cause: str
     looks_like: str
     remedy: str
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Quantity:
     """One number and its standard uncertainty."""
 
     value: float
     uncertainty: float
 
-    @classmethod
-    def only(
-        cls,
-        theta: Float64[np.ndarray, "1"],
-        covariance: Float64[np.ndarray, "1 1"],
-        scale: float,
-    ) -> Measured:
-        """Return the one parameter of an effect, in the unit of files."""
-        sigma = float(np.sqrt(covariance[0, 0]))
-        return cls(scale * float(theta[0]), abs(scale) * sigma)
+    def scale(self, factor: float) -> Quantity:
+        """Return it in another unit."""
+        return Quantity(factor * self.value, abs(factor) * self.uncertainty)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,100 +93,151 @@ class Candidate(ValueEquality):
         return " ".join([self.family, *self.keys.values()])
 
 
-class Family(ABC):
-    """One physical cause and its candidates.
+@dataclass(frozen=True)
+class CandidateEstimate:
+    """Estimated parameters of a candidate, in inside units.
 
-    in_machine : part of the machine, and so of its volumetric error; else of the
-        measurement
+    theta : (p,), covariance : (p, p)
+    value_sigma : standard uncertainty of what was scanned
+    """
+
+    candidate: Candidate
+    theta: Float64[np.ndarray, " p"]
+    covariance: Float64[np.ndarray, "p p"]
+    value_sigma: float = 0.0
+
+    @property
+    def scanned(self) -> Quantity:
+        """What was scanned."""
+        return Quantity(self.candidate.value or 0.0, self.value_sigma)
+
+    @property
+    def parameters(self) -> list[Quantity]:
+        """Each parameter."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        return [Quantity(*p) for p in zip(self.theta.tolist(), sigma, strict=True)]
+
+    def root_mean_square(self, weight: Float64[np.ndarray, " p"]) -> Quantity:
+        """Return √Σ w θ²."""
+        rms = float(np.sqrt(np.sum(weight * self.theta**2)))
+        slope = weight * self.theta / max(rms, 1e-300)
+        return Quantity(rms, float(np.sqrt(slope @ self.covariance @ slope)))
+
+
+class Family(ABC):
+    """One physical cause and its candidates: what discovery looks for, and files name.
+
+    words : by language; keys : by the name that files give them, in their order
+    makes : an effect of keys and `numbers`, by name; None where it ends with its Run
+    numbers : fields of the effect that make it again, beside its keys
+    is_rigid_body : every model has it; where that is the base, it is not missing
     is_smooth : in what is scanned; else every value is tried, for want of a slope
     happens_once : what is scanned is the moment; all shifts by it, then and for good
     scanned : name of what is scanned, as files state it and the effect has it
     """
 
-    name: str
-    signature: Signature
-    in_machine: bool = True
-    is_smooth: bool = True
-    happens_once: bool = False
-    scanned: str = ""
+    name: ClassVar[str]
+    words: ClassVar[Mapping[str, Words]]
+    role: ClassVar[Role] = Role.MACHINE
+    keys: ClassVar[Mapping[str, Key]] = {}
+    makes: ClassVar[Callable[..., Effect] | None] = None
+    numbers: ClassVar[tuple[str, ...]] = ()
+    is_rigid_body: ClassVar[bool] = False
+    is_smooth: ClassVar[bool] = True
+    happens_once: ClassVar[bool] = False
+    scanned: ClassVar[str] = ""
+
+    @property
+    def names_cause(self) -> bool:
+        """Whether it names a cause; else it describes structure."""
+        return self.role is not Role.STRUCTURE
+
+    @property
+    def in_machine(self) -> bool:
+        """Whether it is part of the machine, and so of its volumetric error."""
+        return self.role is not Role.MEASUREMENT and self.makes is not None
 
     @abstractmethod
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return what may be looked for in these conditions, scans at their middle."""
+
+    def offer(
+        self, effect: Effect, usual: Iterable[float], value: float | None = None
+    ) -> Candidate:
+        """Return a candidate whose keys are fields of the effect, of the same names."""
+        keys = {key: getattr(effect, key) for key in self.keys}
+        keys = {k: v.name if isinstance(v, LinearAxis) else v for k, v in keys.items()}
+        sigma = np.array([*usual], np.float64)
+        return Candidate(self.name, keys, effect, sigma, value)
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return what is to be scanned, or None."""
         del candidate, at
         return None
 
-    def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
+    def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
         """Return the scan as a wave, if it is one: all its values are tried at once."""
         del candidate, at
         return None
 
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+    def with_value(
+        self, candidate: Candidate, at: Conditions, value: float
+    ) -> Candidate:
         """Return the candidate with what is scanned at another value."""
         del at
         effect = replace(candidate.effect, **{self.scanned: value})
         return replace(candidate, effect=effect, value=value)
 
-    def kept(self, candidate: Candidate) -> dict[str, float]:
+    def list_numbers(self, candidate: Candidate) -> dict[str, float]:
         """Return the numbers that make the effect again, beside its keys."""
-        return {} if candidate.value is None else {self.scanned: candidate.value}
+        return {name: float(getattr(candidate.effect, name)) for name in self.numbers}
 
-    def restored(
+    def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect | None:
         """Return the effect as a model file states it; None if it ends with its Run.
 
-        Raises KeyError naming a key or axis that is not there.
+        Raises KeyError naming a key, number or axis that is not there.
         """
-        del machine, keys, numbers
-        return None
+        make = type(self).makes
+        if make is None:
+            return None
+        parts = {k: key.read(machine, keys[k]) for k, key in self.keys.items()}
+        return make(**parts, **{name: numbers[name] for name in self.numbers})
 
     def outlasts(self, candidate: Candidate, machine: Machine) -> bool:
         """Tell whether the effect is in the next Run too, as in the machine's model."""
-        numbers = self.kept(candidate)
-        stays = self.restored(machine, candidate.keys, numbers) is not None
-        return self.in_machine and stays
+        numbers = self.list_numbers(candidate)
+        return self.restore(machine, candidate.keys, numbers) is not None
 
     @abstractmethod
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, " p"],
-        covariance: Float64[np.ndarray, "p p"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
-        """Return what files state: names with units, values, standard uncertainties.
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return what files state: names with units, values, standard uncertainties."""
 
-        value_sigma : standard uncertainty of what was scanned
-        """
+    def list_covariates(self, candidate: Candidate) -> list[str]:
+        """Return what structure depends on: axes, `t` the time, `v(X)` a speed."""
+        del candidate
+        return []
 
+    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
+        """Return structure in one sentence. stated : of `state`."""
+        del stated
+        return self.title(candidate.keys)
 
-class Described(Family):
-    """Structure that is told by what it depends on; it names no cause."""
-
-    @abstractmethod
-    def depends_on(self, candidate: Candidate) -> list[str]:
-        """Return what it depends on: axes, `t` the time, `v(X)` the speed of X."""
-
-    @abstractmethod
-    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
-        """Return it in one sentence.
-
-        found : of `parameters`
-        """
+    def title(self, keys: Mapping[str, str]) -> str:
+        """Return an effect in words: `Backlash of Y`."""
+        said = [key.describe(keys[name]) for name, key in self.keys.items()]
+        return " ".join([self.words["en"].title, *filter(None, said)])
 
 
-def rate_of(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
+def find_speed(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
     """Return how fast an axis moves in each cell."""
     if at.recorded is None:
         return np.zeros(len(at))
     return np.abs(at.recorded.rate[:, at.machine.axis_names.index(axis)])
 
 
-def averaged(
+def attenuation(
     angular_rate: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Return what is left of a wave after averaging it over each span."""

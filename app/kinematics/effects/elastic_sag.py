@@ -9,52 +9,52 @@ that of a travelling load, (4u(1 − u))².
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, along
+from app.kinematics.effects.base import Effect, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
-    Signature,
+    Quantity,
+    Words,
 )
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.effects.keys import AXIS, DIRECTION
+from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import LINEAR
+
+_UNDER = replace(AXIS, phrase="under {}")
 
 
 @dataclass(frozen=True)
 class ElasticSag(Effect):
-    """Displacement in one direction by the product of two positions."""
+    """Displacement in one direction by the product of two positions.
 
+    θ : the displacement at mid guide under the carriage's far end
+    """
+
+    kind = "elastic-sag"
+    units = {"": "mm"}
     axis: LinearAxis
     by: LinearAxis
     direction: str
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"elastic-sag-{self.axis.name}-{self.by.name}-{self.direction}"
 
     @property
     def axis_pair(self) -> tuple[str, str]:
         """Guide and carriage."""
         return self.axis.name, self.by.name
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The displacement at mid guide under the carriage's far end, in mm."""
-        return (Parameter(self.name, "mm"),)
-
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the direction times the product."""
         u, v = (_share(axis, at) for axis in (self.axis, self.by))
-        return along(self.direction, (-4.0 * u * (1.0 - u) * v)[:, None])
+        return columns_along(self.direction, (-4.0 * u * (1.0 - u) * v)[:, None])
 
 
 def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
@@ -65,45 +65,41 @@ class ElasticSagFamily(Family):
     """Every pair of axes and direction."""
 
     name = "elastic-sag"
-    signature = Signature(
-        cause="A guide or cross beam bends under the carriage that travels on it, or "
-        "under what hangs from it.",
-        looks_like="The straightness or positioning of one axis depends on where "
-        "another stands: tables of single axes cannot show it.",
-        remedy="Use the controller's cross-axis (sag) compensation for the pair; check "
-        "counterbalance and levelling.",
-    )
+    makes = ElasticSag
+    keys = {
+        "axis": AXIS,
+        "by": replace(AXIS, phrase="under {}"),
+        "direction": DIRECTION,
+    }
+    words = {
+        "en": Words(
+            title="Sag of a guide",
+            cause="A guide or cross beam bends under the carriage that travels on it, "
+            "or under what hangs from it.",
+            looks_like="The straightness or positioning of one axis depends on where "
+            "another stands: tables of single axes cannot show it.",
+            remedy="Use the controller's cross-axis (sag) compensation for the pair; "
+            "check counterbalance and levelling.",
+        ),
+        "de": Words(
+            title="Durchbiegung einer Führung",
+            cause="Eine Führung oder ein Querbalken biegt sich unter dem Schlitten, "
+            "der darauf fährt, oder unter dem, was daran hängt.",
+            looks_like="Geradheit oder Positionierung einer Achse hängt davon ab, wo "
+            "eine andere steht: Tabellen einzelner Achsen können das nicht zeigen.",
+            remedy="Die Durchhangkompensation der Steuerung für dieses Achspaar "
+            "nutzen; Gewichtsausgleich und Nivellierung prüfen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each ordered pair and direction."""
-        axes = at.machine.linear_axes
         return [
-            Candidate(
-                self.name,
-                {"axis": axis.name, "by": by.name, "direction": direction},
-                ElasticSag(axis, by, direction),
-                np.array([2.0 * USUAL_MM]),
-            )
-            for axis in axes
-            for by in axes
-            if by is not axis
+            self.offer(ElasticSag(axis, by, direction), [2.0 * USUAL_MM])
+            for axis, by in permutations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]
 
-    def restored(
-        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
-    ) -> Effect:
-        """Return the effect as a model file states it."""
-        return ElasticSag(
-            machine.linear(keys["axis"]), machine.linear(keys["by"]), keys["direction"]
-        )
-
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "1"],
-        covariance: Float64[np.ndarray, "1 1"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the amplitude."""
-        return {"amplitude_um": Measured.only(theta, covariance, 1e3)}
+        return {"amplitude_um": found.parameters[0].scale(1e3)}

@@ -35,9 +35,9 @@ class ErrorMotion(ErrorCurve, Effect):
         has no mean over the travel: that mean is the location of the axis.
     """
 
-    @property
-    def name(self) -> str:
-        """ISO 230-1 symbol."""
+    def spell(self, digits: str) -> str:
+        """Return the symbol."""
+        del digits
         return self.symbol
 
     @property

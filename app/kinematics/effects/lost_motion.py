@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,57 +14,58 @@ from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
+    Quantity,
     Scan,
-    Signature,
+    Words,
 )
+from app.kinematics.effects.keys import AXIS, MOTION
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import error_motions, is_positioning, is_turn
 
 _USUAL_RAD = 1e-5
 
 
+def _lost_positioning(axis: LinearAxis) -> Backlash:
+    return half_width(f"E{axis.name}{axis.name}", axis)
+
+
 class BacklashFamily(Family):
     """One candidate an axis."""
 
     name = "backlash"
-    signature = Signature(
-        cause="Play or wind-up in screw, nut, thrust bearing or rack.",
-        looks_like="An axis stops short by the same width whenever it comes from the "
-        "other side: lines lie apart by direction of travel.",
-        remedy="Enter the width as the axis' backlash compensation; check nut preload "
-        "and thrust bearing, or measure with a scale.",
-    )
+    makes = _lost_positioning
+    keys = {"axis": AXIS}
+    words = {
+        "en": Words(
+            title="Backlash",
+            cause="Play or wind-up in screw, nut, thrust bearing or rack.",
+            looks_like="An axis stops short by the same width whenever it comes from "
+            "the other side: lines lie apart by direction of travel.",
+            remedy="Enter the width as the axis' backlash compensation; check nut "
+            "preload and thrust bearing, or measure with a scale.",
+        ),
+        "de": Words(
+            title="Umkehrspiel",
+            cause="Spiel oder Verdrillung in Spindel, Mutter, Axiallager oder "
+            "Zahnstange.",
+            looks_like="Eine Achse bleibt immer um dieselbe Breite zurück, wenn sie "
+            "von der anderen Seite kommt: Die Geraden liegen je nach Fahrtrichtung "
+            "auseinander.",
+            remedy="Die Breite als Losekompensation der Achse eintragen; Vorspannung "
+            "der Mutter und Axiallager prüfen oder mit einem Maßstab messen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis."""
-        return [
-            Candidate(
-                self.name,
-                {"axis": axis.name},
-                half_width(f"E{axis.name}{axis.name}", axis),
-                np.array([0.5 * USUAL_MM]),
-            )
-            for axis in at.machine.linear_axes
-        ]
+        axes = at.machine.linear_axes
+        return [self.offer(_lost_positioning(a), [0.5 * USUAL_MM]) for a in axes]
 
-    def restored(
-        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
-    ) -> Effect:
-        """Return the effect as a model file states it."""
-        axis = machine.linear(keys["axis"])
-        return half_width(f"E{axis.name}{axis.name}", axis)
-
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "1"],
-        covariance: Float64[np.ndarray, "1 1"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the width: coming from below, the axis stops short by half of it."""
-        return {"width_um": Measured.only(theta, covariance, -2e3)}
+        return {"width_um": found.parameters[0].scale(-2e3)}
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,10 @@ class TurningOver(Backlash):
     """
 
     turnover_mm: float = 0.0
+
+    def spell(self, digits: str) -> str:
+        """Return that of the half difference, and the travel."""
+        return f"{super().spell(digits)}-{self.turnover_mm:{digits}}"
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the error's arm times the side that each cell is on, on average."""
@@ -112,32 +117,49 @@ class LateralBacklashFamily(Family):
 
     name = "lateral-backlash"
     scanned = "turnover_mm"
+    numbers = ("turnover_mm",)
     is_smooth = False
-    signature = Signature(
-        cause="A carriage has play in its guide, or is pushed aside by a nut or chain "
-        "that is off centre: it tilts or shifts as it turns back.",
-        looks_like="A straightness or an angle has two values at each place, one for "
-        "each direction of approach.",
-        remedy="Check guide clearance, gibs and preload; approach from one side, or "
-        "enter tables of both directions.",
-    )
+    makes = TurningOver
+    keys = {"axis": replace(AXIS, phrase=""), "motion": MOTION}
+    words = {
+        "en": Words(
+            title="Lateral backlash",
+            cause="A carriage has play in its guide, or is pushed aside by a nut or "
+            "chain that is off centre: it tilts or shifts as it turns back.",
+            looks_like="A straightness or an angle has two values at each place, one "
+            "for each direction of approach.",
+            remedy="Check guide clearance, gibs and preload; approach from one side, "
+            "or enter tables of both directions.",
+        ),
+        "de": Words(
+            title="Seitliches Umkehrspiel",
+            cause="Ein Schlitten hat Spiel in seiner Führung oder wird von einer "
+            "außermittigen Mutter oder Kette zur Seite gedrückt: Er kippt oder "
+            "versetzt sich beim Umkehren.",
+            looks_like="Eine Geradheit oder ein Winkel hat an jedem Ort zwei Werte, "
+            "einen je Anfahrrichtung.",
+            remedy="Führungsspiel, Keilleisten und Vorspannung prüfen; von einer "
+            "Seite anfahren oder Tabellen beider Richtungen eintragen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each error motion but positioning."""
+        first = float(_TURNOVERS_MM[0])
         return [
             Candidate(
                 self.name,
                 {"axis": axis.name, "motion": symbol},
-                _turning_over(symbol, axis, _TURNOVERS_MM[0]),
+                _turning_over(symbol, axis, first),
                 np.array([_USUAL_RAD if is_turn(symbol) else 0.5 * USUAL_MM]),
-                float(_TURNOVERS_MM[0]),
+                first,
             )
             for axis in at.machine.linear_axes
             for symbol in error_motions(axis.name)
             if not is_positioning(symbol)
         ]
 
-    def restored(
+    def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
     ) -> Effect:
         """Return the effect as a model file states it."""
@@ -150,22 +172,14 @@ class LateralBacklashFamily(Family):
         """Return turnovers, where it is known how far each axis has gone."""
         return None if at.recorded is None else Scan(self.scanned, _TURNOVERS_MM)
 
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "1"],
-        covariance: Float64[np.ndarray, "1 1"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return half the difference between both directions, in µm or µrad.
 
         And the travel that it takes to turn over.
         """
-        scale = 1e6 if is_turn(candidate.keys["motion"]) else 1e3
-        return {
-            "half_width": Measured.only(theta, covariance, scale),
-            self.scanned: Measured(candidate.value or 0.0, value_sigma),
-        }
+        scale = 1e6 if is_turn(found.candidate.keys["motion"]) else 1e3
+        half_width = found.parameters[0].scale(scale)
+        return {"half_width": half_width, self.scanned: found.scanned}
 
 
 def _turning_over(symbol: str, axis: LinearAxis, turnover_mm: float) -> TurningOver:

@@ -13,31 +13,26 @@ from app.kinematics.effects.base import (
     Parameter,
     QuadraticPrior,
     Role,
-    in_run,
+    name_in_run,
 )
 
 
 @dataclass(frozen=True)
-class OfRun(Effect):
+class EffectOfRun(Effect):
     """An effect in the Run of its number; nothing in all others."""
 
+    role = Role.MEASUREMENT
     effect: Effect
     run: int
 
-    @property
-    def name(self) -> str:
-        """Name of the effect, with the number of its Run beyond the first."""
-        return in_run(self.effect.name, self.run)
+    def spell(self, digits: str) -> str:
+        """Return the effect, with the number of its Run beyond the first."""
+        return name_in_run(self.effect.spell(digits), self.run)
 
     @property
     def own_run(self) -> int:
         """The Run of its number."""
         return self.run
-
-    @property
-    def role(self) -> Role:
-        """That of the effect."""
-        return self.effect.role
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

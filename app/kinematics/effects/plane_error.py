@@ -16,16 +16,18 @@ from jaxtyping import Float64
 from numpy.polynomial import legendre
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role
+from app.kinematics.effects.base import Effect, Role, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    Described,
-    Measured,
-    Signature,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    Words,
 )
-from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import DIRECTION, LINEAR
+from app.kinematics.effects.keys import DIRECTION, PLANE
+from app.kinematics.machine import LinearAxis
+from app.kinematics.symbols import LINEAR
 
 _DEGREE = 3
 _PAIRS = [(i, j) for i in range(1, _DEGREE + 1) for j in range(1, _DEGREE + 1)]
@@ -35,36 +37,23 @@ _PAIRS = [(i, j) for i in range(1, _DEGREE + 1) for j in range(1, _DEGREE + 1)]
 class PlaneError(Effect):
     """Products of Legendre polynomials of two positions, in one direction."""
 
+    kind = "plane-error"
+    role = Role.STRUCTURE
+    units = {f"{i}{j}": "mm" for i, j in _PAIRS}
     first: LinearAxis
     second: LinearAxis
     direction: str
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"plane-error-{self.first.name}{self.second.name}-{self.direction}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.STRUCTURE
 
     @property
     def axis_pair(self) -> tuple[str, str]:
         """Both axes of the plane."""
         return self.first.name, self.second.name
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """One for each product, in mm."""
-        return tuple(Parameter(f"{self.name}-{i}{j}", "mm") for i, j in _PAIRS)
-
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 9"]:
         """Return the direction times the products."""
         one, two = (_legendre(axis, at) for axis in (self.first, self.second))
-        columns = np.stack([one[:, i] * two[:, j] for i, j in _PAIRS], axis=1)
-        unit = np.eye(3)[DIRECTION[self.direction]]
-        return columns[:, None, :] * unit[None, :, None]
+        products = np.stack([one[:, i] * two[:, j] for i, j in _PAIRS], axis=1)
+        return columns_along(self.direction, products)
 
 
 def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:
@@ -72,18 +61,38 @@ def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:
     return legendre.legvander(2.0 * share - 1.0, _DEGREE)
 
 
-class PlaneErrorFamily(Described):
+def _in_plane(plane: tuple[LinearAxis, ...], direction: str) -> PlaneError:
+    first, second = plane
+    return PlaneError(first, second, direction)
+
+
+class PlaneErrorFamily(Family):
     """Every plane and direction."""
 
     name = "plane-error"
-    signature = Signature(
-        cause="Structure that gives way under moving loads in a way no single beam "
-        "explains.",
-        looks_like="An error that depends on where two axes stand at once.",
-        remedy="Compensate with a grid of the plane or volume instead of single axes.",
-    )
+    role = Role.STRUCTURE
+    makes = _in_plane
+    keys = {"plane": PLANE, "direction": DIRECTION}
+    words = {
+        "en": Words(
+            title="Error of two axes at once",
+            cause="Structure that gives way under moving loads in a way no single "
+            "beam explains.",
+            looks_like="An error that depends on where two axes stand at once.",
+            remedy="Compensate with a grid of the plane or volume instead of single "
+            "axes.",
+        ),
+        "de": Words(
+            title="Fehler zweier Achsen zugleich",
+            cause="Ein Aufbau, der unter bewegten Lasten so nachgibt, wie es kein "
+            "einzelner Balken erklärt.",
+            looks_like="Ein Fehler, der davon abhängt, wo zwei Achsen zugleich stehen.",
+            remedy="Statt einzelner Achsen mit einem Gitter der Ebene oder des Raums "
+            "kompensieren.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each pair of axes and direction."""
         falling = np.array([1.0 / (i * j) for i, j in _PAIRS])
         return [
@@ -97,36 +106,20 @@ class PlaneErrorFamily(Described):
             for direction in LINEAR
         ]
 
-    def restored(
-        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
-    ) -> Effect:
-        """Return the effect as a model file states it."""
-        first, second = (machine.linear(name) for name in keys["plane"])
-        return PlaneError(first, second, keys["direction"])
-
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "9"],
-        covariance: Float64[np.ndarray, "9 9"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the root mean square over the plane."""
         weight = np.array([1.0 / ((2 * i + 1) * (2 * j + 1)) for i, j in _PAIRS])
-        rms = float(np.sqrt(np.sum(weight * theta**2)))
-        slope = weight * theta / max(rms, 1e-300)
-        sigma = float(np.sqrt(slope @ covariance @ slope))
-        return {"rms_um": Measured(rms * 1e3, sigma * 1e3)}
+        return {"rms_um": found.root_mean_square(weight).scale(1e3)}
 
-    def depends_on(self, candidate: Candidate) -> list[str]:
+    def list_covariates(self, candidate: Candidate) -> list[str]:
         """Return both axes."""
         return list(candidate.keys["plane"])
 
-    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
+    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
         """Return direction, size and both axes."""
         one, two = candidate.keys["plane"]
         return (
             f"a displacement along {candidate.keys['direction']} of "
-            f"{found['rms_um'].value:.2g} µm (root mean square) that depends on "
+            f"{stated['rms_um'].value:.2g} µm (root mean square) that depends on "
             f"{one} and {two} together"
         )

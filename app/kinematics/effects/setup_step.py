@@ -9,14 +9,15 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
+    Quantity,
     Scan,
-    Signature,
+    Words,
 )
 
 _STEP_S = 2.0
@@ -28,22 +29,10 @@ _AXES = ("x", "y", "z")
 class SetupStep(Effect):
     """All points shift from a moment on; as far before it as after it on average."""
 
+    kind = "setup-step"
+    role = Role.MEASUREMENT
+    units = dict.fromkeys(_AXES, "mm")
     at_s: float
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"setup-step-{self.at_s:.2f}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.MEASUREMENT
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The step along x, y and z, in mm."""
-        return tuple(Parameter(f"{self.name}-{a}", "mm") for a in _AXES)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
         """Return half a unit after the moment and minus half before."""
@@ -55,22 +44,31 @@ class SetupStepFamily(Family):
     """One candidate, its moment scanned."""
 
     name = "setup-step"
-    in_machine = False
+    role = Role.MEASUREMENT
     is_smooth = False
     happens_once = True
-    signature = Signature(
-        cause="Tracker, its stand, the target's nest or the workpiece was knocked or "
-        "slipped.",
-        looks_like="From one moment on all lines are shifted by the same amount.",
-        remedy="Measure again; until then, use the data with the step taken out.",
-    )
+    words = {
+        "en": Words(
+            title="Step of the set-up",
+            cause="Tracker, its stand, the target's nest or the workpiece was knocked "
+            "or slipped.",
+            looks_like="From one moment on all lines are shifted by the same amount.",
+            remedy="Measure again; until then, use the data with the step taken out.",
+        ),
+        "de": Words(
+            title="Sprung des Aufbaus",
+            cause="Tracker, sein Stativ, die Aufnahme des Reflektors oder das "
+            "Werkstück wurde angestoßen oder ist verrutscht.",
+            looks_like="Von einem Zeitpunkt an sind alle Geraden um denselben Betrag "
+            "verschoben.",
+            remedy="Noch einmal messen; bis dahin die Daten ohne den Sprung verwenden.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the step in the middle of the run."""
         middle = 0.5 * float(at.time_s.min() + at.time_s.max())
-        return [
-            Candidate(self.name, {}, SetupStep(middle), np.full(3, USUAL_MM), middle)
-        ]
+        return [self.offer(SetupStep(middle), [USUAL_MM] * 3, middle)]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return moments, none so early or late that one line would decide.
@@ -85,24 +83,17 @@ class SetupStepFamily(Family):
         inside = (between > even[0]) & (between < even[-1])
         return Scan("t_s", np.union1d(even, between[inside]))
 
-    def at_value(self, candidate: Candidate, at: Conditions, value: float) -> Candidate:
+    def with_value(
+        self, candidate: Candidate, at: Conditions, value: float
+    ) -> Candidate:
         """Return the candidate of another moment."""
         return replace(candidate, effect=SetupStep(value), value=value)
 
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "3"],
-        covariance: Float64[np.ndarray, "3 3"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the moment and the step."""
-        sigma = np.sqrt(np.diag(covariance))
-        steps = {
-            f"step_um[{a}]": Measured(float(t) * 1e3, float(s) * 1e3)
-            for a, t, s in zip(_AXES, theta, sigma, strict=True)
-        }
-        return {"t_s": Measured(candidate.value or 0.0, value_sigma), **steps}
+        steps = zip(_AXES, found.parameters, strict=True)
+        shifts = {f"step_um[{axis}]": step.scale(1e3) for axis, step in steps}
+        return {"t_s": found.scanned, **shifts}
 
 
 def _between_lines(at: Conditions) -> Float64[np.ndarray, " l"]:

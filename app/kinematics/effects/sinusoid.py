@@ -6,23 +6,23 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Parameter, along
-from app.kinematics.effects.catalogue import Candidate, Measured, Wave, averaged
+from app.kinematics.effects.base import columns_along
+from app.kinematics.effects.catalogue import (
+    CandidateEstimate,
+    Quantity,
+    Wave,
+    attenuation,
+)
 
 _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
 
 
-def sine_and_cosine(effect: str, unit: str) -> tuple[Parameter, ...]:
-    """Return the two parameters of an effect of the measurement."""
-    return tuple(Parameter(f"{effect}-{p}", unit) for p in ("sin", "cos"))
-
-
-def waves(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
+def sine_and_cosine(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
     """Return sine and cosine."""
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
-def waves_of_cells(
+def average_over_cells(
     angle: Float64[np.ndarray, " n"], rate: Float64[np.ndarray, " n"], at: Conditions
 ) -> Float64[np.ndarray, "n 2"]:
     """Return sine and cosine, averaged over each cell.
@@ -30,16 +30,17 @@ def waves_of_cells(
     angle : rad, in the middle of the cell; rate : its change, rad/s
     """
     if at.recorded is None:
-        return waves(angle)
-    return waves(angle) * averaged(rate, at.recorded.span_s)[:, None]
+        return sine_and_cosine(angle)
+    return sine_and_cosine(angle) * attenuation(rate, at.recorded.span_s)[:, None]
 
 
-def wave_of_time(
+def make_time_wave(
     direction: str, at: Conditions, frequency_hz: Float64[np.ndarray, " v"]
 ) -> Wave:
     """Return waves in time of several frequencies, along X, Y or Z."""
-    one = np.ones(len(at))
-    return Wave(along(direction, one[:, None])[:, :, 0], at.time_s, one, frequency_hz)
+    one = np.ones((len(at), 1))
+    arm = columns_along(direction, one)[:, :, 0]
+    return Wave(arm, at.time_s, one[:, 0], frequency_hz)
 
 
 def is_resolved(at: Conditions, axis: str, longest_mm: float) -> bool:
@@ -49,7 +50,7 @@ def is_resolved(at: Conditions, axis: str, longest_mm: float) -> bool:
     return len(places) >= _FEWEST_PLACES and travel > 2.0 * longest_mm
 
 
-def wave_numbers(
+def list_wave_numbers(
     at: Conditions, axis: str, shortest_mm: float, longest_mm: float
 ) -> Float64[np.ndarray, " v"]:
     """Return waves a millimetre, four steps to one wave over the travel."""
@@ -58,9 +59,9 @@ def wave_numbers(
     return np.arange(1.0 / longest_mm, 1.0 / shortest_mm, 0.25 / travel)
 
 
-def amplitude_and_phase(
+def find_amplitude_and_phase(
     theta: Float64[np.ndarray, "2"], covariance: Float64[np.ndarray, "2 2"]
-) -> tuple[Measured, Measured]:
+) -> tuple[Quantity, Quantity]:
     """Return the size and phase of θ₀ sin + θ₁ cos = amplitude sin(… + phase).
 
     To second order (GUM 5.1.2, note): where the phase is known badly, so is the size.
@@ -74,24 +75,19 @@ def amplitude_and_phase(
     bent = turned / amplitude
     size = np.sqrt(radial + 0.5 * bent**2)
     turn = np.sqrt(turned + (radial * turned + both**2) / amplitude**2) / amplitude
-    return Measured(amplitude, float(size)), Measured(phase, float(turn))
+    return Quantity(amplitude, float(size)), Quantity(phase, float(turn))
 
 
-def measured_wave(
-    scanned: str,
-    candidate: Candidate,
-    theta: Float64[np.ndarray, "2"],
-    covariance: Float64[np.ndarray, "2 2"],
-    value_sigma: float,
-) -> dict[str, Measured]:
+def state_wave(scanned: str, found: CandidateEstimate) -> dict[str, Quantity]:
     """Return what files state of a wave: what was scanned, amplitude and phase.
 
-    theta, covariance : of sine and cosine, mm
-    value_sigma : standard uncertainty of what was scanned
+    The first two parameters are sine and cosine, in mm.
     """
-    amplitude, phase = amplitude_and_phase(theta, covariance)
+    amplitude, phase = find_amplitude_and_phase(
+        found.theta[:2], found.covariance[:2, :2]
+    )
     return {
-        scanned: Measured(candidate.value or 0.0, value_sigma),
-        "amplitude_um": Measured(amplitude.value * 1e3, amplitude.uncertainty * 1e3),
+        scanned: found.scanned,
+        "amplitude_um": amplitude.scale(1e3),
         "phase_rad": phase,
     }

@@ -9,19 +9,20 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    Described,
-    Measured,
-    Signature,
-    rate_of,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    Words,
+    find_speed,
 )
 from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.effects.keys import AXIS, DIRECTION
+from app.kinematics.machine import LinearAxis
 
-_FASTEST = "fastest_mm_s"
 _LEAST_SPREAD = 0.1  # of the highest speed: less tells nothing of speed
 
 
@@ -30,104 +31,80 @@ class SpeedError(Effect):
     """An error motion as speed and square of the speed.
 
     fastest_mm_s : the highest speed that is usual for the axis
+    θ : displacement at the highest speed by speed, and by its square
     """
 
+    kind = "speed-error"
+    role = Role.STRUCTURE
+    units = {"v": "mm", "v2": "mm"}
     axis: LinearAxis
     direction: str
     fastest_mm_s: float
 
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"speed-error-{self.axis.name}-{self.direction}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.STRUCTURE
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Displacement at the highest speed by speed, and by its square, in mm."""
-        return tuple(Parameter(f"{self.name}-{p}", "mm") for p in ("v", "v2"))
-
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times speed and its square."""
-        speed = rate_of(at, self.axis.name) / self.fastest_mm_s
+        speed = find_speed(at, self.axis.name) / self.fastest_mm_s
         arm = arm_of(f"E{self.direction}{self.axis.name}", at)
         return arm[:, :, None] * np.stack([speed, speed**2], axis=1)[:, None, :]
 
 
-class SpeedErrorFamily(Described):
+class SpeedErrorFamily(Family):
     """Every axis that goes at several speeds, and every direction."""
 
     name = "speed-error"
-    signature = Signature(
-        cause="A slide that floats up on its oil, or a drive that pulls it aside, the "
-        "more the faster it goes.",
-        looks_like="Lines lie apart by the speed of an axis, alike on the way there "
-        "and back.",
-        remedy="Measure at the feed that parts are finished at; check way oil and the "
-        "preload of the guide.",
-    )
+    role = Role.STRUCTURE
+    makes = SpeedError
+    keys = {"axis": AXIS, "direction": DIRECTION}
+    numbers = ("fastest_mm_s",)
+    words = {
+        "en": Words(
+            title="Error that depends on speed",
+            cause="A slide that floats up on its oil, or a drive that pulls it aside, "
+            "the more the faster it goes.",
+            looks_like="Lines lie apart by the speed of an axis, alike on the way "
+            "there and back.",
+            remedy="Measure at the feed that parts are finished at; check way oil and "
+            "the preload of the guide.",
+        ),
+        "de": Words(
+            title="Fehler, der von der Geschwindigkeit abhängt",
+            cause="Ein Schlitten, der auf seinem Öl aufschwimmt, oder ein Antrieb, "
+            "der ihn zur Seite zieht, je schneller, desto mehr.",
+            looks_like="Die Geraden liegen je nach Geschwindigkeit einer Achse "
+            "auseinander, auf Hin- und Rückweg gleich.",
+            remedy="Mit dem Vorschub messen, mit dem Teile geschlichtet werden; "
+            "Bettbahnöl und Vorspannung der Führung prüfen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each axis and direction."""
         found: list[Candidate] = []
         for axis in at.machine.linear_axes:
-            speed = rate_of(at, axis.name)
+            speed = find_speed(at, axis.name)
             fastest = float(speed.max(initial=0.0))
             if np.std(speed) <= _LEAST_SPREAD * fastest:
                 continue
             found += [
-                Candidate(
-                    self.name,
-                    {"axis": axis.name, "direction": other.name},
-                    SpeedError(axis, other.name, fastest),
-                    np.full(2, USUAL_MM),
-                )
+                self.offer(SpeedError(axis, other.name, fastest), [USUAL_MM] * 2)
                 for other in at.machine.linear_axes
             ]
         return found
 
-    def kept(self, candidate: Candidate) -> dict[str, float]:
-        """Return the highest speed."""
-        return {_FASTEST: _effect(candidate).fastest_mm_s}
-
-    def restored(
-        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
-    ) -> Effect:
-        """Return the effect as a model file states it."""
-        axis = machine.linear(keys["axis"])
-        return SpeedError(axis, keys["direction"], numbers[_FASTEST])
-
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "2"],
-        covariance: Float64[np.ndarray, "2 2"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the displacement at the highest speed."""
-        sigma = float(np.sqrt(covariance.sum()))
-        return {"amplitude_um": Measured(float(theta.sum()) * 1e3, sigma * 1e3)}
+        sigma = float(np.sqrt(found.covariance.sum()))
+        return {"amplitude_um": Quantity(float(found.theta.sum()), sigma).scale(1e3)}
 
-    def depends_on(self, candidate: Candidate) -> list[str]:
+    def list_covariates(self, candidate: Candidate) -> list[str]:
         """Return the axis' speed."""
         return [f"v({candidate.keys['axis']})"]
 
-    def told(self, candidate: Candidate, found: Mapping[str, Measured]) -> str:
+    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
         """Return axis, direction and size at the highest speed."""
-        keys, size = candidate.keys, found["amplitude_um"].value
+        keys, size = candidate.keys, stated["amplitude_um"].value
+        fastest = self.list_numbers(candidate)["fastest_mm_s"]
         return (
             f"a displacement along {keys['direction']} that depends on how fast "
-            f"{keys['axis']} moves, whichever way: {size:.2g} µm at "
-            f"{_effect(candidate).fastest_mm_s:.3g} mm/s"
+            f"{keys['axis']} moves, whichever way: {size:.2g} µm at {fastest:.3g} mm/s"
         )
-
-
-def _effect(candidate: Candidate) -> SpeedError:
-    effect = candidate.effect
-    if not isinstance(effect, SpeedError):
-        raise TypeError(f"{candidate.label} is no speed error")
-    return effect

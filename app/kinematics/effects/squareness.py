@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.error_motion import reference_position_mm
 
 # The axis out of square, which way it leans, the sign of a right-handed turn.
@@ -19,22 +19,13 @@ _LEAN = {"C0Y": ("Y", 0, -1.0), "B0Z": ("Z", 0, 1.0), "A0Z": ("Z", 1, -1.0)}
 class Squareness(Effect):
     """C0Y, B0Z or A0Z: the axis leans by a right-handed turn."""
 
+    units = {"": "rad"}
     symbol: str
-
-    @property
-    def name(self) -> str:
-        """ISO 230-1 symbol."""
-        return self.symbol
 
     @property
     def iso_symbol(self) -> str:
         """Its own symbol."""
         return self.symbol
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The angle."""
-        return (Parameter(self.symbol, "rad"),)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the lean: a displacement in proportion to the axis' position."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-import numpy as np
-from jaxtyping import Float64
+from collections.abc import Sequence
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue import Candidate, Family, Measured, Signature
-from app.kinematics.effects.squareness import squareness_between
-from app.kinematics.machine import Machine
+from app.kinematics.effects.catalogue import (
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    Words,
+)
+from app.kinematics.effects.keys import SYMBOL
+from app.kinematics.effects.squareness import Squareness, squareness_between
 
 _USUAL_RAD = 2e-5
 
@@ -23,37 +25,37 @@ class SquarenessFamily(Family):
     """
 
     name = "squareness"
-    signature = Signature(
-        cause="Two axes are not square to each other: as assembled, after a crash, or "
-        "because the machine was levelled anew.",
-        looks_like="Lines across the plane of the two axes lean in proportion to the "
-        "travel of one of them; face diagonals differ in length.",
-        remedy="Enter the angle as squareness compensation; check levelling and the "
-        "joint between the two axes.",
-    )
+    is_rigid_body = True
+    makes = Squareness
+    keys = {"symbol": SYMBOL}
+    words = {
+        "en": Words(
+            title="Squareness",
+            cause="Two axes are not square to each other: as assembled, after a "
+            "crash, or because the machine was levelled anew.",
+            looks_like="Lines across the plane of the two axes lean in proportion to "
+            "the travel of one of them; face diagonals differ in length.",
+            remedy="Enter the angle as squareness compensation; check levelling and "
+            "the joint between the two axes.",
+        ),
+        "de": Words(
+            title="Rechtwinkligkeit",
+            cause="Zwei Achsen stehen nicht rechtwinklig zueinander: seit der "
+            "Montage, nach einem Aufprall oder weil die Maschine neu nivelliert "
+            "wurde.",
+            looks_like="Geraden quer durch die Ebene der beiden Achsen neigen sich im "
+            "Verhältnis zum Weg der einen; die Diagonalen der Ebene sind verschieden "
+            "lang.",
+            remedy="Den Winkel als Rechtwinkligkeitskompensation eintragen; "
+            "Nivellierung und Verbindung der beiden Achsen prüfen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a pair of axes."""
         names = tuple(axis.name for axis in at.machine.linear_axes)
-        return [
-            Candidate(self.name, {"symbol": s.symbol}, s, np.array([_USUAL_RAD]))
-            for s in squareness_between(names)
-        ]
+        return [self.offer(s, [_USUAL_RAD]) for s in squareness_between(names)]
 
-    def restored(
-        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
-    ) -> Effect:
-        """Return the squareness as a model file states it."""
-        names = tuple(axis.name for axis in machine.linear_axes)
-        known = {s.symbol: s for s in squareness_between(names)}
-        return known[keys["symbol"]]
-
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "1"],
-        covariance: Float64[np.ndarray, "1 1"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the angle."""
-        return {"value_urad": Measured.only(theta, covariance, 1e6)}
+        return {"value_urad": found.parameters[0].scale(1e6)}

@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
-    Signature,
+    Quantity,
+    Words,
 )
 
 _AXES = ("x", "y", "z")
@@ -25,22 +26,10 @@ _AXES = ("x", "y", "z")
 class TableDrift(Effect):
     """A shift of all points that grows with time, from the middle of the run."""
 
+    kind = "table-drift"
+    role = Role.MEASUREMENT
+    units = dict.fromkeys(_AXES, "mm/s")
     middle_s: float
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return "table-drift"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.MEASUREMENT
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The rate along x, y and z, in mm/s."""
-        return tuple(Parameter(f"{self.name}-{a}", "mm/s") for a in _AXES)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
         """Return the time since the middle, for each direction."""
@@ -51,32 +40,35 @@ class TableDriftFamily(Family):
     """One candidate."""
 
     name = "table-drift"
-    in_machine = False
-    signature = Signature(
-        cause="The tracker's stand, the table or its clamping creeps, or the tracker "
-        "had not warmed up.",
-        looks_like="All lines shift evenly with time, whatever axis moves.",
-        remedy="Let the tracker warm up and settle, clamp its base, close the path by "
-        "measuring the first lines again.",
-    )
+    role = Role.MEASUREMENT
+    words = {
+        "en": Words(
+            title="Drift of tracker or table",
+            cause="The tracker's stand, the table or its clamping creeps, or the "
+            "tracker had not warmed up.",
+            looks_like="All lines shift evenly with time, whatever axis moves.",
+            remedy="Let the tracker warm up and settle, clamp its base, close the "
+            "path by measuring the first lines again.",
+        ),
+        "de": Words(
+            title="Drift von Tracker oder Tisch",
+            cause="Das Stativ des Trackers, der Tisch oder seine Spannung kriecht, "
+            "oder der Tracker war nicht warmgelaufen.",
+            looks_like="Alle Geraden verschieben sich gleichmäßig mit der Zeit, "
+            "gleich welche Achse fährt.",
+            remedy="Den Tracker warmlaufen und sich setzen lassen, seinen Fuß "
+            "festspannen, die Bahn schließen und dazu die ersten Geraden noch einmal "
+            "messen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the drift."""
         span = max(float(np.ptp(at.time_s)), 1.0)
         middle = 0.5 * float(at.time_s.min() + at.time_s.max())
-        usual = np.full(3, 2.0 * USUAL_MM / span)
-        return [Candidate(self.name, {}, TableDrift(middle), usual)]
+        return [self.offer(TableDrift(middle), [2.0 * USUAL_MM / span] * 3)]
 
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "3"],
-        covariance: Float64[np.ndarray, "3 3"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the rates."""
-        sigma = np.sqrt(np.diag(covariance))
-        return {
-            f"rate_um_per_s[{a}]": Measured(float(t) * 1e3, float(s) * 1e3)
-            for a, t, s in zip(_AXES, theta, sigma, strict=True)
-        }
+        rates = zip(_AXES, found.parameters, strict=True)
+        return {f"rate_um_per_s[{a}]": rate.scale(1e3) for a, rate in rates}

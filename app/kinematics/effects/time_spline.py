@@ -9,7 +9,13 @@ from jaxtyping import Float64
 from scipy.linalg import null_space
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior, Role, along
+from app.kinematics.effects.base import (
+    Effect,
+    Parameter,
+    QuadraticPrior,
+    Role,
+    columns_along,
+)
 from app.numerics.splines import CubicSpline, natural_spline
 
 _USUAL_MM = 0.005
@@ -19,19 +25,11 @@ _USUAL_MM = 0.005
 class TimeSpline(Effect):
     """A natural spline of time in one direction, without its mean."""
 
+    kind = "time-spline"
+    role = Role.NUISANCE
     direction: str
     spline: CubicSpline
     gauge: Float64[np.ndarray, "k p"]
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"time-spline-{self.direction}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.NUISANCE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -42,7 +40,7 @@ class TimeSpline(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the direction times the spline's rows."""
-        return along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
+        return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def prior(self) -> QuadraticPrior:
         """Return the mean square over the run."""

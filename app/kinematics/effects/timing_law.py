@@ -15,17 +15,9 @@ from app.kinematics.effects.base import Effect, Parameter, Role
 class TimingLaw(Effect):
     """Along each line the machine is late by a constant, off its speed by another."""
 
+    kind = "timing-law"
+    role = Role.NUISANCE
     lines: tuple[int, ...]
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return "timing-law"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.NUISANCE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

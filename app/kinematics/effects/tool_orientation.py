@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role, in_run
+from app.kinematics.effects.base import Effect, Parameter, Role, name_in_run
 from app.kinematics.machine import Machine
 from app.numerics.rigid import cross_matrix
 
@@ -29,24 +29,20 @@ class ToolOrientation(Effect):
     run : the Run that it belongs to; the targets of others are not moved
     """
 
+    role = Role.NUISANCE
     about_mm: tuple[float, float, float]
     turns: Float64[np.ndarray, "3 p"]
     run: int = 0
 
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return in_run("tool-orientation", self.run)
+    def spell(self, digits: str) -> str:
+        """Return the kind with its Run."""
+        del digits
+        return name_in_run("tool-orientation", self.run)
 
     @property
     def own_run(self) -> int:
         """The Run of these targets."""
         return self.run
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.NUISANCE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -9,14 +9,16 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
-    Signature,
+    Quantity,
+    Words,
 )
-from app.kinematics.effects.sinusoid import amplitude_and_phase, sine_and_cosine
+from app.kinematics.effects.keys import choice
+from app.kinematics.effects.sinusoid import find_amplitude_and_phase
 
 _USUAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")
@@ -26,22 +28,10 @@ CIRCLES = ("azimuth", "elevation")
 class TrackerEccentricity(Effect):
     """The measured angle errs as sin and cos of itself, once a turn."""
 
+    kind = "tracker-eccentricity"
+    role = Role.MEASUREMENT
+    units = {"sin": "rad", "cos": "rad"}
     circle: str
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"tracker-eccentricity-{self.circle}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.MEASUREMENT
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Sine and cosine, in rad."""
-        return sine_and_cosine(self.name, "rad")
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return how the target seems to move in the frame the tracker stands on."""
@@ -64,37 +54,37 @@ class TrackerEccentricityFamily(Family):
     """Both circles."""
 
     name = "tracker-eccentricity"
-    in_machine = False
-    signature = Signature(
-        cause="The encoder circle of the tracker sits off its axis, or was shaken.",
-        looks_like="Points are turned about the tracker by an angle that follows a "
-        "sine of the direction looked in, whatever axis moves.",
-        remedy="Run the tracker's own compensation (two-face and circle tests); "
-        "measure from a second place to separate it from the machine.",
-    )
+    role = Role.MEASUREMENT
+    keys = {"circle": choice("({})", CIRCLES)}
+    words = {
+        "en": Words(
+            title="Eccentric circle of the tracker",
+            cause="The encoder circle of the tracker sits off its axis, or was shaken.",
+            looks_like="Points are turned about the tracker by an angle that follows "
+            "a sine of the direction looked in, whatever axis moves.",
+            remedy="Run the tracker's own compensation (two-face and circle tests); "
+            "measure from a second place to separate it from the machine.",
+        ),
+        "de": Words(
+            title="Exzentrischer Teilkreis des Trackers",
+            cause="Der Teilkreis des Trackers sitzt neben seiner Achse oder hat einen "
+            "Stoß bekommen.",
+            looks_like="Die Punkte sind um den Tracker um einen Winkel gedreht, der "
+            "einem Sinus der Blickrichtung folgt, gleich welche Achse fährt.",
+            remedy="Die eigene Kompensation des Trackers durchführen (Zweilagen- und "
+            "Kreistest); von einem zweiten Standort messen, um es von der Maschine zu "
+            "trennen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a circle."""
         if at.recorded is None:
             return []
-        return [
-            Candidate(
-                self.name,
-                {"circle": circle},
-                TrackerEccentricity(circle),
-                np.full(2, _USUAL_RAD),
-            )
-            for circle in CIRCLES
-        ]
+        effects = map(TrackerEccentricity, CIRCLES)
+        return [self.offer(effect, [_USUAL_RAD] * 2) for effect in effects]
 
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "2"],
-        covariance: Float64[np.ndarray, "2 2"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return amplitude and phase."""
-        amplitude, phase = amplitude_and_phase(theta, covariance)
-        urad = Measured(amplitude.value * 1e6, amplitude.uncertainty * 1e6)
-        return {"amplitude_urad": urad, "phase_rad": phase}
+        amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
+        return {"amplitude_urad": amplitude.scale(1e6), "phase_rad": phase}

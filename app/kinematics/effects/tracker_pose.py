@@ -16,17 +16,9 @@ from app.numerics.rigid import cross_matrix
 class TrackerPose(Effect):
     """A small shift, and a small turn about a centre, of all measured points."""
 
+    kind = "tracker-pose"
+    role = Role.NUISANCE
     centre_mm: tuple[float, float, float]
-
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return "tracker-pose"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.NUISANCE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

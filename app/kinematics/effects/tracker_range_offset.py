@@ -9,13 +9,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
-    Signature,
+    Quantity,
+    Words,
 )
 
 
@@ -23,20 +24,9 @@ from app.kinematics.effects.catalogue import (
 class TrackerRangeOffset(Effect):
     """Every distance is too long by the same amount."""
 
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return "tracker-range-offset"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.MEASUREMENT
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The offset, in mm."""
-        return (Parameter(self.name, "mm"),)
+    kind = "tracker-range-offset"
+    role = Role.MEASUREMENT
+    units = {"": "mm"}
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the unit beam in the frame the tracker stands on."""
@@ -51,29 +41,34 @@ class TrackerRangeOffsetFamily(Family):
     """One candidate."""
 
     name = "tracker-range-offset"
-    in_machine = False
-    signature = Signature(
-        cause="The tracker's home distance, or the constant of the reflector in use, "
-        "is wrong.",
-        looks_like="All points lie too far from the tracker by the same amount: the "
-        "volume looks bent about it.",
-        remedy="Set the home distance again with the reflector in its nest; choose the "
-        "right reflector in the tracker's software.",
-    )
+    role = Role.MEASUREMENT
+    words = {
+        "en": Words(
+            title="Range offset of the tracker",
+            cause="The tracker's home distance, or the constant of the reflector in "
+            "use, is wrong.",
+            looks_like="All points lie too far from the tracker by the same amount: "
+            "the volume looks bent about it.",
+            remedy="Set the home distance again with the reflector in its nest; "
+            "choose the right reflector in the tracker's software.",
+        ),
+        "de": Words(
+            title="Distanzversatz des Trackers",
+            cause="Die Nulldistanz des Trackers oder die Konstante des verwendeten "
+            "Reflektors ist falsch.",
+            looks_like="Alle Punkte liegen um denselben Betrag zu weit vom Tracker: "
+            "Der Raum wirkt um ihn gebogen.",
+            remedy="Die Nulldistanz mit dem Reflektor in seiner Aufnahme neu setzen; "
+            "in der Software des Trackers den richtigen Reflektor wählen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the offset."""
         if at.recorded is None:
             return []
-        usual = np.array([4.0 * USUAL_MM])
-        return [Candidate(self.name, {}, TrackerRangeOffset(), usual)]
+        return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
 
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "1"],
-        covariance: Float64[np.ndarray, "1 1"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the offset."""
-        return {"offset_um": Measured.only(theta, covariance, 1e3)}
+        return {"offset_um": found.parameters[0].scale(1e3)}

@@ -9,22 +9,23 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role, along
+from app.kinematics.effects.base import Effect, Role, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
+    CandidateEstimate,
     Family,
-    Measured,
+    Quantity,
     Scan,
-    Signature,
     Wave,
+    Words,
 )
+from app.kinematics.effects.keys import DIRECTION
 from app.kinematics.effects.sinusoid import (
-    measured_wave,
+    average_over_cells,
+    make_time_wave,
     sine_and_cosine,
-    wave_of_time,
-    waves,
-    waves_of_cells,
+    state_wave,
 )
 from app.kinematics.symbols import LINEAR
 
@@ -39,35 +40,24 @@ class Vibration(Effect):
     middle_s : of the run, where the phase is 0: so it does not turn with the frequency
     """
 
+    kind = "vibration"
+    role = Role.MEASUREMENT
+    units = {"sin": "mm", "cos": "mm"}
     direction: str
     frequency_hz: float
     middle_s: float
 
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
-        return f"vibration-{self.direction}-{self.frequency_hz:.5g}"
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.MEASUREMENT
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Sine and cosine, in mm."""
-        return sine_and_cosine(self.name, "mm")
-
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves, averaged over each cell."""
         rate = np.full(len(at), 2.0 * np.pi * self.frequency_hz)
-        return along(self.direction, waves_of_cells(self._angle(at.time_s), rate, at))
+        waves = average_over_cells(self._angle(at.time_s), rate, at)
+        return columns_along(self.direction, waves)
 
     def in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
-        return along(self.direction, waves(self._angle(time_s)))
+        return columns_along(self.direction, sine_and_cosine(self._angle(time_s)))
 
     def _angle(self, time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         return 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
@@ -77,30 +67,36 @@ class VibrationFamily(Family):
     """Every direction, the frequency scanned as far as the samples can follow."""
 
     name = "vibration"
+    role = Role.MEASUREMENT
     scanned = "frequency_hz"
-    in_machine = False
-    signature = Signature(
-        cause="A pump, a fan, a drive or the floor shakes table, spindle or tracker.",
-        looks_like="A wave in time of one frequency, the same whatever axis moves.",
-        remedy="Find what turns at this frequency and stop or isolate it; check the "
-        "tracker's stand.",
-    )
+    keys = {"direction": DIRECTION}
+    words = {
+        "en": Words(
+            title="Vibration",
+            cause="A pump, a fan, a drive or the floor shakes table, spindle or "
+            "tracker.",
+            looks_like="A wave in time of one frequency, the same whatever axis moves.",
+            remedy="Find what turns at this frequency and stop or isolate it; check "
+            "the tracker's stand.",
+        ),
+        "de": Words(
+            title="Schwingung",
+            cause="Eine Pumpe, ein Lüfter, ein Antrieb oder der Boden rüttelt an "
+            "Tisch, Spindel oder Tracker.",
+            looks_like="Eine Welle in der Zeit mit einer einzigen Frequenz, gleich "
+            "welche Achse fährt.",
+            remedy="Suchen, was sich mit dieser Frequenz dreht, und es anhalten oder "
+            "entkoppeln; das Stativ des Trackers prüfen.",
+        ),
+    }
 
-    def candidates(self, at: Conditions) -> Sequence[Candidate]:
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""
         if at.recorded is None:
             return []
         middle_s = 0.5 * float(at.time_s.min() + at.time_s.max())
-        return [
-            Candidate(
-                self.name,
-                {"direction": direction},
-                Vibration(direction, _SLOWEST_HZ, middle_s),
-                np.full(2, USUAL_MM),
-                _SLOWEST_HZ,
-            )
-            for direction in LINEAR
-        ]
+        waves = [Vibration(direction, _SLOWEST_HZ, middle_s) for direction in LINEAR]
+        return [self.offer(wave, [USUAL_MM] * 2, _SLOWEST_HZ) for wave in waves]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return frequencies, two to a period over the run."""
@@ -110,19 +106,13 @@ class VibrationFamily(Family):
         step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
         return Scan(self.scanned, np.arange(_SLOWEST_HZ, fastest, step))
 
-    def wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
+    def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
         """Return the scan as a wave of time."""
         scan = self.scan(candidate, at)
-        if scan is None or at.recorded is None:
+        if scan is None:
             return None
-        return wave_of_time(candidate.keys["direction"], at, scan.values)
+        return make_time_wave(candidate.keys["direction"], at, scan.values)
 
-    def parameters(
-        self,
-        candidate: Candidate,
-        theta: Float64[np.ndarray, "2"],
-        covariance: Float64[np.ndarray, "2 2"],
-        value_sigma: float,
-    ) -> dict[str, Measured]:
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return frequency and amplitude."""
-        return measured_wave(self.scanned, candidate, theta, covariance, value_sigma)
+        return state_wave(self.scanned, found)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role, in_run
+from app.kinematics.effects.base import Effect, Parameter, Role, name_in_run
 from app.numerics.rigid import cross_matrix
 
 
@@ -24,25 +24,21 @@ class WorkpiecePlacement(Effect):
     run : the Run that it belongs to; the targets of others are not moved
     """
 
+    role = Role.NUISANCE
     k: int
     centre_mm: tuple[float, float, float]
     run: int = 0
 
-    @property
-    def name(self) -> str:
-        """Name in the provenance of an estimate."""
+    def spell(self, digits: str) -> str:
+        """Return shift or turn, direction and Run."""
+        del digits
         kind = "shift" if self.k < 3 else "turn"
-        return in_run(f"workpiece-{kind}-{'xyz'[self.k % 3]}", self.run)
+        return name_in_run(f"workpiece-{kind}-{'xyz'[self.k % 3]}", self.run)
 
     @property
     def own_run(self) -> int:
         """The Run of these targets."""
         return self.run
-
-    @property
-    def role(self) -> Role:
-        """What it belongs to."""
-        return Role.NUISANCE
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

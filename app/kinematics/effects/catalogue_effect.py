@@ -10,13 +10,19 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.catalogue import Candidate, Family, Measured
+from app.kinematics.effects.catalogue import (
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+)
 from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.effects.installed import find_family
 from app.kinematics.machine import Machine
 
 
 @dataclass(frozen=True)
-class Catalogued(Effect):
+class CatalogueEffect(Effect):
     """An effect that knows its family, its keys and the numbers that make it again."""
 
     family: str
@@ -24,11 +30,26 @@ class Catalogued(Effect):
     numbers: tuple[tuple[str, float], ...]
     effect: Effect
 
-    @property
-    def name(self) -> str:
-        """Family, keys and numbers in one line."""
-        numbers = (f"{value:.5g}" for _, value in self.numbers)
+    def spell(self, digits: str) -> str:
+        """Return family, keys and numbers in one line."""
+        numbers = (format(value, digits) for _, value in self.numbers)
         return " ".join([self.family, *(key for _, key in self.keys), *numbers])
+
+    @property
+    def title(self) -> str:
+        """The effect in words: `Backlash of Y`."""
+        return find_family(self.family).title(dict(self.keys))
+
+    def state(
+        self,
+        theta: Float64[np.ndarray, " p"],
+        covariance: Float64[np.ndarray, "p p"],
+    ) -> dict[str, Quantity]:
+        """Return what files state of it; the numbers that make it as they are."""
+        family, usual = find_family(self.family), np.ones(len(theta))
+        value = dict(self.numbers).get(family.scanned)
+        known = Candidate(self.family, dict(self.keys), self.effect, usual, value)
+        return family.state(CandidateEstimate(known, theta, covariance))
 
     @property
     def half_difference(self) -> ErrorCurve | None:
@@ -55,7 +76,7 @@ class Catalogued(Effect):
         return self.effect.jacobian(at)
 
 
-def catalogued(
+def restore_effect(
     family: Family,
     machine: Machine,
     keys: Mapping[str, str],
@@ -63,24 +84,11 @@ def catalogued(
 ) -> Effect | None:
     """Return the effect as part of a model; None if it ends with its Run.
 
-    A squareness is part of every model and stays what it is. Raises KeyError as
-    `Family.restored`.
+    What has an ISO symbol is part of every model and stays what it is. Raises KeyError
+    as `Family.restore`.
     """
-    effect = family.restored(machine, keys, numbers)
-    if effect is None or family.name == "squareness":
+    effect = family.restore(machine, keys, numbers)
+    if effect is None or effect.iso_symbol:
         return effect
-    return Catalogued(family.name, tuple(keys.items()), tuple(numbers.items()), effect)
-
-
-def measured(
-    family: Family,
-    effect: Catalogued,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-) -> dict[str, Measured]:
-    """Return what files state of an effect in a model; its numbers as they are."""
-    value = dict(effect.numbers).get(family.scanned)
-    known = Candidate(
-        family.name, dict(effect.keys), effect.effect, np.ones(len(theta)), value
-    )
-    return family.parameters(known, theta, covariance, 0.0)
+    fixed = tuple(keys.items()), tuple(numbers.items())
+    return CatalogueEffect(family.name, *fixed, effect)

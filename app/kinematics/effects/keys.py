@@ -1,0 +1,58 @@
+"""Keys: what tells an effect from others of its family, as files name it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from app.kinematics.machine import Machine
+from app.kinematics.symbols import LINEAR, SQUARENESS, error_motions, meaning
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key of a family.
+
+    phrase : how a title says it, such as `of {}`; empty where the title leaves it out
+    read : what an effect has for the text of a file. Raises KeyError if the machine has
+        no such thing
+    spell : the text in words
+    """
+
+    phrase: str
+    read: Callable[[Machine, str], Any]
+    spell: Callable[[str], str] = str
+
+    def describe(self, text: str) -> str:
+        """Return the key as a title says it."""
+        return self.phrase.format(self.spell(text))
+
+
+def choice(phrase: str, values: Sequence[str]) -> Key:
+    """Return a key that is one of some texts."""
+
+    def read(machine: Machine, text: str) -> str:
+        del machine
+        if text not in values:
+            raise KeyError(text)
+        return text
+
+    return Key(phrase, read)
+
+
+def _with_meaning(symbol: str) -> str:
+    return f"{symbol}, {meaning(symbol)}"
+
+
+def _read_motion(machine: Machine, text: str) -> str:
+    if text not in {s for a in machine.linear_axes for s in error_motions(a.name)}:
+        raise KeyError(text)
+    return text
+
+
+AXIS = Key("of {}", Machine.linear)
+DIRECTION = choice("along {}", LINEAR)
+MOTION = Key("in {}", _read_motion, _with_meaning)
+SYMBOL = replace(choice("{}", SQUARENESS), spell=_with_meaning)
+PLANE = Key("({})", lambda m, text: tuple(map(m.linear, text)), " and ".join)
