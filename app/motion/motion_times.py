@@ -17,12 +17,16 @@ _SETTLE_S = 0.02
 class Drive:
     """What the machine can: acceleration along a line, and the dwell at its end.
 
-    linear : (a,) which position columns are straight axes
+    linear : (a,) which position columns are linear axes
+    least_mm : no line takes the target less far
+    fastest_deg_min : the feed is lowered where a rotary axis would turn faster
     """
 
     linear: tuple[bool, ...]
     acceleration_mm_s2: float
     dwell_s: float
+    least_mm: float = 0.0
+    fastest_deg_min: float = np.inf
 
     def length(
         self, begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
@@ -34,6 +38,17 @@ class Drive:
         turn = np.asarray(np.linalg.norm(step[:, ~straight], axis=1), np.float64)
         return np.where(linear > 0.0, linear, turn)
 
+    def driven_feed(
+        self,
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+        feed_mm_min: Float64[np.ndarray, " n"],
+    ) -> Float64[np.ndarray, " n"]:
+        """Return the feed at which no rotary axis turns too fast, as `length` counts it."""
+        turn = np.abs(end - begin)[:, ~np.asarray(self.linear)].max(axis=1, initial=0.0)
+        least_min = np.maximum(turn / self.fastest_deg_min, 1e-12)
+        return np.minimum(feed_mm_min, self.length(begin, end) / least_min)
+
     def times_s(
         self,
         begin: Float64[np.ndarray, "n a"],
@@ -41,8 +56,11 @@ class Drive:
         feed_mm_min: Float64[np.ndarray, " n"],
     ) -> Float64[np.ndarray, " n"]:
         """Return the time of each line, exact stops and the dwell included."""
-        length = self.length(begin, end)
-        return moving_s(length, feed_mm_min, self.acceleration_mm_s2) + self.dwell_s
+        length, feed = (
+            self.length(begin, end),
+            self.driven_feed(begin, end, feed_mm_min),
+        )
+        return moving_s(length, np.maximum(feed, 1e-9), self.acceleration_mm_s2) + self.dwell_s
 
     def steady(
         self,
@@ -56,7 +74,7 @@ class Drive:
         too short.
         """
         length = np.maximum(self.length(begin, end), 1e-9)
-        speed = feed_mm_min / 60.0
+        speed = np.maximum(self.driven_feed(begin, end, feed_mm_min) / 60.0, 1e-9)
         ramp_s = speed / self.acceleration_mm_s2
         # The ramp takes half its time at full speed; half of it again settles.
         lost = np.minimum(speed * (ramp_s + _SETTLE_S) / length, 0.5)
@@ -65,7 +83,8 @@ class Drive:
     def shortest_mm(self, feed_mm_min: float) -> float:
         """Return the shortest line worth its stops: most of it is driven steadily."""
         speed = feed_mm_min / 60.0
-        return 4.0 * speed * (speed / self.acceleration_mm_s2 + _SETTLE_S)
+        steady_mm = 4.0 * speed * (speed / self.acceleration_mm_s2 + _SETTLE_S)
+        return max(steady_mm, self.least_mm)
 
 
 def moving_s(

@@ -1,21 +1,36 @@
-"""The path that is driven when nobody has planned a better one."""
+"""The path that is driven when nobody has planned a better one.
+
+It is the planner's, by legs instead of time: as many long lines as tell the machine
+well. Where there are rotary axes, lines go
+straight, turn, or do both, and every target that moves is measured in a block of lines
+of its own. What a target does not show is shown by another: tool targets tell the axes
+of the tool side and, seen from the workpiece, all others; targets on the table tell,
+seen from the base, the axes that carry it.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from jaxtyping import Float64
 
 from app.errors import PlanningError
-from app.kinematics.machine import Machine
-from app.motion.paths import DEFAULT_FEED_MM_MIN, unit_corners
-from app.motion.travel import DECIMALS, inner_travel
-from app.planning.line_information import Knowledge, nothing_known
-from app.planning.turning_lines import LINES_WITH_ROTARY_AXES, turning_lines
+from app.kinematics.machine import Machine, Target
+from app.motion.motion_times import Drive, drive_of
+from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
+from app.motion.travel import inner_travel
+from app.motion.turning_points import moving_targets
+from app.motion.workspace import Workspace
+from app.planning.outlooks import line_outlook, choose_station
+from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
-_CANDIDATES = 64  # ends that are judged for each line; corners beside
+LINES_WITH_ROTARY_AXES = 72
+FASTEST_DEG_MIN = 1800.0  # of a rotary axis
 _LONG = 0.55  # of the diagonal of the travel: no line is shorter
+_SHORTEST_MM = 100.0  # way of a target on a line while rotary axes turn
+_CHANGE_S = 5.0  # for the tracker to turn to another target
 
 
 def default_path(
@@ -26,73 +41,81 @@ def default_path(
     dwell_s: float = 0.35,
     seed: int = 0,
 ) -> Path:
-    """Return a path of long chords through the travel of the linear axes.
+    """Return a path of long lines through the travel, of all axes.
 
-    Each line starts where the last one stopped and ends on a face, an edge or a corner.
-    Out of random ends the one is taken that lowers the integrated variance of the
-    volumetric error most for the time it takes, so corners recur but lines between
-    corners, which share a blind spot, do not prevail. The same seed gives one path.
-    Where there are rotary axes, lines turn them as well and every target is measured.
+    Each line starts where the last one stopped. The same seed gives the same path. The
+    feed is lower where a rotary axis would turn faster than FASTEST_DEG_MIN; where no
+    linear axis moves it is in deg/min.
 
     lines : 22 where it is left out, 72 with rotary axes
 
-    Raises PlanningError if a feed, a dwell or a number of lines cannot be driven.
+    Raises PlanningError if a feed, a dwell or a number of lines cannot be driven, or if
+    no target moves where the tracker stands.
     """
-    turning = bool(machine.rotary_axes)
+    targets = moving_targets(machine) if machine.rotary_axes else machine.targets[:1]
     if lines is None:
-        lines = LINES_WITH_ROTARY_AXES if turning else DEFAULT_LINES
+        lines = LINES_WITH_ROTARY_AXES if machine.rotary_axes else DEFAULT_LINES
     if feed_mm_min <= 0 or dwell_s < 0 or lines < 1:
         raise PlanningError(
             f"feed {feed_mm_min:g} mm/min, dwell {dwell_s:g} s, {lines} lines: "
             "feed and lines must be above 0, the dwell not below"
         )
-    if turning:
-        return turning_lines(
-            machine, feed_mm_min, lines=lines, dwell_s=dwell_s, seed=seed
-        )
+    drive = _drive(machine, dwell_s)
+    # Moved stops would make all axes go on every line.
+    rounds = 0 if machine.rotary_axes else 1
+    blocks: list[Path] = []
+    precision = start = None
+    for number, target in enumerate(targets):
+        count = _share(lines, number, len(targets))
+        if not count:
+            continue
+        planner = _planner(machine, target, drive, feed_mm_min)
+        if precision is not None:
+            known = replace(planner.outlook, precision=precision)
+            planner = replace(planner, outlook=known)
+        block = planner.plan(legs=count, start=start, seed=seed, rounds=rounds)
+        assert isinstance(block, Path)
+        precision = planner.measured(block).outlook.precision
+        start = block.position[-1]
+        blocks.append(replace(block, target=(target.name,) * len(block)))
+    path = _joined(blocks)
+    return path if machine.rotary_axes else replace(path, target=())
+
+
+def _drive(machine: Machine, dwell_s: float) -> Drive:
+    drive = drive_of(machine, acceleration_mm_s2=ACCELERATION_MM_S2, dwell_s=dwell_s)
     low, high = inner_travel(machine)
-    rng = np.random.default_rng(seed)
-    known = nothing_known(machine)
-    stops = [low]
-    for _ in range(lines):
-        ends = _ends(rng, stops[-1], low, high)
-        best, known = _most_telling(known, stops[-1], ends, feed_mm_min, dwell_s)
-        stops.append(ends[best])
-    position = np.array(stops)
-    n = len(position)
-    return Path(
-        machine.axis_names, position, np.full(n, feed_mm_min), np.full(n, dwell_s)
+    long_mm = _LONG * float(np.linalg.norm(high - low))
+    least_mm = _SHORTEST_MM if machine.rotary_axes else long_mm
+    return replace(drive, least_mm=least_mm, fastest_deg_min=FASTEST_DEG_MIN)
+
+
+def _planner(
+    machine: Machine, target: Target, drive: Drive, feed_mm_min: float
+) -> Planner:
+    workspace = Workspace()
+    outlook = line_outlook(
+        machine,
+        choose_station(machine, workspace),
+        target=target.name if machine.rotary_axes else None,
     )
+    return Planner(machine, outlook, workspace, drive, (feed_mm_min,))
 
 
-def _ends(
-    rng: np.random.Generator,
-    begin: Float64[np.ndarray, " 3"],
-    low: Float64[np.ndarray, " 3"],
-    high: Float64[np.ndarray, " 3"],
-) -> Float64[np.ndarray, "m 3"]:
-    """Draw ends on faces, edges and corners, far enough from the beginning."""
-    share = rng.random((_CANDIDATES, 3))
-    # One axis, sometimes two or three, at an end of its travel.
-    pinned = rng.random((_CANDIDATES, 3)) < 0.4
-    pinned[np.arange(_CANDIDATES), rng.integers(0, 3, _CANDIDATES)] = True
-    share[pinned] = np.rint(share[pinned])
-    share = np.concatenate([share, unit_corners()])
-    ends = np.round(low + share * (high - low), DECIMALS)
-    length = np.linalg.norm(ends - begin, axis=1)
-    return ends[length >= _LONG * np.linalg.norm(high - low)]
+def _share(lines: int, number: int, targets: int) -> int:
+    """Return how many lines a target gets: as many as any other, as far as it goes."""
+    return lines * (number + 1) // targets - lines * number // targets
 
 
-def _most_telling(
-    known: Knowledge,
-    begin: Float64[np.ndarray, " 3"],
-    ends: Float64[np.ndarray, "m 3"],
-    feed_mm_min: float,
-    dwell_s: float,
-) -> tuple[int, Knowledge]:
-    """Return the end whose line gains most a second, and what is known after it."""
-    rows = known.rows(np.tile(begin, (len(ends), 1)), ends)
-    length = np.linalg.norm(ends - begin, axis=1)
-    time_s = length / (feed_mm_min / 60.0) + dwell_s
-    best = int(np.argmax(known.belief.drops(rows) / time_s))
-    return best, known.after(rows[best])
+def _joined(blocks: list[Path]) -> Path:
+    """Return blocks in turn; the machine waits while the tracker changes target."""
+    for block in blocks[1:]:
+        block.dwell_s[0] = _CHANGE_S
+    names = tuple(name for block in blocks for name in block.target)
+    return Path(
+        blocks[0].axes,
+        np.concatenate([block.position for block in blocks]),
+        np.round(np.concatenate([block.feed_mm_min for block in blocks]), 1),
+        np.concatenate([block.dwell_s for block in blocks]),
+        names if any(names) else (),
+    )

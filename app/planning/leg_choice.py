@@ -75,16 +75,21 @@ class LegChoice:
     rng: np.random.Generator
 
     def stops(
-        self, start: Float64[np.ndarray, " a"], budget_s: float, *, rounds: int = 2
+        self,
+        start: Float64[np.ndarray, " a"],
+        budget_s: float,
+        *,
+        legs: int | None = None,
+        rounds: int = 2,
     ) -> Stops:
         """Return stops whose legs take no longer than the budget.
 
-        rounds : of moving stops, at most
+        legs : at most; rounds : of moving stops, at most
 
         Raises PlanningError if not even one allowed leg fits in.
         """
         first = Stops(start[None], np.array([self.feeds_mm_min[0]]))
-        stops = self._filled(first, budget_s)
+        stops = self._filled(first, budget_s, legs)
         if len(stops) < 2:
             raise PlanningError(
                 f"no allowed motion from the first position fits into {budget_s:g} s; "
@@ -94,19 +99,19 @@ class LegChoice:
             stops, gained = self._moved(stops)
             if self.outlook.order_is_free:
                 stops = self._reordered(stops)
-            stops = self._filled(stops, budget_s)
+            stops = self._filled(stops, budget_s, legs)
             if gained < _WORTH:
                 break
         return stops
 
-    def _filled(self, stops: Stops, budget_s: float) -> Stops:
+    def _filled(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
         """Return the stops with more of them while time is left, or with fewer."""
         times = self._times(stops)
         fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
         stops = stops.part(slice(fits + 1))
         left_s = budget_s - float(times[:fits].sum())
         precision = self.outlook.precision + self._information(stops)
-        while True:
+        while legs is None or len(stops) <= legs:
             feed = self.feeds_mm_min[len(stops) % len(self.feeds_mm_min)]
             best = self._next(precision, stops.position[-1], feed, left_s)
             if best is None:
@@ -117,6 +122,7 @@ class LegChoice:
             )
             precision = precision + rows.T @ rows
             left_s -= time_s
+        return stops
 
     def _next(
         self,
@@ -126,7 +132,7 @@ class LegChoice:
         left_s: float,
     ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, "r p"], float] | None:
         """Return the end whose leg gains most a second, its rows and its time."""
-        ends = self._anywhere(_CANDIDATES)
+        ends = self.outlook.hold(self._anywhere(_CANDIDATES), here)
         begin = np.tile(here, (len(ends), 1))
         feed = np.full(len(ends), feed_mm_min)
         times = self.drive.times_s(begin, ends, feed)

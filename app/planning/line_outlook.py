@@ -13,11 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.kinematics.conditions import Conditions, RecordedState
+from app.kinematics.machine import LinearAxis
 from app.motion.motion_times import Drive
 from app.planning.outlook import Outlook
 from drivers.interfaces.records import Path
 
 _PLACES = 10  # along a line: error motions of few knots bend less often
+_AHEAD = 1e-4  # of a line, to see where the target is going
 _MIDDLES = (np.arange(_PLACES) + 0.5) / _PLACES - 0.5  # of the steady part
 
 
@@ -41,7 +43,9 @@ class LineOutlook(Outlook):
         )
         at = self.conditions(places, np.repeat(np.sign(step), _PLACES, axis=0))
         at = replace(at, recorded=self._around(at, begin, end, feed_mm_min, drive))
-        direction = np.repeat(self._directions(begin, end), _PLACES, axis=0)
+        slope = self._slopes_mm(places, np.repeat(step, _PLACES, axis=0))
+        pace = np.linalg.norm(slope, axis=1, keepdims=True)
+        direction = slope / np.maximum(pace, 1e-9)
         weight = np.sqrt(np.repeat(seconds, _PLACES) / _PLACES)
         root = weight[:, None, None] * self.roots(at, direction)
         rows = (root @ self.model.jacobian(at)).reshape(
@@ -49,7 +53,7 @@ class LineOutlook(Outlook):
         )
         if np.isinf(self.noise.jitter_mm2_s):
             return rows
-        timing = self._timing(root, direction).reshape(len(begin), 3 * _PLACES, 2)
+        timing = self._timing(root, slope).reshape(len(begin), 3 * _PLACES, 2)
         basis, _ = np.linalg.qr(timing)
         return rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
 
@@ -65,18 +69,51 @@ class LineOutlook(Outlook):
         feed_mm_min: float,
         drive: Drive,
     ) -> Bool[np.ndarray, " n"]:
-        """Tell which lines are driven at a steady feed for most of their length."""
-        return drive.length(begin, end) >= drive.shortest_mm(feed_mm_min)
+        """Tell which lines are driven at a steady feed for most of their length.
+
+        The way of the target counts: an axis that turns may hardly move it.
+        """
+        if not self.model.machine.rotary_axes:
+            return drive.length(begin, end) >= drive.shortest_mm(feed_mm_min)
+        share = np.linspace(0.0, 1.0, _PLACES)
+        places = begin[:, None] + share[:, None] * (end - begin)[:, None]
+        places = places.reshape(-1, begin.shape[1])
+        point_mm = self.conditions(places, np.zeros_like(places)).point_mm
+        step_mm = np.diff(point_mm.reshape(len(begin), _PLACES, 3), axis=1)
+        way_mm = np.linalg.norm(step_mm, axis=2).sum(axis=1)
+        return way_mm >= drive.shortest_mm(feed_mm_min)
+
+    def hold(
+        self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
+    ) -> Float64[np.ndarray, "n a"]:
+        """Let linear axes move alone, rotary axes turn together or one, or all go."""
+        linear = np.array(
+            [isinstance(axis, LinearAxis) for axis in self.model.machine.axes]
+        )
+        if linear.all():
+            return ends
+        number = np.arange(len(ends))
+        kind, turning = number % 4, np.flatnonzero(~linear)
+        moves = np.ones(ends.shape, bool)
+        moves[kind == 0] = linear
+        moves[kind == 1] = ~linear
+        one = np.flatnonzero(kind == 2)
+        moves[one] = False
+        moves[one, turning[number[one] // 4 % len(turning)]] = True
+        return np.where(moves, ends, here)
 
     def commanded(
         self,
         axes: tuple[str, ...],
         position: Float64[np.ndarray, "s a"],
         feed_mm_min: Float64[np.ndarray, " s"],
-        dwell_s: float,
+        drive: Drive,
     ) -> Path:
         """Return the path through the stops."""
-        return Path(axes, position, feed_mm_min, np.full(len(position), dwell_s))
+        n, at = len(position), position[:, : len(drive.linear)]
+        feed = feed_mm_min.copy()
+        feed[1:] = drive.driven_feed(at[:-1], at[1:], feed[1:])
+        return Path(axes, position, feed, np.full(n, drive.dwell_s))
 
     def better_places(
         self,
@@ -100,7 +137,8 @@ class LineOutlook(Outlook):
         Every axis is taken to have reversed where its line begins.
         """
         length = np.maximum(drive.length(begin, end), 1e-9)
-        rate = (end - begin) / length[:, None] * (feed_mm_min / 60.0)[:, None]
+        speed = drive.driven_feed(begin, end, feed_mm_min) / 60.0
+        rate = (end - begin) * (speed / length)[:, None]
         rate, first = (np.repeat(v, _PLACES, axis=0) for v in (rate, begin))
         return RecordedState(
             rate,
@@ -110,18 +148,21 @@ class LineOutlook(Outlook):
             np.eye(3),
         )
 
-    def _directions(
-        self, begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
-    ) -> Float64[np.ndarray, "n 3"]:
-        still = np.zeros_like(begin)
-        first, last = (self.conditions(q, still).point_mm for q in (begin, end))
-        step = last - first
-        return step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+    def _slopes_mm(
+        self, places: Float64[np.ndarray, "m a"], step: Float64[np.ndarray, "m a"]
+    ) -> Float64[np.ndarray, "m 3"]:
+        """Return how the target's place changes with the share of its line."""
+        still = np.zeros_like(places)
+        behind, ahead = (
+            self.conditions(places + sign * _AHEAD * step, still).point_mm
+            for sign in (-1.0, 1.0)
+        )
+        return (ahead - behind) / (2.0 * _AHEAD)
 
     def _timing(
-        self, root: Float64[np.ndarray, "m 3 3"], direction: Float64[np.ndarray, "m 3"]
+        self, root: Float64[np.ndarray, "m 3 3"], slope_mm: Float64[np.ndarray, "m 3"]
     ) -> Float64[np.ndarray, "m 3 2"]:
         """Return the rows of phase and speed."""
-        pulled = np.einsum("nij,nj->ni", root, direction)
+        pulled = np.einsum("nij,nj->ni", root, slope_mm)
         lag = np.tile(_MIDDLES, len(root) // _PLACES)
         return np.stack([pulled, pulled * lag[:, None]], axis=2)

@@ -71,6 +71,12 @@ class Outlook(ABC):
     def order_is_free(self) -> bool:
         """Whether stops may change places and still be told."""
 
+    def hold(
+        self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return ends of legs from here, some axes of some left where they are."""
+        return ends
+
     @abstractmethod
     def fits(
         self,
@@ -87,7 +93,7 @@ class Outlook(ABC):
         axes: tuple[str, ...],
         position: Float64[np.ndarray, "s a"],
         feed_mm_min: Float64[np.ndarray, " s"],
-        dwell_s: float,
+        drive: Drive,
     ) -> Path | Configurations:
         """Return the stops as what the machine is told."""
 

@@ -78,29 +78,34 @@ def line_outlook(
     machine: Machine,
     station_mm: NDArray[np.float64],
     *,
+    target: str | None = None,
     known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     dynamic: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
     prior_precision: Mapping[str, float] | None = None,
 ) -> LineOutlook:
-    """Return what is believed before the first line of a machine's straight axes.
+    """Return what is believed before the first line of a machine.
 
+    target : that is measured while all axes move; if left out, the first one while the
+        rotary axes stand
     known : effects that an earlier measurement has told, to be told apart as well
     dynamic : each axis may lag behind its command by more than the others, which lines
         of several feeds tell from errors that do not depend on the feed
     prior_precision : of the prior, by the effect's name, where a live estimate has
         found it
     """
-    part = linear_part(machine)
+    part, one = linear_part(machine), machine.target(target or "")
+    offsets = np.array([one.offset_mm], np.float64)
+    if target is not None:
+        part = machine
+        offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
     if perpendicular_only:
         noise = replace(noise, along_sigma_mm=np.inf)
-    target = machine.target()
-    offset = np.array([target.offset_mm], np.float64)
     known = known or KnownEffects()
     lags = tuple(_lags(part, known)) if dynamic else ()
     believed = _believed(
-        part, offset, target, station_mm, noise, prior_precision, known, lags
+        part, offsets, one, station_mm, noise, prior_precision, known, lags
     )
     return LineOutlook(**believed)
 

@@ -45,17 +45,21 @@ class Planner:
 
     def plan(
         self,
-        budget_s: float,
+        budget_s: float = np.inf,
         *,
+        legs: int | None = None,
         start: Float64[np.ndarray, " a"] | None = None,
         seed: int = 0,
+        rounds: int = 2,
     ) -> Path | Configurations:
         """Return what tells most of all that takes no longer than the budget.
 
         A path for an outlook of lines, points for one of standstills. It starts and
         ends at different places. The same seed gives the same plan.
 
+        legs : at most
         start : positions of the outlook's axes; a corner where it is left out
+        rounds : of moving stops after the greedy choice, at most
 
         Raises PlanningError if no motion fits in, or none is allowed.
         """
@@ -68,14 +72,15 @@ class Planner:
             )
         begin = self._first_stop(region, rng) if start is None else start
         choice = LegChoice(self.outlook, self.drive, region, self.feeds_mm_min, rng)
-        stops = choice.stops(begin, budget_s - self.drive.dwell_s)
+        budget_s -= self.drive.dwell_s
+        stops = choice.stops(begin, budget_s, legs=legs, rounds=rounds)
         while len(stops) > 2 and not self._apart(stops.position[[0, -1]]):
             stops = stops.part(slice(len(stops) - 1))  # it came back to its beginning
         plan = self.outlook.commanded(
             self.machine.axis_names,
             with_resting_axes(self.machine, stops.position),
             stops.feed_mm_min,
-            self.drive.dwell_s,
+            self.drive,
         )
         self.check(plan)
         return plan
@@ -99,8 +104,8 @@ class Planner:
         self.workspace.refuse(self.machine, plan)
 
     def _apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
-        feed = max(self.feeds_mm_min)
-        return bool(self.outlook.fits(ends[:1], ends[1:], feed, self.drive)[0])
+        feed, drive = max(self.feeds_mm_min), replace(self.drive, least_mm=0.0)
+        return bool(self.outlook.fits(ends[:1], ends[1:], feed, drive)[0])
 
     def _region(self) -> Region:
         machine, feed = self.outlook.model.machine, max(self.feeds_mm_min)

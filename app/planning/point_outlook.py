@@ -59,11 +59,12 @@ class PointOutlook(Outlook):
         axes: tuple[str, ...],
         position: Float64[np.ndarray, "s a"],
         feed_mm_min: Float64[np.ndarray, " s"],
-        dwell_s: float,
+        drive: Drive,
     ) -> Configurations:
         """Return the stops as points."""
         names = (self.target.name,) * len(position) if self.target.name else ()
-        return Configurations(axes, position, np.full(len(position), dwell_s), names)
+        dwell_s = np.full(len(position), drive.dwell_s)
+        return Configurations(axes, position, dwell_s, names)
 
     def better_places(
         self,
