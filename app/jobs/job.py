@@ -34,11 +34,6 @@ class JobKind(StrEnum):
     PLAN = "plan"
 
     @property
-    def plans(self) -> bool:
-        """Whether the job chooses itself what to drive."""
-        return self in (JobKind.PLAN, JobKind.MEASURE_ADAPTIVE)
-
-    @property
     def measures(self) -> bool:
         """Whether the job drives the machine."""
         return self not in (JobKind.ANALYSE, JobKind.DISCOVER, JobKind.PLAN)

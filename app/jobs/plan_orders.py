@@ -4,8 +4,9 @@
      "dwell_s": 0.4, "perpendicular_only": false, "corner_path": false, "seed": 0,
      "workspace": {…}, "model_id": "…", "model_file": "…"}
 
-All keys but `mode` may be left out. `target_um` is a standard uncertainty (k = 1), as
-everywhere in the interface; `workspace` is the content of a workspace file;
+Without `mode` it is the default path at the first of the feeds that is asked for;
+with it all other keys may be left out. `target_um` is a standard uncertainty (k = 1),
+as everywhere in the interface; `workspace` is the content of a workspace file;
 `model_file` is that of the job `model_id`, put in when the plan is computed.
 """
 
@@ -49,15 +50,20 @@ def plan_measurement(
 ) -> dict[str, Any]:
     """Return a plan as `plans.plan_json` states it, with its `document`.
 
-    The document is the content of `plan.json` and the grade of the set-up.
+    The document is the content of `plan.json` and the grade of the set-up; the default
+    path has none.
 
     Raises PlanningError if nothing can be planned; it names the reason.
     """
     # Imported where it computes: the service itself carries no science.
+    from app.planning.default_path import default_path
     from app.planning.plan import make_plan
     from app.reporting.plan_files import plan_document
     from app.results.grading import graded
 
+    if "mode" not in order:
+        feed_mm_min, *_ = order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]
+        return plan_json(default_path(machine, feed_mm_min))
     planned = make_plan(machine, plan_request(order), on_progress=on_progress)
     if len(planned.commanded) > MAX_ROWS:
         raise PlanningError(

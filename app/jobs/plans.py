@@ -1,7 +1,6 @@
 """What a measuring job commands: made and checked before anything moves, kept as JSON.
 
-A plan that names no rows is the room's default for the machine. Every row is inside the
-travel, or the job is refused before it exists.
+Every row is inside the travel, or the job is refused before it exists.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ from app.errors import PlanningError
 from app.jobs.job import JobKind
 from app.kinematics.machine import LinearAxis, Machine
 from app.motion.configurations import Commanded, Configurations
-from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel, default_points
-from app.planning.default_path import default_path
+from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
 from drivers.interfaces.records import Path
 
 MAX_ROWS = 4096
@@ -30,24 +28,22 @@ Row = Mapping[str, Any]
 def plan_motion(
     machine: Machine,
     kind: JobKind,
-    rows: Sequence[Row] | None = None,
+    rows: Sequence[Row],
     feed_mm_min: float | None = None,
 ) -> Commanded:
     """Return what the machine will do, checked against its travel.
 
-    rows : in order; None for the default path or points
-    feed_mm_min : feed of the default path, and of rows that state none
+    feed_mm_min : of rows that state none
 
     Raises PlanningError, OutOfTravel among them, naming the row.
     """
     feed = feed_mm_min or DEFAULT_FEED_MM_MIN
     commanded: Commanded
     if kind is JobKind.MEASURE_OTF:
-        path = _path(machine, rows, feed) if rows else default_path(machine, feed)
-        _refuse_standing_lines(path)
-        commanded = path
+        commanded = _path(machine, rows, feed)
+        _refuse_standing_lines(commanded)
     else:
-        commanded = _points(machine, rows) if rows else default_points(machine)
+        commanded = _points(machine, rows)
     if len(commanded) > MAX_ROWS:
         raise PlanningError(
             f"the plan has {len(commanded)} rows; a controller takes {MAX_ROWS}"

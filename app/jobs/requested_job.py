@@ -11,6 +11,7 @@ from app.jobs.extra_lines import extra_lines
 from app.jobs.job import JobKind, Json, NewJob
 from app.jobs.plan_orders import driven_plan, refuse_several_targets
 from app.jobs.plans import Row, plan_json, plan_motion
+from app.motion.paths import default_points
 from app.numerics.adaptive_trials import TrialPlan
 from app.results.model_history import find_model_file
 
@@ -91,7 +92,12 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
         refuse_several_targets(machine, dict(request.plan_request or {}))
         return {}
     if request.plan_id is None:
-        return plan_json(plan_motion(machine, kind, request.rows, request.feed_mm_min))
+        if request.rows:
+            rows, feed_mm_min = request.rows, request.feed_mm_min
+            return plan_json(plan_motion(machine, kind, rows, feed_mm_min))
+        if kind is JobKind.MEASURE_STANDSTILL:
+            return plan_json(default_points(machine))
+        return {}  # the default path takes a worker process seconds
     job, plan = context.store.get(request.plan_id), context.store.plan(request.plan_id)
     if job.kind is not JobKind.PLAN:
         raise NotFound(f"there is no plan {request.plan_id}")
@@ -118,6 +124,8 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> NewJob:
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:
     """Return what is asked beside the rows; a model that is named has to exist."""
     order = dict(request.plan_request or {})
+    if request.feed_mm_min is not None:
+        order["feeds_mm_min"] = [request.feed_mm_min]
     if request.model_id is not None:
         job = context.store.get(request.model_id)
         find_model_file(context.results, job.id)

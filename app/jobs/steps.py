@@ -43,6 +43,13 @@ class JobSteps:
         self.context.require_cell()
         self.active.enter(State.PREPARING, Stage.PLANNING)
 
+    @property
+    def needs_plan(self) -> bool:
+        """Whether what to drive has yet to be chosen."""
+        kind, store = self.job.kind, self.context.store
+        chooses = kind.measures or kind is JobKind.PLAN
+        return chooses and store.plan(self.job.id) is None
+
     def plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
         state = State.PREPARING if self.job.kind.measures else State.RUNNING

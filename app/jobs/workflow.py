@@ -39,7 +39,7 @@ def run_steps(steps: JobSteps) -> None:
     kind, run_ids = steps.job.kind, steps.job.run_ids
     if kind.measures:
         steps.enter_preparing()
-    if kind.plans:
+    if steps.needs_plan:
         steps.plan()
     if kind.measures:
         commanded = steps.read_commanded()

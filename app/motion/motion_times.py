@@ -44,7 +44,7 @@ class Drive:
         end: Float64[np.ndarray, "n a"],
         feed_mm_min: Float64[np.ndarray, " n"],
     ) -> Float64[np.ndarray, " n"]:
-        """Return the feed at which no rotary axis turns too fast, as `length` counts it."""
+        """Return the feeds, lowered where a rotary axis would turn too fast."""
         turn = np.abs(end - begin)[:, ~np.asarray(self.linear)].max(axis=1, initial=0.0)
         least_min = np.maximum(turn / self.fastest_deg_min, 1e-12)
         return np.minimum(feed_mm_min, self.length(begin, end) / least_min)
@@ -60,7 +60,10 @@ class Drive:
             self.length(begin, end),
             self.driven_feed(begin, end, feed_mm_min),
         )
-        return moving_s(length, np.maximum(feed, 1e-9), self.acceleration_mm_s2) + self.dwell_s
+        return (
+            moving_s(length, np.maximum(feed, 1e-9), self.acceleration_mm_s2)
+            + self.dwell_s
+        )
 
     def steady(
         self,

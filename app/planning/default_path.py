@@ -21,7 +21,8 @@ from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
 from app.motion.travel import inner_travel
 from app.motion.turning_points import moving_targets
 from app.motion.workspace import Workspace
-from app.planning.outlooks import line_outlook, choose_station
+from app.planning.leg_choice import Effort
+from app.planning.outlooks import choose_station, line_outlook
 from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 
@@ -61,8 +62,8 @@ def default_path(
             "feed and lines must be above 0, the dwell not below"
         )
     drive = _drive(machine, dwell_s)
-    # Moved stops would make all axes go on every line.
-    rounds = 0 if machine.rotary_axes else 1
+    # Where stops were moved all axes would go on every line.
+    effort = Effort(40, 0) if machine.rotary_axes else Effort(rounds=1)
     blocks: list[Path] = []
     precision = start = None
     for number, target in enumerate(targets):
@@ -73,10 +74,10 @@ def default_path(
         if precision is not None:
             known = replace(planner.outlook, precision=precision)
             planner = replace(planner, outlook=known)
-        block = planner.plan(legs=count, start=start, seed=seed, rounds=rounds)
-        assert isinstance(block, Path)
+        block = planner.plan(legs=count, start=start, seed=seed, effort=effort)
         precision = planner.measured(block).outlook.precision
         start = block.position[-1]
+        assert isinstance(block, Path)  # noqa: S101 (an outlook of lines plans a path)
         blocks.append(replace(block, target=(target.name,) * len(block)))
     path = _joined(blocks)
     return path if machine.rotary_axes else replace(path, target=())

@@ -27,7 +27,6 @@ Allowed = Callable[
 ]
 """Tells of legs, begin and end, whether the machine may drive them."""
 
-_CANDIDATES = 96  # ends that are judged for the next leg
 _MOVES = 24  # places that are judged for each stop, half of them near it
 _NEAR = 0.15  # of the travel
 _PINNED = 0.55  # share of coordinates at an end of their travel
@@ -61,6 +60,18 @@ class Stops:
         return Stops(self.position[of], self.feed_mm_min[of])
 
 
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How hard stops are searched.
+
+    candidates : ends that are judged for the next leg
+    rounds : of moving stops after the greedy choice, at most
+    """
+
+    candidates: int = 96
+    rounds: int = 2
+
+
 @dataclass(frozen=True)
 class LegChoice:
     """Chooses stops for an outlook; draws candidates from one seeded generator.
@@ -73,18 +84,17 @@ class LegChoice:
     region: Region
     feeds_mm_min: tuple[float, ...]
     rng: np.random.Generator
+    effort: Effort = Effort()
 
     def stops(
         self,
         start: Float64[np.ndarray, " a"],
         budget_s: float,
-        *,
         legs: int | None = None,
-        rounds: int = 2,
     ) -> Stops:
         """Return stops whose legs take no longer than the budget.
 
-        legs : at most; rounds : of moving stops, at most
+        legs : at most
 
         Raises PlanningError if not even one allowed leg fits in.
         """
@@ -95,7 +105,7 @@ class LegChoice:
                 f"no allowed motion from the first position fits into {budget_s:g} s; "
                 "give more time or a higher feed, or free more of the volume"
             )
-        for _ in range(rounds):
+        for _ in range(self.effort.rounds):
             stops, gained = self._moved(stops)
             if self.outlook.order_is_free:
                 stops = self._reordered(stops)
@@ -132,7 +142,7 @@ class LegChoice:
         left_s: float,
     ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, "r p"], float] | None:
         """Return the end whose leg gains most a second, its rows and its time."""
-        ends = self.outlook.hold(self._anywhere(_CANDIDATES), here)
+        ends = self.outlook.hold(self._anywhere(self.effort.candidates), here)
         begin = np.tile(here, (len(ends), 1))
         feed = np.full(len(ends), feed_mm_min)
         times = self.drive.times_s(begin, ends, feed)

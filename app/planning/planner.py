@@ -20,7 +20,7 @@ from app.motion.motion_times import Drive
 from app.motion.paths import check_travel
 from app.motion.travel import DECIMALS, inner_travel
 from app.motion.workspace import Workspace
-from app.planning.leg_choice import LegChoice, Region
+from app.planning.leg_choice import Effort, LegChoice, Region
 from app.planning.outlook import Outlook
 from drivers.interfaces.records import Path
 
@@ -50,7 +50,7 @@ class Planner:
         legs: int | None = None,
         start: Float64[np.ndarray, " a"] | None = None,
         seed: int = 0,
-        rounds: int = 2,
+        effort: Effort | None = None,
     ) -> Path | Configurations:
         """Return what tells most of all that takes no longer than the budget.
 
@@ -59,21 +59,24 @@ class Planner:
 
         legs : at most
         start : positions of the outlook's axes; a corner where it is left out
-        rounds : of moving stops after the greedy choice, at most
 
         Raises PlanningError if no motion fits in, or none is allowed.
         """
         rng = np.random.default_rng(seed)
         region = self._region()
         if not self._apart(np.stack([region.low, region.high])):
-            raise PlanningError(
-                f"the travel of {self.machine.name} is too short for a steady feed of "
-                f"{max(self.feeds_mm_min):g} mm/min; lower the feed"
-            )
+            raise PlanningError(self._hindrance())
         begin = self._first_stop(region, rng) if start is None else start
-        choice = LegChoice(self.outlook, self.drive, region, self.feeds_mm_min, rng)
+        choice = LegChoice(
+            self.outlook,
+            self.drive,
+            region,
+            self.feeds_mm_min,
+            rng,
+            effort or Effort(),
+        )
         budget_s -= self.drive.dwell_s
-        stops = choice.stops(begin, budget_s, legs=legs, rounds=rounds)
+        stops = choice.stops(begin, budget_s, legs)
         while len(stops) > 2 and not self._apart(stops.position[[0, -1]]):
             stops = stops.part(slice(len(stops) - 1))  # it came back to its beginning
         plan = self.outlook.commanded(
@@ -106,6 +109,18 @@ class Planner:
     def _apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
         feed, drive = max(self.feeds_mm_min), replace(self.drive, least_mm=0.0)
         return bool(self.outlook.fits(ends[:1], ends[1:], feed, drive)[0])
+
+    def _hindrance(self) -> str:
+        """Return why not even the diagonal of the travel can be measured."""
+        if self.outlook.model.machine.rotary_axes:
+            return (
+                f"target {self.outlook.target.name} hardly moves where the tracker "
+                "stands; place it farther from the axes that turn it"
+            )
+        return (
+            f"the travel of {self.machine.name} is too short for a steady feed of "
+            f"{max(self.feeds_mm_min):g} mm/min; lower the feed"
+        )
 
     def _region(self) -> Region:
         machine, feed = self.outlook.model.machine, max(self.feeds_mm_min)

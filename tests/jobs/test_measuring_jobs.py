@@ -540,11 +540,11 @@ def test_a_path_out_of_travel_is_refused_before_there_is_a_job(dispatcher, conte
 
 def test_without_rows_the_default_path_is_driven(dispatcher, context, until):
     job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=1234.0))
+    until(job, "ready")
     plan = context.store.plan(job.id)
     assert plan["kind"] == "path"
     assert len(plan["position"]) > 10
     assert set(plan["feed_mm_min"]) == {1234.0}
-    until(job, "ready")
 
 
 def test_a_repeated_request_makes_one_job_even_while_the_machine_is_busy(

@@ -1,4 +1,4 @@
-"""Default paths and points, travel times and the travel check."""
+"""Default points, travel times and the travel check."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from app.kinematics.machine import (
 )
 from app.motion.configurations import Configurations
 from app.motion.paths import check_travel, default_points, line_times_s, travel_time_s
-from app.planning.default_path import default_path
-from app.planning.line_information import nothing_known
 from drivers.interfaces.records import Path
 
 
@@ -46,84 +44,6 @@ def line(*rows: tuple[float, float, float], feed: float = 6000.0) -> Path:
     return Path(("X", "Y", "Z"), np.array(rows), np.full(n, feed), np.zeros(n))
 
 
-def uncertainty_mm(path: Path) -> float:
-    known = nothing_known(machine())
-    for begin, end in zip(path.position, path.position[1:], strict=False):
-        known = known.after(known.rows(begin[None], end[None])[0])
-    return known.belief.integrated_variance**0.5
-
-
-def at_corner(path: Path) -> np.ndarray:
-    low, high = path.position.min(axis=0), path.position.max(axis=0)
-    return ((path.position == low) | (path.position == high)).all(axis=1)
-
-
-def test_the_default_path_of_the_small_mill_takes_about_a_minute_and_a_half():
-    path = default_path(machine(), 6000.0)
-    assert 90.0 < travel_time_s(path) < 110.0
-    assert (path.feed_mm_min == 6000.0).all()
-    assert ((path.dwell_s >= 0.3) & (path.dwell_s <= 0.4)).all()
-
-
-@pytest.mark.parametrize("size", [(500, 400, 300), (900, 500, 450), (120, 80, 60)])
-def test_the_default_path_stays_inside_the_travel_with_a_margin(size):
-    mill = machine(*size)
-    path = default_path(mill)
-    check_travel(mill, path)
-    for column, axis in enumerate(mill.linear_axes):
-        travel = axis.max_mm - axis.min_mm
-        reached = path.position[:, column]
-        assert reached.min() >= axis.min_mm + 0.5 * min(10.0, 0.02 * travel)
-        assert reached.max() <= axis.max_mm - 0.5 * min(10.0, 0.02 * travel)
-        assert np.ptp(reached) > 0.95 * travel
-
-
-def test_every_line_of_the_default_path_is_long():
-    path = default_path(machine())
-    length = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
-    assert length.min() > 0.5 * np.linalg.norm([480.0, 384.0, 288.0])
-
-
-def test_the_default_path_is_not_made_of_lines_between_corners():
-    corner = at_corner(default_path(machine()))
-    between_corners = corner[:-1] & corner[1:]
-    assert between_corners.mean() < 0.5
-
-
-def test_every_axis_of_the_default_path_moves_both_ways():
-    step = np.diff(default_path(machine()).position, axis=0)
-    for column in range(3):
-        forward, backward = (step[:, column] > 1).sum(), (step[:, column] < -1).sum()
-        assert min(forward, backward) >= 5
-
-
-def test_the_default_path_tells_more_than_lines_between_corners():
-    chosen = default_path(machine(), lines=12)
-    rng = np.random.default_rng(3)
-    corners = np.array(
-        [[10 + 480 * a, 8 + 384 * b, -294 + 288 * c] for a in (0, 1) for b in (0, 1)
-         for c in (0, 1)],
-        float,
-    )  # fmt: skip
-    order = [0]
-    while len(order) < 13:
-        order.append(int(rng.choice([i for i in range(8) if i != order[-1]])))
-    plain = replace(chosen, position=corners[order])
-    assert uncertainty_mm(chosen) < 0.9 * uncertainty_mm(plain)
-
-
-def test_the_same_seed_gives_the_same_path():
-    first, second = default_path(machine(), seed=5), default_path(machine(), seed=5)
-    other = default_path(machine(), seed=6)
-    np.testing.assert_array_equal(first.position, second.position)
-    assert not np.array_equal(first.position, other.position)
-
-
-def test_rows_of_the_default_path_survive_four_decimals():
-    position = default_path(machine()).position
-    np.testing.assert_array_equal(position, np.round(position, 4))
-
-
 def test_points_turn_every_rotary_axis_and_measure_every_target():
     on_base = replace(TrackerNoise(), stands_on="base")
     targets = (
@@ -138,12 +58,6 @@ def test_points_turn_every_rotary_axis_and_measure_every_target():
     assert set(points.target) == {"T", "W"}
     check_travel(mill, points)
     np.testing.assert_array_equal(points.position, default_points(mill).position)
-
-
-@pytest.mark.parametrize("bad", [{"feed_mm_min": 0.0}, {"lines": 0}, {"dwell_s": -1.0}])
-def test_a_path_that_cannot_be_driven_is_refused(bad):
-    with pytest.raises(PlanningError, match="must be above 0"):
-        default_path(machine(), **bad)
 
 
 def test_default_points_hold_the_corners_and_fill_the_inside():
