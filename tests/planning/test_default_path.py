@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.kinematics.effects.base import standstill
+from app.kinematics.conditions import standstill
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -220,7 +220,7 @@ def test_the_target_moves_on_every_line(path: Path) -> None:
         places = ends[0] + share * (ends[1] - ends[0])
         offset = np.tile(np.array(target.offset_mm), (12, 1))
         aside = np.full(12, target.on == "workpiece")
-        at = standstill(mill, places, offset).seen_by(mill.tracker.stands_on, aside)
+        at = standstill(mill, places, offset).view_from(mill.tracker.stands_on, aside)
         step = np.diff(at.point_mm, axis=0)
         assert np.linalg.norm(step, axis=1).sum() > 90.0
 
