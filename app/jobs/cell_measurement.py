@@ -99,7 +99,7 @@ class CellMeasurement:
             self._wait_for_the_end()
             raise
         finally:
-            self._cell.forget()
+            self._cell.ignore_events()
         self._judge()
 
     def _is_called_off(self) -> bool:
@@ -134,7 +134,7 @@ class CellMeasurement:
                 break
             if event is None or isinstance(event, RunClosed):
                 return
-        self._cell.condemn()
+        self._cell.kill()
 
     def _take(self, event: CellEvent) -> None:
         match event:
@@ -221,7 +221,7 @@ class CellMeasurement:
         self._given_up = True
         ended = f"{text}; its process was ended and the machine's watchdog holds"
         self._fault = FaultReported(code, ended, _GO_AND_LOOK)
-        self._cell.condemn()
+        self._cell.kill()
 
     def _note_death(self) -> None:
         self._outcome = CellState.FAULTED

@@ -1,27 +1,26 @@
-"""Keeps one cell process alive and is the only one to speak to it.
+"""Keeps one cell process alive; nothing else speaks to it.
 
-Verbs are put in a queue and done by the cell thread, in order, within 50 ms; each is a
-future. A cell that dies is told to the job that uses it and made anew after a growing
+Commands go through a queue. The cell thread runs them in order, within 50 ms; each is a
+future. If a cell dies, its job is informed and another cell is started after a growing
 pause. A new cell opens no port and moves nothing until it is asked to: the machine's
 own watchdog has held the feed meanwhile.
 """
 
 from __future__ import annotations
 
-import os
 import queue
-import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import structlog
 
 from app.errors import MeasurementFailed, TruepathError
 from app.jobs.errors import CellDown, DeviceSettings
+from app.measurement.cell import Cell
 from app.measurement.messages import (
     CellEvent,
     CellState,
@@ -30,13 +29,12 @@ from app.measurement.messages import (
     StateChanged,
 )
 from app.motion.configurations import Commanded
-from drivers.interfaces.records import Identity
 
 log = structlog.get_logger(__name__)
 
 POLL_S = 0.05
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-LIVED_WELL_S = 60.0
+LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
 
 _MOVING = frozenset(
@@ -44,33 +42,14 @@ _MOVING = frozenset(
 )
 
 
-class CellHandle(Protocol):
-    """What `app.measurement.cell.Cell` offers."""
-
-    @property
-    def alive(self) -> bool: ...  # noqa: D102 (the class says it)
-    @property
-    def process_id(self) -> int | None: ...  # noqa: D102
-    def start(self) -> None: ...  # noqa: D102
-    def connect(self) -> Mapping[str, Identity]: ...  # noqa: D102
-    def begin(self, order: MeasurementOrder) -> None: ...  # noqa: D102
-    def pause(self) -> None: ...  # noqa: D102
-    def resume(self) -> None: ...  # noqa: D102
-    def abort(self) -> None: ...  # noqa: D102
-    def conclude(self) -> None: ...  # noqa: D102
-    def extend(self, part: Commanded) -> None: ...  # noqa: D102
-    def poll(self, timeout_s: float) -> list[CellEvent]: ...  # noqa: D102
-    def close(self) -> None: ...  # noqa: D102
-
-
-Deed = Callable[[CellHandle], Any]
-Hear = Callable[[CellEvent | None], None]
-"""Told every event of a measurement, and None when the cell has died."""
+Command = Callable[[Cell], Any]
+EventHandler = Callable[[CellEvent | None], None]
+"""Receives every event of a measurement, and None when the cell has died."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellStatus:
-    """What the cell said last.
+    """The cell's last known state.
 
     state : starting, down, disconnected, connecting, ready, or as the cell names it
     """
@@ -90,29 +69,30 @@ class CellSupervisor:
     """One cell process, from the start of the service to its end.
 
     make : returns a new cell, not yet started
-    first_pause_s : before a cell that has died is made anew
+    first_pause_s : before another cell is started
     """
 
     def __init__(
-        self, make: Callable[[], CellHandle], *, first_pause_s: float = FIRST_PAUSE_S
+        self, make: Callable[[], Cell], *, first_pause_s: float = FIRST_PAUSE_S
     ) -> None:
         self._make, self._first_pause_s = make, first_pause_s
-        self._deeds: queue.SimpleQueue[tuple[Deed, Future[Any]]] = queue.SimpleQueue()
-        self._hear: Hear | None = None
+        self._commands: queue.SimpleQueue[tuple[Command, Future[Any]]]
+        self._commands = queue.SimpleQueue()
+        self._on_event: EventHandler | None = None
         self._status = CellStatus()
         self._closing = threading.Event()
-        self._condemned = threading.Event()
+        self._must_kill = threading.Event()
         self._thread = threading.Thread(
-            target=self._attend, name="cell-supervisor", daemon=True
+            target=self._run, name="cell-supervisor", daemon=True
         )
 
     @property
     def status(self) -> CellStatus:
-        """What the cell said last. Never waits."""
+        """The cell's last known state. Never waits."""
         return self._status
 
     def start(self) -> None:
-        """Make the first cell."""
+        """Start the first cell."""
         self._thread.start()
 
     def connect(self) -> Mapping[str, Mapping[str, str]]:
@@ -127,29 +107,32 @@ class CellSupervisor:
             raise CellDown("the cell process does not answer; see the log") from error
 
     def begin(
-        self, order: MeasurementOrder, hear: Hear, unless: Callable[[], bool]
+        self,
+        order: MeasurementOrder,
+        on_event: EventHandler,
+        unless: Callable[[], bool],
     ) -> bool:
         """Begin a measurement; False if it was called off before the cell was asked.
 
-        hear : told every event from now on by the cell thread; must return at once
+        on_event : called by the cell thread with every event; must return at once
         """
 
-        def deed(cell: CellHandle) -> bool:
+        def begin(cell: Cell) -> bool:
             if unless():
                 return False
-            self._hear = hear
+            self._on_event = on_event
             cell.begin(order)
             return True
 
         try:
-            return self._put(deed).result(CONNECT_TIMEOUT_S)
+            return self._put(begin).result(CONNECT_TIMEOUT_S)
         except TimeoutError as error:
-            self.condemn()
+            self.kill()
             raise CellDown("the cell process does not answer; see the log") from error
 
-    def forget(self) -> None:
-        """Tell the events of the measurement to nobody any more."""
-        self._hear = None
+    def ignore_events(self) -> None:
+        """Pass the events of the measurement on no longer."""
+        self._on_event = None
 
     def pause(self) -> None:
         """Ask for a feed hold."""
@@ -171,9 +154,9 @@ class CellSupervisor:
         """Ask to stop now and forget the path, whatever happens there."""
         return self._put(lambda cell: cell.abort())
 
-    def condemn(self) -> None:
-        """End the cell process without its consent; another takes its place."""
-        self._condemned.set()
+    def kill(self) -> None:
+        """Kill the cell process; another takes its place."""
+        self._must_kill.set()
 
     def close(self, timeout_s: float = 10.0) -> None:
         """End the cell. What moves is held by the cell on its way out."""
@@ -181,29 +164,29 @@ class CellSupervisor:
         if self._thread.is_alive():
             self._thread.join(timeout_s)
 
-    def _put(self, deed: Deed) -> Future[Any]:
+    def _put(self, command: Command) -> Future[Any]:
         future: Future[Any] = Future()
         if self._closing.is_set():
             future.set_exception(CellDown("the service is ending"))
         else:
-            self._deeds.put((deed, future))
+            self._commands.put((command, future))
         return future
 
-    def _attend(self) -> None:
+    def _run(self) -> None:
         """Body of the cell thread."""
         pause_s = self._first_pause_s
         while not self._closing.is_set():
             begun = time.monotonic()
-            self._live_through_one()
+            self._run_one_cell()
             if self._closing.is_set():
                 break
-            lived_well = time.monotonic() - begun > LIVED_WELL_S
-            pause_s = self._first_pause_s if lived_well else pause_s
+            has_lived_long = time.monotonic() - begun > LONG_LIFE_S
+            pause_s = self._first_pause_s if has_lived_long else pause_s
             self._wait(pause_s)
             pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
-        self._refuse_deeds("the service is ending")
+        self._refuse_commands("the service is ending")
 
-    def _live_through_one(self) -> None:
+    def _run_one_cell(self) -> None:
         try:
             cell = self._make()
             cell.start()
@@ -211,36 +194,35 @@ class CellSupervisor:
             log.exception("the cell process does not start")
             self._go_down(f"the cell process does not start: {error}")
             return
-        self._condemned.clear()
+        self._must_kill.clear()
         self._status = replace(self._status, state="disconnected", text="", devices={})
         try:
             self._serve(cell)
-            if self._condemned.is_set() and cell.process_id is not None:
-                # It has had its time; closing it politely would wait once more.
-                os.kill(cell.process_id, signal.SIGKILL)
+            if self._must_kill.is_set():
+                cell.kill()  # closing it in order would wait once more
         finally:
             cell.close()
         self._go_down("the cell process has ended; it is started again")
 
-    def _serve(self, cell: CellHandle) -> None:
-        while not self._closing.is_set() and not self._condemned.is_set():
-            self._do_deeds(cell)
+    def _serve(self, cell: Cell) -> None:
+        while not self._closing.is_set() and not self._must_kill.is_set():
+            self._run_commands(cell)
             alive = cell.alive
             events = cell.poll(POLL_S)
             for event in events:
-                self._take(event)
+                self._handle(event)
             if not alive and not events:
                 log.error("the cell process has died", state=self._status.state)
                 return
 
-    def _take(self, event: CellEvent) -> None:
+    def _handle(self, event: CellEvent) -> None:
         match event:
             case StateChanged(state):
                 self._note_state(state)
             case FaultReported(text=text):
                 self._status = replace(self._status, text=text)
-        if self._hear is not None:
-            self._hear(event)
+        if self._on_event is not None:
+            self._on_event(event)
 
     def _note_state(self, state: CellState) -> None:
         text = "" if state in _MOVING or state is CellState.READY else self._status.text
@@ -249,8 +231,8 @@ class CellSupervisor:
             self._status, state=str(state), text=text, devices=devices
         )
 
-    def _connect(self, cell: CellHandle) -> Mapping[str, Mapping[str, str]]:
-        if self._hear is not None:
+    def _connect(self, cell: Cell) -> Mapping[str, Mapping[str, str]]:
+        if self._on_event is not None:
             return self._status.devices
         self._status = replace(self._status, state="connecting", text="", devices={})
         try:
@@ -271,29 +253,29 @@ class CellSupervisor:
         state = "disconnected"
         self._status = replace(self._status, state=state, text=str(error))
 
-    def _do_deeds(self, cell: CellHandle) -> None:
+    def _run_commands(self, cell: Cell) -> None:
         while True:
             try:
-                deed, future = self._deeds.get_nowait()
+                command, future = self._commands.get_nowait()
             except queue.Empty:
                 return
             try:
-                future.set_result(deed(cell))
+                future.set_result(command(cell))
             except Exception as error:
                 future.set_exception(error)
 
     def _go_down(self, text: str) -> None:
         restarts = self._status.restarts + 1
         self._status = CellStatus("down", text, restarts)
-        hear, self._hear = self._hear, None
-        if hear is not None:
-            hear(None)
-        self._refuse_deeds(text)
+        on_event, self._on_event = self._on_event, None
+        if on_event is not None:
+            on_event(None)
+        self._refuse_commands(text)
 
-    def _refuse_deeds(self, text: str) -> None:
+    def _refuse_commands(self, text: str) -> None:
         while True:
             try:
-                _, future = self._deeds.get_nowait()
+                _, future = self._commands.get_nowait()
             except queue.Empty:
                 return
             future.set_exception(CellDown(text))
@@ -303,4 +285,4 @@ class CellSupervisor:
         while (left_s := deadline - time.monotonic()) > 0:
             if self._closing.wait(min(left_s, POLL_S)):
                 return
-            self._refuse_deeds(self._status.text)
+            self._refuse_commands(self._status.text)

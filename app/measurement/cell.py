@@ -131,6 +131,10 @@ class Cell:
             events += self._report_death()
         return [e for e in events if not isinstance(e, Connected | ConnectRefused)]
 
+    def kill(self) -> None:
+        """End the process at once; the machine's watchdog holds the feed."""
+        self._process.kill()
+
     def close(self) -> None:
         """End the process: what moves stands first. Idempotent; by force if need be."""
         if self._closed:

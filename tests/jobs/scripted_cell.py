@@ -54,9 +54,8 @@ class ScriptedCell:
     refuses : what `connect` raises
     """
 
-    def __init__(self, deaf=(), refuses=None, process_id=None):
+    def __init__(self, deaf=(), refuses=None):
         self.deaf, self.refuses = set(deaf), refuses
-        self.process_id = process_id
         self.heard: list[str] = []
         self.parts: list[Path | Configurations] = []
         self.order: MeasurementOrder | None = None
@@ -136,6 +135,9 @@ class ScriptedCell:
                 found.append(self._events.get_nowait())
         except queue.Empty:
             return found
+
+    def kill(self):
+        self.heard.append("kill")
 
     def close(self):
         if self._recorder is not None:

@@ -117,20 +117,15 @@ def test_closing_a_supervisor_that_never_started_is_harmless(supervisor):
     supervisor.close()
 
 
-def test_a_condemned_cell_is_killed_and_replaced(maker, monkeypatch, running):
-    killed = []
-    monkeypatch.setattr("os.kill", lambda pid, number: killed.append((pid, number)))
+def test_a_killed_cell_is_replaced(maker, running):
     first = maker.cell
-    first.process_id = 4711
-    running.condemn()
+    running.kill()
     wait_until(lambda: maker.cell is not first)
-    assert killed == [(4711, 9)]
+    assert first.heard == ["kill"]
     assert first.closed
 
 
-def test_a_cell_that_hangs_when_asked_to_begin_is_condemned(
-    running, maker, monkeypatch
-):
+def test_a_cell_that_hangs_when_asked_to_begin_is_killed(running, maker, monkeypatch):
     monkeypatch.setattr("app.jobs.cell_supervisor.CONNECT_TIMEOUT_S", 0.1)
     first, hold = maker.cell, threading.Event()
     first.begin = lambda order: hold.wait(5)
@@ -157,4 +152,4 @@ def test_in_a_measurement_connecting_disturbs_nothing(running, maker):
     assert running.begin(None, lambda event: None, lambda: False)
     assert running.connect()["motion"]["serial_number"] == "C-1"
     assert maker.cell.heard == ["connect", "begin"]
-    running.forget()
+    running.ignore_events()

@@ -573,6 +573,12 @@ def test_a_cell_that_hangs_is_ended_by_force(driven, monkeypatch):
     assert not process.is_running()
 
 
+def test_a_killed_cell_ends_at_once_and_its_death_is_reported(driven):
+    driven.cell.kill()
+    driven.until_state("faulted")
+    assert driven.faults == ["cell-died"]
+
+
 def test_a_cell_that_dies_while_it_connects_says_so(driven):
     process = psutil.Process(driven.cell.process_id)
     process.suspend()
