@@ -15,7 +15,7 @@ import paper_method
 from measure import measure, ratio
 
 from app.alignment.align import align
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.files.bundle import read_bundle
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import Machine
@@ -34,7 +34,9 @@ def ours(folder: Path) -> tuple[int, np.ndarray]:
     run = read_bundle(folder / "bundle")
     estimate = analyse(run).found.estimate
     at = standstill(run.machine, _points(run.machine))
-    return len(run.tracker), volumetric_map(estimate.model).error_mm(at, estimate.theta)
+    return len(run.tracker), build_volumetric_map(estimate.model).error_mm(
+        at, estimate.theta
+    )
 
 
 def paper(folder: Path) -> tuple[int, np.ndarray]:

@@ -24,7 +24,7 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.estimation.weak_shapes import usual_precision_matrix
 from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import ErrorMotion
@@ -173,7 +173,9 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
     """
     offsets = np.array([target.offset_mm for target in machine.targets])
     model, _ = identifiable_model(machine, offsets, intervals=intervals)
-    known = Belief(inverse(usual_precision_matrix(model)), volumetric_gram(model))
+    known = Belief(
+        inverse(usual_precision_matrix(model)), compute_volumetric_gram(model)
+    )
     axes, rows = search_space(model), point_rows(model)
     for row in rows(axes.draws(10, seed=1)):
         known = known.after(row, VARIANCE)

@@ -16,10 +16,11 @@ import numpy as np
 from judging import Volume, map_mm, true_parameters
 
 from app.alignment.observations import Observations
+from app.estimation.design_matrix import linearise
 from app.estimation.estimate import Estimate
-from app.estimation.information import information, posterior
+from app.estimation.information import compute_posterior
 from app.estimation.noise import NoiseModel
-from app.estimation.problem import pose_problem
+from app.estimation.normal_equations import compute_information
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 from simulators.recording import Recording
@@ -44,11 +45,11 @@ def ideal(
     within: Volume, seen: Observations, found: Estimate, recording: Recording, air: Air
 ) -> Ideal:
     """Return the ideal estimate from the observations of an estimate."""
-    problem = pose_problem(seen, found.model, found.runs[0].pose)
-    data = information(problem, true_noise(air))
+    about = linearise(seen, found.model, found.runs[0].pose, true_noise(air))
+    data = compute_information(seen, about)
     truth = true_parameters(found.model, recording.truth)
     precision = true_precision(found.model, truth, len(data.vector))
-    best = posterior(data, precision)
+    best = compute_posterior(data, precision)
     size = found.model.size
     covariance = best.covariance[:size, :size]
     error, sigma = map_mm(within, found.model, best.theta[:size], covariance)

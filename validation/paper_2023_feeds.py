@@ -23,7 +23,7 @@ from recordings import (
 from study import Study, study
 
 from app.alignment.align import align
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.files.machine_file import machine_from_json
 from app.kinematics.conditions import standstill
 from app.numerics.rigid import fit_rigid
@@ -95,7 +95,9 @@ def left(reference: Reference, done: Study | None) -> tuple[float, float]:
     at = standstill(MACHINE, reference.position_mm)
     predicted = np.zeros((len(at), 3))
     if done is not None:
-        predicted = volumetric_map(done.found.model).error_mm(at, done.found.theta)
+        predicted = build_volumetric_map(done.found.model).error_mm(
+            at, done.found.theta
+        )
     expected = at.point_mm + predicted
     true = at.point_mm + reference.truth_mm
     return _apart(expected, true), _apart(expected, reference.measured_mm)

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.discovery.view import FastSums, View, stretches
-from app.discovery.whitened import Halves, Line, line_of
+from app.discovery.line import Line, build_line
+from app.discovery.run_data import FastSums, RunData
+from app.estimation.design_matrix import find_lines
 from app.estimation.information import Information
+from app.estimation.whitening import WhitenedBlocks
 from app.kinematics.effects.base import Effect
 
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
@@ -46,21 +48,7 @@ class FoldedSums:
 
     def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
         """Return the information of all lines on some of the columns."""
-        return information_of(self.total(), columns, self.log_determinant)
-
-
-def information_of(
-    total: Float64[np.ndarray, "q q"],
-    columns: Int64[np.ndarray, " m"],
-    log_determinant: float = 0.0,
-) -> Information:
-    """Return the information in sums on some of the columns; data are the last."""
-    return Information(
-        total[np.ix_(columns, columns)],
-        total[columns, -1],
-        float(total[-1, -1]),
-        log_determinant,
-    )
+        return Information.from_total(self.total(), self.log_determinant, columns)
 
 
 @dataclass(frozen=True)
@@ -84,7 +72,7 @@ class _Term:
     """
 
     effect: Effect
-    halves: Halves
+    blocks: WhitenedBlocks
     cross: Float64[np.ndarray, "f q p"]
 
 
@@ -96,19 +84,19 @@ class Lines:
     is held out nowhere: short of one it would not know where its tracker stood.
     """
 
-    def __init__(self, views: Sequence[View], folds: int) -> None:
-        self._views, self._folds = tuple(views), folds
-        self._size = views[0].base.size
+    def __init__(self, runs: Sequence[RunData], folds: int) -> None:
+        self._runs, self._folds = tuple(runs), folds
+        self._size = runs[0].base.size
         self._within: list[tuple[FastSums, bool]] = []
         lines: list[tuple[int, Line]] = []
-        for number, view in enumerate(views):
-            parts = stretches(view.seen)
+        for number, data in enumerate(runs):
+            parts = find_lines(data.observations)
             is_held = number == 0 or len(parts) >= _FEWEST_LINES * folds
             for k, (first, last) in enumerate(parts):
-                line = line_of(view, number, first, last)
+                line = build_line(data, number, first, last)
                 lines.append((k % folds if is_held else folds, line))
-            if view.within is not None:
-                self._within.append((view.within, is_held))
+            if data.within is not None:
+                self._within.append((data.within, is_held))
         fold = np.array([fold for fold, _ in lines])
         order = np.argsort(fold, kind="stable")
         self._lines = [lines[int(k)][1] for k in order]
@@ -116,7 +104,7 @@ class Lines:
         free = np.array([line.freedom for line in self._lines])
         self._freedom = np.bincount(fold[order], free, folds + 1)[:folds]
         self._log_determinant = float(sum(line.log_determinant for line in self._lines))
-        self._base = Halves.joined([line.base for line in self._lines])
+        self._base = WhitenedBlocks.join([line.base for line in self._lines])
         self._ground = self._products(self._base, self._base)
         self._known: dict[Effect, _Term] = {}
 
@@ -135,7 +123,7 @@ class Lines:
             mine = np.arange(int(begin[j]), int(begin[j + 1]))
             _put(total, base, mine, one.cross)
             for k, other in enumerate(terms[: j + 1]):
-                shared = self._products(other.halves, one.halves)
+                shared = self._products(other.blocks, one.blocks)
                 theirs = np.arange(int(begin[k]), int(begin[k + 1]))
                 _put(total, theirs, mine, shared)
         fast = self._with_fast(total, begin, effects)
@@ -157,21 +145,21 @@ class Lines:
         line, beside = self._lines[number], self._terms_of(known)
         first = self._terms_of(offers[:1])[0]
         here = (number, number + 1)
-        fixed = [self._base.between(*here), *(t.halves.between(*here) for t in beside)]
+        fixed = [self._base.between(*here), *(t.blocks.between(*here) for t in beside)]
         cross, own = self._beside(beside, first)
-        old = first.halves.between(*here)
-        cross, own = cross - _crossed(fixed, old), own - old.times(old)
-        seen = self._views[line.run].seen
-        at = seen.at.select(np.arange(int(line.cells.start), int(line.cells.stop)))
+        old = first.blocks.between(*here)
+        cross, own = cross - _crossed(fixed, old), own - old.multiply(old)
+        at = self._runs[line.run].observations.at
+        at = at.select(np.arange(int(line.cells.start), int(line.cells.stop)))
         rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
-        new, width = line.whitened(rows), first.halves.width
+        new, width = line.whiten(rows), first.blocks.width
         crossed = _crossed(fixed, new)
         parts = [slice(k, k + width) for k in range(0, new.width, width)]
-        each = [new.columns(part) for part in parts]
+        each = [new.select(part) for part in parts]
         return Offered(
             self.sums(known).total(),
             tuple(cross + crossed[:, part] for part in parts),
-            tuple(own + one.times(one) for one in each),
+            tuple(own + one.multiply(one) for one in each),
         )
 
     def about(self, run: int, time_s: float) -> list[int]:
@@ -185,32 +173,32 @@ class Lines:
     def edges_s(self, number: int) -> Float64[np.ndarray, " e"]:
         """Return the moments of a line's cells, and of the last one before it."""
         line = self._lines[number]
-        time_s = self._views[line.run].seen.at.time_s
+        time_s = self._runs[line.run].observations.at.time_s
         return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
 
     def _times(self, number: int) -> Float64[np.ndarray, " n"]:
         line = self._lines[number]
-        return self._views[line.run].seen.at.time_s[line.cells]
+        return self._runs[line.run].observations.at.time_s[line.cells]
 
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         """Return the first column of each effect, and one past the last."""
-        return self._size + np.cumsum([0, *(one.halves.width for one in terms)])
+        return self._size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
     def _beside(
         self, known: Sequence[_Term], offer: _Term
     ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
         """Return the sums of one effect with all that is known, and with itself."""
         with_base = offer.cross.sum(axis=0)
-        others = [one.halves.times(offer.halves) for one in known]
+        others = [one.blocks.multiply(offer.blocks) for one in known]
         cross = np.concatenate([with_base[:-1], *others, with_base[-1:]])
-        own = offer.halves.times(offer.halves)
+        own = offer.blocks.multiply(offer.blocks)
         begin = self._begins(known)
         for within, _ in self._within:
             if not within.shows(offer.effect):
                 continue
             effects = [*(one.effect for one in known), offer.effect]
             fast, columns = within.sums(effects, 1)
-            mine = len(columns) - offer.halves.width
+            mine = len(columns) - offer.blocks.width
             rows = [begin[k] + p for k, p in columns[:mine]]
             cross[rows] += fast[0, :mine, mine:-1]
             cross[-1] += fast[0, -1, mine:-1]
@@ -253,31 +241,35 @@ class Lines:
     def _made(self, effects: Sequence[Effect]) -> Iterator[_Term]:
         """Yield the columns of effects, whitened and multiplied together."""
         rows = [
-            np.concatenate([e.jacobian(view.seen.at) for e in effects], axis=2)
-            for view in self._views
+            np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
+            for data in self._runs
         ]
-        halves = Halves.joined(
-            [line.whitened(rows[line.run][line.cells]) for line in self._lines]
+        blocks = WhitenedBlocks.join(
+            [line.whiten(rows[line.run][line.cells]) for line in self._lines]
         )
-        cross = self._products(self._base, halves)
+        cross = self._products(self._base, blocks)
         ends = np.cumsum([0, *(len(e.parameters) for e in effects)])
         for effect, first, last in zip(effects, ends, ends[1:], strict=False):
             own = slice(int(first), int(last))
-            yield _Term(effect, halves.columns(own), cross[:, :, own])
+            yield _Term(effect, blocks.select(own), cross[:, :, own])
 
-    def _products(self, one: Halves, other: Halves) -> Float64[np.ndarray, "f p q"]:
+    def _products(
+        self, one: WhitenedBlocks, other: WhitenedBlocks
+    ) -> Float64[np.ndarray, "f p q"]:
         """Return oneᵀ V⁻¹ other over each fold, then over the lines never held out."""
         return np.stack(
             [
-                one.between(first, last).times(other.between(first, last))
+                one.between(first, last).multiply(other.between(first, last))
                 for first, last in zip(self._bounds, self._bounds[1:], strict=False)
             ]
         )
 
 
-def _crossed(fixed: Sequence[Halves], offers: Halves) -> Float64[np.ndarray, "q p"]:
+def _crossed(
+    fixed: Sequence[WhitenedBlocks], offers: WhitenedBlocks
+) -> Float64[np.ndarray, "q p"]:
     """Return sums of base and known effects with offers; data are the last row."""
-    base, *known = (one.times(offers) for one in fixed)
+    base, *known = (one.multiply(offers) for one in fixed)
     return np.concatenate([base[:-1], *known, base[-1:]])
 
 

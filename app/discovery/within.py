@@ -19,7 +19,7 @@ from app.alignment.cleaning import valid_samples
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
 from app.discovery.spectrum import transform
-from app.discovery.view import Base, stretches
+from app.estimation.design_matrix import Linearisation, find_lines
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
@@ -156,12 +156,12 @@ class Within:
         return np.bincount(self.line % folds, free, folds)
 
 
-def within_cells(run: Run, seen: Observations, base: Base) -> Within | None:
+def within_cells(run: Run, seen: Observations, base: Linearisation) -> Within | None:
     """Return the deviations of a Run's samples on lines; None where there are none."""
     valid = np.zeros(len(run.tracker), bool)
     valid[valid_samples(run.tracker)] = True
     parts: list[Within] = []
-    for number, (first, last) in enumerate(stretches(seen)):
+    for number, (first, last) in enumerate(find_lines(seen)):
         line = int(seen.at.line[first])
         if line < 0 or _bends(seen, first):
             continue
@@ -182,7 +182,7 @@ def _bends(seen: Observations, cell: int) -> bool:
 def _part(
     run: Run,
     seen: Observations,
-    base: Base,
+    base: Linearisation,
     samples: Int64[np.ndarray, " n"],
     cells: slice,
     number: int,
@@ -248,7 +248,7 @@ def _straightened(
 
 
 def _precision(
-    seen: Observations, base: Base, cells: slice
+    seen: Observations, base: Linearisation, cells: slice
 ) -> Float64[np.ndarray, "c 3 3"]:
     """Return the precision of one sample's white noise, where the tracker stands."""
     tracker_mm = seen.tracker_mm[cells]

@@ -9,17 +9,19 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.estimation.direction import best_fit
+from app.estimation.design_matrix import DesignMatrix
+from app.estimation.direction import select_fit
+from app.estimation.elimination import fit_timing
 from app.estimation.estimate import Estimate, Residuals, RunEstimate
-from app.estimation.extrapolation import measured_ranges, with_ends_free
+from app.estimation.extrapolation import find_measured_ranges, free_ends
 from app.estimation.information import Posterior
 from app.estimation.known_effects import KnownEffects
-from app.estimation.noise import NoiseModel, floor_mm, whiten
-from app.estimation.noise_fit import first_noise, looked_at
-from app.estimation.observability import observability
+from app.estimation.noise import NoiseModel, floor_mm
+from app.estimation.noise_fit import guess_noise, refine_runs
+from app.estimation.observability import assess_observability
 from app.estimation.prior import widen_by_unknown_precision
-from app.estimation.problem import Part, Problem, refined_pose
-from app.estimation.runs import Measured, Share
+from app.estimation.runs import RunInformation, RunInput
+from app.estimation.whitening import whiten
 from app.files.one_machine import one_machine
 from app.kinematics.identifiable import identifiable_model
 from app.progress import ShareProgress, ignore_progress
@@ -48,98 +50,85 @@ def estimate(
     """
     known = known or KnownEffects()
     machine = one_machine(
-        [seen.at.machine for seen in observed], _named(names, observed)
+        [each.at.machine for each in observed], _name(names, observed)
     )
-    model, _ = identifiable_model(machine, *(seen.at.offset_mm for seen in observed))
-    runs = tuple(
-        Measured(
-            _of_run(seen, k),
-            seen.pose,
-            first_noise(seen, perpendicular_only=perpendicular_only),
+    model, _ = identifiable_model(machine, *(each.at.offset_mm for each in observed))
+    inputs = tuple(
+        RunInput(
+            replace(each, at=replace(each.at, run=k)),
+            each.pose,
+            guess_noise(each, perpendicular_only=perpendicular_only),
         )
-        for k, seen in enumerate(observed)
+        for k, each in enumerate(observed)
     )
-    runs = looked_at(machine, runs, known=known)
+    inputs = refine_runs(machine, inputs, known=known)
     on_progress(0.5)
-    fit = with_ends_free(best_fit(runs, known.beside(model), known))
+    fit = free_ends(select_fit(inputs, known.extend(model), known))
     on_progress(0.9)
-    observable = observability(machine, runs)
+    observability = assess_observability(machine, inputs)
     result = widen_by_unknown_precision(fit.prior, fit.result)
-    made = Estimate(
+    found = Estimate(
         fit.model,
         result.theta,
         result.covariance,
         fit.prior.precision,
-        observable,
+        observability,
         fit.direction,
         perpendicular_only,
-        tuple(_of_one(share, result) for share in fit.shares),
-        measured_ranges(*observed),
+        tuple(_estimate_run(run, result) for run in fit.runs),
+        find_measured_ranges(*observed),
         known,
-        known.chances(fit.model, fit.result),
+        known.compute_chances(fit.model, fit.result),
         fit if keep_fit else None,
     )
     on_progress(1.0)
-    return made
+    return found
 
 
-def _named(names: Sequence[str], observed: Sequence[Observations]) -> Sequence[str]:
+def _name(names: Sequence[str], observed: Sequence[Observations]) -> Sequence[str]:
     return names or [f"Run {number}" for number in range(1, len(observed) + 1)]
 
 
-def _of_run(seen: Observations, run: int) -> Observations:
-    return replace(seen, at=replace(seen.at, run=run))
-
-
-def _of_one(share: Share, machine: Posterior) -> RunEstimate:
-    theta, covariance = share.completed(machine)
-    problem, seen = share.problem, share.problem.seen
+def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
+    theta, pose_covariance = run.restore_pose(machine)
+    observations = run.observations
     return RunEstimate(
-        share.noise,
-        refined_pose(problem, theta),
-        covariance[:6, :6],  # the pose comes first of what is the Run's own
-        seen.at.point_mm.mean(axis=0),
-        seen.at.machine.tracker,
-        float(np.linalg.norm(seen.tracker_mm, axis=1).mean()),
-        _residuals(problem, theta, share.noise),
-        len(seen),
-        seen.used,
-        seen.offered,
-        len(np.unique(seen.row)),
+        run.noise,
+        run.linearisation.correct_pose(theta),
+        pose_covariance,
+        observations.at.point_mm.mean(axis=0),
+        observations.at.machine.tracker,
+        float(np.linalg.norm(observations.tracker_mm, axis=1).mean()),
+        _compute_residuals(run, theta),
+        len(observations),
+        observations.used,
+        observations.offered,
+        len(np.unique(observations.row)),
     )
 
 
-def _residuals(
-    problem: Problem, theta: Float64[np.ndarray, " p"], noise: NoiseModel
+def _compute_residuals(
+    run: RunInformation, theta: Float64[np.ndarray, " p"]
 ) -> Residuals:
-    seen = problem.seen
-    parts = [(_left(part, theta, noise), _along(part)) for part in problem.parts()]
-    left, along = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
-    across = left - np.einsum("ni,ni->n", left, along)[:, None] * along
-    counted = across if noise.along_sigma_mm == np.inf else left
+    designs = list(run.linearisation.split(run.observations))
+    residual = np.concatenate([_fit_lines(d, theta, run.noise) for d in designs])
+    travel = np.concatenate([design.travel for design in designs])
+    across = residual - np.einsum("ni,ni->n", residual, travel)[:, None] * travel
+    counted = across if run.noise.along_sigma_mm == np.inf else residual
     return Residuals(
-        left,
+        residual,
         np.linalg.norm(across, axis=1),
-        seen.row,
-        seen.at.position_mm,
+        run.observations.row,
+        run.observations.at.position_mm,
         float(np.sqrt(np.mean(counted**2))),
-        floor_mm(seen, noise, along),
+        floor_mm(run.observations, run.noise, travel),
     )
 
 
-def _left(
-    part: Part, theta: Float64[np.ndarray, " p"], noise: NoiseModel
+def _fit_lines(
+    design: DesignMatrix, theta: Float64[np.ndarray, " p"], noise: NoiseModel
 ) -> Float64[np.ndarray, "n 3"]:
     """Return what is left of the data, the timing of each line at its best."""
-    left = part.off - part.rows[:, :, : part.data] @ theta
-    timing = part.timing
-    if not timing.size:
-        return left
-    told = whiten(part.seen, noise, part.frame).applied(timing)
-    H = np.tensordot(told, timing, axes=((0, 1), (0, 1)))
-    pull = np.tensordot(told, left, axes=((0, 1), (0, 1)))
-    return left - timing @ np.linalg.lstsq(H, pull, rcond=None)[0]
-
-
-def _along(part: Part) -> Float64[np.ndarray, "n 3"]:
-    return np.einsum("nij,nj->ni", part.frame, part.seen.direction)
+    left = (design.residual - design.columns @ theta)[:, :, None]
+    timing, _ = fit_timing(whiten(design, noise), design.timing, left)
+    return (left - design.timing @ timing)[:, :, 0]

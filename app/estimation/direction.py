@@ -12,13 +12,17 @@ from dataclasses import dataclass
 
 from app.estimation.information import Information, Posterior
 from app.estimation.known_effects import KnownEffects
-from app.estimation.prior import BendingPrior, evidence_cost, first_guess, fitted
+from app.estimation.prior import (
+    BendingPrior,
+    compute_evidence_cost,
+    fit_prior,
+    guess_prior,
+)
 from app.estimation.runs import (
-    Measured,
-    Share,
-    shares_of,
-    together,
-    with_effects_only,
+    RunInformation,
+    RunInput,
+    collect_information,
+    combine_runs,
 )
 from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.effects.error_motion import ErrorMotion
@@ -33,7 +37,7 @@ class Fit:
     """One model and what it makes of the data.
 
     direction : `none`, `constant` (half widths) or `tables` (both directions)
-    shares : what each Run tells of the model
+    runs : what each Run tells of the model
     known : what an earlier measurement has told of effects in it
     result : of the machine's parameters
     cost : −2 log evidence, with the price of its precisions
@@ -41,7 +45,7 @@ class Fit:
 
     direction: str
     model: MachineModel
-    shares: tuple[Share, ...]
+    runs: tuple[RunInformation, ...]
     known: KnownEffects
     prior: BendingPrior
     result: Posterior
@@ -50,10 +54,10 @@ class Fit:
     @property
     def data(self) -> Information:
         """What all Runs, and what was known before them, tell of the machine."""
-        return self.known.informed(together(self.shares), self.model)
+        return self.known.add_to(combine_runs(self.runs), self.model)
 
 
-def with_half_widths(model: MachineModel) -> MachineModel:
+def add_half_widths(model: MachineModel) -> MachineModel:
     """Return the model with a half width for each of its error motions.
 
     None for a motion whose lost motion is an effect of the model already.
@@ -63,8 +67,8 @@ def with_half_widths(model: MachineModel) -> MachineModel:
     return model.with_effects(*(half_width(m.symbol, m.axis) for m in motions))
 
 
-def best_fit(
-    runs: Sequence[Measured],
+def select_fit(
+    runs: Sequence[RunInput],
     model: MachineModel,
     known: KnownEffects | None = None,
 ) -> Fit:
@@ -73,30 +77,30 @@ def best_fit(
     known : what an earlier measurement has told of effects of the model
     """
     known = known or KnownEffects()
-    halves = with_half_widths(model)
-    shares = shares_of(runs, halves)
-    fewer = tuple(with_effects_only(share, model.effects) for share in shares)
-    none = _fit("none", model, fewer, known)
-    constant = _fit("constant", halves, shares, known)
+    wide = add_half_widths(model)
+    found = collect_information(runs, wide)
+    narrow = tuple(run.restrict(model.effects) for run in found)
+    none = _fit("none", model, narrow, known)
+    constant = _fit("constant", wide, found, known)
     if none.cost <= constant.cost:
         return none
     shapes = [half_shape(m.symbol, m.axis) for m in _motions(model)]
-    both = halves.with_effects(*shapes)
-    tables = _fit("tables", both, shares_of(runs, both), known)
+    both = wide.with_effects(*shapes)
+    tables = _fit("tables", both, collect_information(runs, both), known)
     return min(constant, tables, key=lambda fit: fit.cost)
 
 
 def _fit(
     direction: str,
     model: MachineModel,
-    shares: tuple[Share, ...],
+    runs: tuple[RunInformation, ...],
     known: KnownEffects,
 ) -> Fit:
-    data = known.informed(together(shares), model)
-    prior, result = fitted(data, first_guess(model))
+    data = known.add_to(combine_runs(runs), model)
+    prior, result = fit_prior(data, guess_prior(model))
     precisions = len(model.effects) - len(model.error_motions)
-    cost = evidence_cost(data, prior, result) + _PRICE * precisions
-    return Fit(direction, model, shares, known, prior, result, cost)
+    cost = compute_evidence_cost(data, prior, result) + _PRICE * precisions
+    return Fit(direction, model, runs, known, prior, result, cost)
 
 
 def _motions(model: MachineModel) -> list[ErrorMotion]:

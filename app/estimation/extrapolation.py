@@ -23,7 +23,7 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.direction import Fit
-from app.estimation.information import posterior
+from app.estimation.information import compute_posterior
 from app.estimation.prior import BendingPrior
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import QuadraticPrior
@@ -55,7 +55,7 @@ class Variation:
     slope_square: float
 
 
-def measured_ranges(*observed: Observations) -> Ranges:
+def find_measured_ranges(*observed: Observations) -> Ranges:
     """Return the range of every axis that the observations of all Runs cover."""
     position = np.concatenate([seen.at.position_mm for seen in observed])
     names = observed[0].at.machine.axis_names
@@ -63,27 +63,29 @@ def measured_ranges(*observed: Observations) -> Ranges:
     return {name: (float(low), float(high)) for name, low, high in pairs}
 
 
-def with_ends_free(fit: Fit) -> Fit:
+def free_ends(fit: Fit) -> Fit:
     """Return the fit with the honest uncertainty beyond the measured ranges.
 
     What was found of precisions and of the noise stays; only ends longer than two
     intervals of the knots are looked at, and without any the fit is the same.
     """
-    ranges = measured_ranges(*(share.problem.seen for share in fit.shares))
+    ranges = find_measured_ranges(*(run.observations for run in fit.runs))
     motions = [m for m in _motions(fit.model) if _has_ends(m, ranges)]
     if not motions:
         return fit
-    known = variations(fit.model, fit.result.theta, ranges, fit.result.covariance)
+    known = estimate_variations(
+        fit.model, fit.result.theta, ranges, fit.result.covariance
+    )
     charges = {
-        m.name: _freed(m, fit.prior, known[m.name], ranges[m.axis.name])
+        m.name: _soften(m, fit.prior, known[m.name], ranges[m.axis.name])
         for m in motions
     }
     prior = replace(fit.prior, charges={**fit.prior.charges, **charges})
-    result = posterior(fit.data, prior.precision_matrix(fit.model.size))
+    result = compute_posterior(fit.data, prior.precision_matrix(fit.model.size))
     return replace(fit, prior=prior, result=result)
 
 
-def variations(
+def estimate_variations(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     ranges: Ranges,
@@ -99,7 +101,7 @@ def variations(
         )
         for m in _motions(model)
     }
-    return {m.name: _shared(m, model, own) for m in _motions(model)}
+    return {m.name: _share_with_kind(m, model, own) for m in _motions(model)}
 
 
 def beyond_travel_variance_mm2(
@@ -126,7 +128,7 @@ def beyond_travel_variance_mm2(
     return total
 
 
-def whole_travel(machine: Machine) -> Ranges:
+def full_travel(machine: Machine) -> Ranges:
     """Return the ranges of a measurement that covers the travel of every axis."""
     return {axis.name: (axis.low, axis.high) for axis in machine.axes}
 
@@ -188,7 +190,7 @@ def _mean_slope(
     return (ends[1:] - ends[:1]) / max(high - low, 1e-9)
 
 
-def _shared(
+def _share_with_kind(
     motion: ErrorMotion, model: MachineModel, own: dict[str, Variation]
 ) -> Variation:
     """Return half of the motion's own, half of its kind's, scaled to its travel."""
@@ -211,7 +213,7 @@ def _travel(motion: ErrorMotion) -> float:
     return motion.axis.high - motion.axis.low
 
 
-def _freed(
+def _soften(
     motion: ErrorMotion,
     prior: BendingPrior,
     varies: Variation,

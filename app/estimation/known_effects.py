@@ -45,7 +45,7 @@ class MachineKnowledge(Protocol):
         """Version of the model."""
         ...
 
-    def known(self, machine: Machine) -> KnownEffects:
+    def select_effects(self, machine: Machine) -> KnownEffects:
         """Return the known effects of a machine. Raises BundleError if of another."""
         ...
 
@@ -63,11 +63,11 @@ class KnownEffects:
         default_factory=lambda: np.zeros((0, 0))
     )
 
-    def beside(self, model: MachineModel) -> MachineModel:
+    def extend(self, model: MachineModel) -> MachineModel:
         """Return a model of error motions with the effects beside them."""
         return model.with_effects(*self.effects)
 
-    def part(self, model: MachineModel) -> slice:
+    def locate(self, model: MachineModel) -> slice:
         """Return where the effects lie in a model that has them, one after another."""
         if not self.effects:
             return slice(0, 0)
@@ -83,14 +83,14 @@ class KnownEffects:
         inverse = (vector / np.maximum(value, floor)) @ vector.T
         return inverse / own[:, None] / own
 
-    def informed(self, data: Information, model: MachineModel) -> Information:
+    def add_to(self, data: Information, model: MachineModel) -> Information:
         """Return what data and the earlier measurement tell of a model together.
 
         data : on the model's parameters, which may be followed by others
         """
         if not self.effects:
             return data
-        part, precision = self.part(model), self.precision_matrix()
+        part, precision = self.locate(model), self.precision_matrix()
         matrix, vector = data.matrix.copy(), data.vector.copy()
         pull = precision @ self.theta
         matrix[part, part] += precision
@@ -98,14 +98,14 @@ class KnownEffects:
         square = data.square + float(self.theta @ pull)
         return replace(data, matrix=matrix, vector=vector, square=square)
 
-    def hardly_known(self) -> KnownEffects:
+    def loosen(self) -> KnownEffects:
         """Return the same effects with all but nothing known of their parameters.
 
         For a Run that they were found in: it must not count twice.
         """
         return replace(self, covariance=_LOOSE**2 * self.covariance)
 
-    def chances(
+    def compute_chances(
         self, model: MachineModel, result: Posterior
     ) -> tuple[float | None, ...]:
         """Return how likely each effect moves so far if nothing has changed.
@@ -119,11 +119,11 @@ class KnownEffects:
             now, begin = model.slices[effect.name], own.stop
             before, after = self.covariance[own, own], result.covariance[now, now]
             moved = result.theta[now] - self.theta[own]
-            found.append(_chance(before, after, moved))
+            found.append(_compute_chance(before, after, moved))
         return tuple(found)
 
 
-def _chance(
+def _compute_chance(
     before: Float64[np.ndarray, "k k"],
     after: Float64[np.ndarray, "k k"],
     moved: Float64[np.ndarray, " k"],
@@ -139,7 +139,7 @@ def _chance(
     return float(chdtrc(int(told.sum()), square))
 
 
-def known_effects(
+def extract_known_effects(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],

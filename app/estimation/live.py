@@ -22,21 +22,26 @@ from app.alignment.streaming import StreamingAlignment
 from app.alignment.stretches import Stretch, offsets_mm
 from app.alignment.surroundings import with_surroundings
 from app.errors import Unidentifiable
-from app.estimation.direction import with_half_widths
-from app.estimation.information import Information, information, posterior
+from app.estimation.design_matrix import Linearisation, linearise
+from app.estimation.direction import add_half_widths
+from app.estimation.information import Information, compute_posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import first_noise, looked_at, residual_noise
+from app.estimation.noise_fit import (
+    estimate_residual_noise,
+    guess_noise,
+    refine_runs,
+)
+from app.estimation.normal_equations import compute_information
 from app.estimation.prior import (
     BendingPrior,
-    first_guess,
-    fitted,
+    fit_prior,
+    guess_prior,
     widen_by_unknown_precision,
 )
-from app.estimation.problem import pose_problem, refined_pose
-from app.estimation.recursive import Linearisation, Recursive, begun
-from app.estimation.runs import Measured
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.recursive import RecursiveEstimator
+from app.estimation.runs import RunInput
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import identifiable_model
@@ -74,7 +79,7 @@ class LiveEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class LiveFindings:
     """What a measurement under way has told about itself.
 
     rows : whose line or standstill has been recognised
@@ -108,11 +113,11 @@ class LiveEstimator:
         self._perpendicular_only = perpendicular_only
         offsets = offsets_mm(machine, commanded.target, len(commanded))
         model, _ = identifiable_model(machine, offsets)
-        self._model = with_half_widths(self._known.beside(model))
-        self._gram = volumetric_gram(self._model)
-        self._prior: BendingPrior = first_guess(self._model)
+        self._model = add_half_widths(self._known.extend(model))
+        self._gram = compute_volumetric_gram(self._model)
+        self._prior: BendingPrior = guess_prior(self._model)
         self._parts: list[Stretch] = []
-        self._sums: Recursive | None = None
+        self._sums: RecursiveEstimator | None = None
         self._looked = 0  # stretches that pose and noise were last looked at with
 
     def extend(self, commanded: Path | Configurations) -> None:
@@ -120,17 +125,17 @@ class LiveEstimator:
         self._commanded = commanded
         self._alignment.extend(commanded)
 
-    def findings(self) -> Findings | None:
+    def findings(self) -> LiveFindings | None:
         """Return what a plan of further rows rests on, None before the pose is known.
 
         After `estimate`, with the precisions of the prior that it has found.
         """
         if self._sums is None:
             return None
-        about = self._sums.about
+        about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
         rows = frozenset(part.row for part in self._parts)
-        return Findings(rows, station_mm, about.noise, self._prior.precision)
+        return LiveFindings(rows, station_mm, about.noise, self._prior.precision)
 
     def take(self, block: TrackerSamples) -> bool:
         """Take the next samples; tell whether they have finished anything."""
@@ -149,8 +154,8 @@ class LiveEstimator:
         if self._sums is None:
             return None
         size = self._model.size
-        data = self._informed(self._sums.information(), _with_pose(self._model))
-        self._prior, result = fitted(data, self._prior)
+        data = self._add_known(self._sums.information(), self._sums.linearisation)
+        self._prior, result = fit_prior(data, self._prior)
         widened = widen_by_unknown_precision(self._prior, result)
         covariance = widened.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))
@@ -171,69 +176,65 @@ class LiveEstimator:
         if self._sums is None or len(self._parts) >= max(2 * self._looked, _FIRST_LOOK):
             self._look_again()
         else:
-            self._sums = self._sums.added(self._observations(parts))
+            self._sums = self._sums.add(self._observations(parts))
         return True
 
     def _observations(self, parts: list[Stretch]) -> Observations:
         return with_surroundings(self._alignment.observations(parts), self._commanded)
 
-    def _informed(self, data: Information, effects: Sequence[Effect]) -> Information:
+    def _add_known(self, data: Information, about: Linearisation) -> Information:
         """Return data with the weak prior, and what was known before, in them."""
-        return self._known.informed(_weakened(data, effects), self._model)
+        sigma = np.array(
+            [_weak_sigma(e, p) for e in about.model.effects for p in e.parameters]
+        )
+        data = replace(data, matrix=data.matrix + np.diag(sigma**-2))
+        return self._known.add_to(data, self._model)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
         """Take the newest pose and noise, and add all cells anew.
 
         thoroughly : judge the noise as the batch does, which takes its time
         """
-        seen = self._observations(self._parts)
-        noise = first_noise(seen, perpendicular_only=self._perpendicular_only)
-        pose = seen.pose
+        observations = self._observations(self._parts)
+        noise = guess_noise(observations, perpendicular_only=self._perpendicular_only)
+        pose = observations.pose
         if len(self._parts) >= _FIRST_LOOK:
             self._looked = len(self._parts)
             if self._sums is not None:
-                noise = replace(self._sums.about.noise, white=noise.white)
-            problem = pose_problem(seen, self._model, pose)
-            data = self._informed(information(problem, noise), problem.model.effects)
-            strong = self._prior.precision_matrix(len(data.vector))
-            theta = posterior(data, strong).theta
-            pose = refined_pose(problem, theta)
-            noise = residual_noise(problem, theta, noise)
+                noise = replace(self._sums.linearisation.noise, white=noise.white)
+            about = linearise(observations, self._model, pose, noise)
+            data = self._add_known(compute_information(observations, about), about)
+            precision = self._prior.precision_matrix(about.size)
+            theta = compute_posterior(data, precision).theta
+            pose = about.correct_pose(theta)
+            noise = estimate_residual_noise(observations, about, theta)
             if thoroughly:
-                noise = _fitted_noise(seen, pose, noise, self._known)
-        about = _about(self._model, pose, noise)
-        self._sums = begun(about).added(seen)
+                noise = _refine_noise(observations, pose, noise, self._known)
+        tracker = TrackerPose(_middle_of_travel(self._model.machine))
+        about = Linearisation(self._model, tracker, pose, noise)
+        self._sums = RecursiveEstimator.start(about).add(observations)
 
 
-def _fitted_noise(
-    seen: Observations, pose: RigidTransform, noise: NoiseModel, known: KnownEffects
+def _refine_noise(
+    observations: Observations,
+    pose: RigidTransform,
+    noise: NoiseModel,
+    known: KnownEffects,
 ) -> NoiseModel:
-    run = Measured(seen, pose, noise)
+    run = RunInput(observations, pose, noise)
     try:
-        return looked_at(seen.at.machine, (run,), known=known)[0].noise
+        return refine_runs(observations.at.machine, (run,), known=known)[0].noise
     except Unidentifiable:
         return noise  # too few lines to judge it better
 
 
-def _about(
-    model: MachineModel, pose: RigidTransform, noise: NoiseModel
-) -> Linearisation:
-    middle = [0.5 * (a.min_mm + a.max_mm) for a in model.machine.linear_axes]
+def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
+    middle = [0.5 * (a.min_mm + a.max_mm) for a in machine.linear_axes]
     x, y, z = (*middle, 0.0, 0.0)[:3]
-    return Linearisation(model, pose, (x, y, z), noise)
-
-
-def _weakened(data: Information, effects: Sequence[Effect]) -> Information:
-    """Return the information with the weak prior in it."""
-    sigma = np.array([_weak_sigma(e, p) for e in effects for p in e.parameters])
-    return replace(data, matrix=data.matrix + np.diag(sigma**-2))
+    return x, y, z
 
 
 def _weak_sigma(effect: Effect, parameter: Parameter) -> float:
     if effect.role is Role.NUISANCE:
         return _WEAK_NUISANCE.get(parameter.unit, _WEAK_SPEED)
     return _WEAK.get(parameter.unit, 1.0)
-
-
-def _with_pose(model: MachineModel) -> tuple[Effect, ...]:
-    return (*model.effects, TrackerPose((0.0, 0.0, 0.0)))

@@ -26,19 +26,27 @@ from jaxtyping import Float32, Float64
 from scipy.linalg import cho_factor, cho_solve
 
 from app.alignment.observations import Observations
+from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit
-from app.estimation.noise import NoiseModel, whiten
+from app.estimation.elimination import fit_timing
+from app.estimation.noise import NoiseModel, split_sigma_mm
 from app.estimation.prior import log_precision_variance
-from app.estimation.problem import Part
-from app.estimation.runs import Share, together
-from app.numerics.adaptive_trials import BLOCK, Interval, TrialBlock, TrialPlan, kept
+from app.estimation.runs import RunInformation, combine_runs
+from app.estimation.whitening import whiten
+from app.numerics.adaptive_trials import (
+    BLOCK,
+    Interval,
+    TrialBlock,
+    TrialPlan,
+    summarise,
+)
 
 _AT_ONCE = 500  # trials drawn together: their noise fits the memory of any computer
 _SAME_PRECISION = 10  # trials that share a draw of precisions, and so one factorisation
 
 
 @dataclass(frozen=True, slots=True)
-class Charged:
+class PriorBlock:
     """What the prior charges one error motion, or knows of effects together.
 
     precision : (k, k) λ̂K of its parameters; root : (k, k) with root rootᵀ = precision
@@ -60,12 +68,12 @@ class Charged:
 class TrialRun:
     """What trials need of one Run.
 
-    frame : (n, 3, 3) workpiece to beam frame; weighted : (n, 3, m), Q
+    travel : (n, 3) its direction in the beam frame; weighted : (n, 3, m), Q
     """
 
-    seen: Observations
+    observations: Observations
     noise: NoiseModel
-    frame: Float64[np.ndarray, "n 3 3"]
+    travel: Float64[np.ndarray, "n 3"]
     weighted: Float32[np.ndarray, "n 3 m"]
 
 
@@ -79,97 +87,95 @@ class Trials:
     runs: tuple[TrialRun, ...]
     data: Float64[np.ndarray, "m m"]
     theta: Float64[np.ndarray, " m"]
-    charged: tuple[Charged, ...]
+    prior: tuple[PriorBlock, ...]
     outputs: Float64[np.ndarray, "o m"]
     seed: int
     interval: Interval
 
 
-def prepared(fit: Fit, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan) -> Trials:
+def prepare_trials(
+    fit: Fit, outputs: Float64[np.ndarray, "o m"], plan: TrialPlan
+) -> Trials:
     """Return the trials of an estimate.
 
     outputs : (o, m), linear outputs of the machine's parameters
     """
     return Trials(
-        tuple(_trial_run(share) for share in fit.shares),
-        together(fit.shares).matrix,
+        tuple(_trial_run(run) for run in fit.runs),
+        combine_runs(fit.runs).matrix,
         fit.result.theta,
-        _charged(fit),
+        _split_prior(fit),
         outputs,
         plan.seed,
         plan.interval,
     )
 
 
-def _trial_run(share: Share) -> TrialRun:
-    problem, size = share.problem, share.problem.machine_model.size
-    part = problem.part(problem.seen)
-    weighted = _weighted(part, share.noise)
+def _trial_run(run: RunInformation) -> TrialRun:
+    design = run.linearisation.build(run.observations)
+    size = run.linearisation.machine_model.size
+    weighted = _weigh(design, run.noise)
     # The pose is solved along: its share of the data is passed on.
-    machine = weighted[:, :, :size] - weighted[:, :, size:] @ share.own_per_machine
-    return TrialRun(problem.seen, share.noise, part.frame, machine.astype(np.float32))
+    machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.pose_per_machine
+    return TrialRun(
+        run.observations, run.noise, design.travel, machine.astype(np.float32)
+    )
 
 
-def _weighted(part: Part, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
+def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
     """Return V⁻¹A of machine and pose, less what the timing of the lines takes up."""
-    known, timing = part.rows[:, :, : part.data], part.timing
-    V = whiten(part.seen, noise, part.frame)
-    weighted = V.applied(known)
-    if not timing.size:
-        return weighted
-    told = V.applied(timing)
-    H = np.tensordot(told, timing, axes=((0, 1), (0, 1)))
-    taken = np.tensordot(told, known, axes=((0, 1), (0, 1)))
-    return weighted - told @ np.linalg.lstsq(H, taken, rcond=None)[0]
+    V = whiten(design, noise)
+    timing, weighted = fit_timing(V, design.timing, design.columns)
+    return V.apply(design.columns) - weighted @ timing
 
 
-def block(trials: Trials, number: int) -> TrialBlock:
+def run_block(trials: Trials, number: int) -> TrialBlock:
     """Draw one block of trials: how far each output moves from its estimate."""
-    return kept(drawn(trials, number, BLOCK), trials.interval)
+    return summarise(draw_outputs(trials, number, BLOCK), trials.interval)
 
 
-def drawn(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]:
+def draw_outputs(trials: Trials, number: int, count: int) -> Float64[np.ndarray, "o t"]:
     """Return how far the outputs move in the first trials of a block."""
     seed = np.random.SeedSequence(trials.seed, spawn_key=(number,))
     rng = np.random.default_rng(seed)
-    parts = [_some(trials, rng) for _ in range(0, count, _AT_ONCE)]
+    parts = [_draw_some(trials, rng) for _ in range(0, count, _AT_ONCE)]
     return np.concatenate(parts, axis=1)[:, :count]
 
 
-def _charged(fit: Fit) -> tuple[Charged, ...]:
-    prior, charged = fit.prior, list[Charged]()
+def _split_prior(fit: Fit) -> tuple[PriorBlock, ...]:
+    prior, blocks = fit.prior, list[PriorBlock]()
     for name, variance in log_precision_variance(prior, fit.result).items():
         precision = prior.precision[name] * prior.charges[name].form
         value, vector = np.linalg.eigh(precision)
         root = vector * np.sqrt(np.maximum(value, 0.0))
         first = prior.model.slices[name].start
-        charged.append(Charged(first, precision, root, float(np.sqrt(variance))))
+        blocks.append(PriorBlock(first, precision, root, float(np.sqrt(variance))))
     if fit.known.effects:
         precision = fit.known.precision_matrix()
         root = np.linalg.cholesky(precision)
-        first = fit.known.part(fit.model).start
-        charged.append(Charged(first, precision, root, 0.0))
-    return tuple(charged)
+        first = fit.known.locate(fit.model).start
+        blocks.append(PriorBlock(first, precision, root, 0.0))
+    return tuple(blocks)
 
 
-def _some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"]:
+def _draw_some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, "o t"]:
     pulled = np.zeros((len(trials.theta), _AT_ONCE))
     for run in trials.runs:
-        noise = _white(run, rng) + _slow(run, rng)
+        noise = _draw_white(run, rng) + _draw_ou(run, rng)
         pulled += np.tensordot(run.weighted, noise, axes=((0, 1), (0, 1)))
     moved = np.empty_like(pulled)
     for first in range(0, _AT_ONCE, _SAME_PRECISION):
         same = slice(first, first + _SAME_PRECISION)
-        moved[:, same] = _solved(trials, pulled[:, same], rng)
+        moved[:, same] = _solve_again(trials, pulled[:, same], rng)
     return trials.outputs @ moved
 
 
-def _solved(
+def _solve_again(
     trials: Trials, pulled: Float64[np.ndarray, "m t"], rng: np.random.Generator
 ) -> Float64[np.ndarray, "m t"]:
     """Solve trials again under precisions drawn for them."""
     H, right = trials.data.copy(order="F"), pulled.copy(order="F")
-    for one in trials.charged:
+    for one in trials.prior:
         part = one.part
         times = float(np.exp(one.log_sigma * rng.standard_normal()))
         draw = rng.standard_normal((len(one.root), pulled.shape[1]))
@@ -180,40 +186,33 @@ def _solved(
     return cho_solve(factor, right, overwrite_b=True, check_finite=False)
 
 
-def _white(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
+def _draw_white(
+    run: TrialRun, rng: np.random.Generator
+) -> Float32[np.ndarray, "n 3 t"]:
     """Draw the mean of the samples' white noise, and the jitter of the feed."""
-    seen, noise = run.seen, run.noise
-    sigma = _stated_mm(seen) * np.array(
-        [noise.white[0], noise.white[1], noise.white[1]]
-    )
-    sigma /= np.sqrt(seen.count)[:, None]
-    draw = _normal(rng, *sigma.shape, _AT_ONCE)
+    sigma, _ = split_sigma_mm(run.observations, run.noise)
+    draw = _draw_normal(rng, *sigma.shape, _AT_ONCE)
     draw *= sigma[:, :, None].astype(np.float32)
-    if 0.0 < noise.along_sigma_mm < np.inf:
-        along = np.einsum("nij,nj->ni", run.frame, seen.direction)
-        jitter = _normal(rng, len(seen), 1, _AT_ONCE)
-        draw += (noise.along_sigma_mm * along[:, :, None]).astype(np.float32) * jitter
+    jitter_mm = run.noise.along_sigma_mm
+    if 0.0 < jitter_mm < np.inf:
+        jitter = _draw_normal(rng, len(sigma), 1, _AT_ONCE)
+        draw += (jitter_mm * run.travel[:, :, None]).astype(np.float32) * jitter
     return draw
 
 
-def _slow(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
+def _draw_ou(run: TrialRun, rng: np.random.Generator) -> Float32[np.ndarray, "n 3 t"]:
     """Draw the Ornstein–Uhlenbeck noise step by step, from cell to cell."""
-    seen, noise = run.seen, run.noise
-    sigma = _stated_mm(seen) * np.array([noise.ou[0], noise.ou[1], noise.ou[1]])
-    keep = np.exp(-np.diff(seen.at.time_s, prepend=-np.inf) / noise.ou_time_s)
+    _, sigma = split_sigma_mm(run.observations, run.noise)
+    step = np.diff(run.observations.at.time_s, prepend=-np.inf)
+    keep = np.exp(-step / run.noise.ou_time_s)
     fresh = np.sqrt(1.0 - keep**2)
-    state = _normal(rng, len(seen), 3, _AT_ONCE)
+    state = _draw_normal(rng, *sigma.shape, _AT_ONCE)
     state[1:] *= fresh[1:, None, None].astype(np.float32)
-    for k in range(1, len(seen)):
+    for k in range(1, len(sigma)):
         state[k] += np.float32(keep[k]) * state[k - 1]
     state *= sigma[:, :, None].astype(np.float32)
     return state
 
 
-def _normal(rng: np.random.Generator, *shape: int) -> Float32[np.ndarray, "..."]:
+def _draw_normal(rng: np.random.Generator, *shape: int) -> Float32[np.ndarray, "..."]:
     return rng.standard_normal(shape, dtype=np.float32)
-
-
-def _stated_mm(seen: Observations) -> Float64[np.ndarray, "n 3"]:
-    tracker = seen.at.machine.tracker
-    return tracker.sigma_mm(np.linalg.norm(seen.tracker_mm, axis=1))[:, [0, 1, 1]]

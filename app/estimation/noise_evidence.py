@@ -19,18 +19,18 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import cho_solve_banded, solve_triangular
 
 from app.errors import Unidentifiable
+from app.estimation.design_matrix import DesignMatrix
 from app.estimation.information import Information
-from app.estimation.noise import NoiseModel, cell_noise
-from app.estimation.problem import Part
+from app.estimation.noise import NoiseModel, split_sigma_mm
+from app.estimation.whitening import whiten
 from app.numerics.correlated_noise import (
     OrnsteinUhlenbeckPrecision,
     Whitener,
-    ou_precision,
+    build_ou_precision,
 )
-from app.numerics.correlated_noise import whitener as whitener_of
+from app.numerics.scaled_cholesky import ScaledCholesky
 
 _STEP = 1e-4  # of a logarithm, for derivatives of what is cheap
 
@@ -52,83 +52,67 @@ class Slope:
 class NoiseEvidence:
     """Cells whose noise is to be judged.
 
-    columns : (n, 3, p) of the parameters, which may be none; off : (n, 3) the data
+    columns : (n, 3, p) of the parameters, which may be none; residual : (n, 3) the data
     known : of the first parameters, by the prior and by other data
     """
 
-    part: Part
+    design: DesignMatrix
     columns: Float64[np.ndarray, "n 3 p"]
-    off: Float64[np.ndarray, "n 3"]
+    residual: Float64[np.ndarray, "n 3"]
     known: Information
 
-    def at(self, noise: NoiseModel) -> Slope:
+    def evaluate(self, noise: NoiseModel) -> Slope:
         """Return cost, gradient and curvature.
 
         Raises Unidentifiable if data and prior do not determine the parameters.
         """
-        return _Solved(self, noise).slope()
+        return _Solution(self, noise).slope()
 
     def covariance(self, noise: NoiseModel) -> Whitener:
         """Return V⁻¹."""
-        seen = self.part.seen
-        white, ou = cell_noise(seen, noise, self.part.frame)
-        return whitener_of(seen.at.time_s, white, ou, noise.ou_time_s)
+        return whiten(self.design, noise)
 
-    def ou(self, noise: NoiseModel) -> OrnsteinUhlenbeckPrecision:
+    def ou_precision(self, noise: NoiseModel) -> OrnsteinUhlenbeckPrecision:
         """Return C⁻¹."""
-        seen = self.part.seen
-        _, sigma = cell_noise(seen, noise, self.part.frame)
-        return ou_precision(seen.at.time_s, sigma, noise.ou_time_s)
+        observations = self.design.observations
+        _, sigma = split_sigma_mm(observations, noise)
+        return build_ou_precision(observations.at.time_s, sigma, noise.ou_time_s)
 
     @cached_property
-    def along(self) -> Float64[np.ndarray, "n 3"]:
+    def travel(self) -> Float64[np.ndarray, "n 3"]:
         """Direction of travel in the beam frame."""
-        return np.einsum("nij,nj->ni", self.part.frame, self.part.seen.direction)
+        return self.design.travel
 
 
-class _Solved:
+class _Solution:
     """The problem solved under one noise model; A and y side by side."""
 
     def __init__(self, of: NoiseEvidence, noise: NoiseModel) -> None:
         self.of, self.noise = of, noise
         self.inverse = of.covariance(noise)
-        n, p = len(of.off), of.columns.shape[2]
-        rows = np.concatenate([of.columns, of.off[:, :, None]], axis=2)
-        precision = np.swapaxes(self.inverse.root, 1, 2) @ self.inverse.root
-        weighted = precision @ rows
-        ou = cho_solve_banded(
-            (self.inverse.factor, True),
-            weighted.reshape(3 * n, p + 1),
-            check_finite=False,
-        )
-        applied = weighted - precision @ ou.reshape(n, 3, p + 1)
-        flat = applied.reshape(3 * n, p + 1)
-        total = rows.reshape(3 * n, p + 1).T @ flat
+        n, p = len(of.residual), of.columns.shape[2]
+        rows = np.concatenate([of.columns, of.residual[:, :, None]], axis=2)
+        weighted, ou = (v.reshape(3 * n, p + 1) for v in self.inverse.split(rows))
+        total = rows.reshape(3 * n, p + 1).T @ weighted
         k = len(of.known.vector)
         total[:k, :k] += of.known.matrix
         total[:k, p] += of.known.vector
-        self.factor, self.scale = _factored(total[:p, :p])
-        half = self._halved(total[:p, p:])
-        self.square = float(total[p, p] + of.known.square - (half.T @ half)[0, 0])
-        theta = solve_triangular(self.factor, half, lower=True, trans="T")
-        theta *= self.scale[:, None]
+        self.factor = _factorise(total[:p, :p])
+        half = self.factor.solve_half(total[:p, p])
+        self.square = float(total[p, p] + of.known.square - half @ half)
+        theta = self.factor.solve(total[:p, p])
         # V⁻¹A; what it leaves of the data, and the Ornstein–Uhlenbeck part of that.
-        self.told = flat[:, :p]
-        self.left = (flat[:, p:] - flat[:, :p] @ theta).reshape(n, 3)
+        self.columns = weighted[:, :p]
+        self.residual = (weighted[:, p] - weighted[:, :p] @ theta).reshape(n, 3)
         self.ou = ou[:, :p]
-        self.ou_residual = ou[:, p] - ou[:, :p] @ theta[:, 0]
+        self.ou_residual = ou[:, p] - ou[:, :p] @ theta
 
     def slope(self) -> Slope:
         """Return cost, gradient and curvature."""
-        turned = np.log(np.diag(self.factor)).sum() - np.log(self.scale).sum()
-        cost = self.inverse.log_determinant + 2.0 * float(turned) + self.square
+        determinants = self.inverse.log_determinant + self.factor.log_determinant
+        cost = determinants + self.square
         gradient = self._volume_slope() - self._moments()
         return Slope(cost, gradient, self._curvature())
-
-    def _halved(self, right: Float64[np.ndarray, "p r"]) -> Float64[np.ndarray, "p r"]:
-        """Return what has the square rightᵀ H⁻¹ right."""
-        scaled = self.scale[:, None] * right
-        return solve_triangular(self.factor, scaled, lower=True, check_finite=False)
 
     def _volume_slope(self) -> Float64[np.ndarray, " k"]:
         """Return the slope of log|V|."""
@@ -136,59 +120,60 @@ class _Solved:
         return np.array(
             [
                 (self.of.covariance(moved).log_determinant - here) / _STEP
-                for moved in _moved(self.noise)
+                for moved in _perturb(self.noise)
             ]
         )
 
     def _moments(self) -> Float64[np.ndarray, " k"]:
         """Return tr(∂V V⁻¹A H⁻¹AᵀV⁻¹) + yᵀP ∂V Py."""
-        spread = self._halved(self.ou.T)
+        spread = self.factor.solve_half(self.ou.T)
         now = (spread**2).sum(axis=0) + self.ou_residual**2
         next_ = (spread[:, 3:] * spread[:, :-3]).sum(axis=0)
         next_ += self.ou_residual[3:] * self.ou_residual[:-3]
-        here, longer = self.of.ou(self.noise), self.of.ou(_longer(self.noise))
+        here, longer = (
+            self.of.ou_precision(self.noise),
+            self.of.ou_precision(_lengthen(self.noise)),
+        )
         size = 2.0 * _by_coordinate(here, now, next_)
         time = (_by_coordinate(longer, now, next_).sum() - 0.5 * size.sum()) / _STEP
         found = [size[0], size[1] + size[2], -time]
         if np.isfinite(self.noise.along_sigma_mm):
-            n, along = len(self.of.off), self.of.along
-            pulled = np.einsum("ni,nip->pn", along, self.told.reshape(n, 3, -1))
-            left = np.einsum("ni,ni->n", along, self.left)
-            square = float((self._halved(pulled) ** 2).sum() + (left**2).sum())
+            n, along = len(self.of.residual), self.of.travel
+            pulled = np.einsum("ni,nip->pn", along, self.columns.reshape(n, 3, -1))
+            left = np.einsum("ni,ni->n", along, self.residual)
+            square = float(
+                (self.factor.solve_half(pulled) ** 2).sum() + (left**2).sum()
+            )
             found.append(2.0 * self.noise.along_sigma_mm**2 * square)
         return np.array(found)
 
     def _curvature(self) -> Float64[np.ndarray, "k k"]:
-        moved = self._moved_data()
-        told = self.inverse.applied(moved).reshape(-1, moved.shape[2])
-        half = self._halved(self.told.T @ moved.reshape(told.shape))
+        moved = self._perturbed_data()
+        told = self.inverse.apply(moved).reshape(-1, moved.shape[2])
+        half = self.factor.solve_half(self.columns.T @ moved.reshape(told.shape))
         return moved.reshape(told.shape).T @ told - half.T @ half
 
-    def _moved_data(self) -> Float64[np.ndarray, "n 3 k"]:
+    def _perturbed_data(self) -> Float64[np.ndarray, "n 3 k"]:
         """Return ∂V P y for each parameter."""
-        n = len(self.of.off)
+        n = len(self.of.residual)
         ou = self.ou_residual.reshape(n, 3)
-        here, longer = self.of.ou(self.noise), self.of.ou(_longer(self.noise))
-        change = (longer.times(ou) - here.times(ou)) / _STEP
+        here, longer = (
+            self.of.ou_precision(self.noise),
+            self.of.ou_precision(_lengthen(self.noise)),
+        )
+        change = (longer.multiply(ou) - here.multiply(ou)) / _STEP
         beam = 2.0 * ou * np.array([1.0, 0.0, 0.0])
-        columns = [beam, 2.0 * ou - beam, -here.solved(change)]
+        columns = [beam, 2.0 * ou - beam, -here.solve(change)]
         if np.isfinite(self.noise.along_sigma_mm):
-            along = self.of.along
-            left = np.einsum("ni,ni->n", along, self.left)[:, None]
+            along = self.of.travel
+            left = np.einsum("ni,ni->n", along, self.residual)[:, None]
             columns.append(2.0 * self.noise.along_sigma_mm**2 * along * left)
         return np.stack(columns, axis=2)
 
 
-def _factored(
-    H: Float64[np.ndarray, "p p"],
-) -> tuple[Float64[np.ndarray, "p p"], Float64[np.ndarray, " p"]]:
-    """Return the Cholesky factor of H with a unit diagonal, and the scale of that."""
-    diagonal = np.diag(H)
+def _factorise(H: Float64[np.ndarray, "p p"]) -> ScaledCholesky:
     try:
-        if not (diagonal > 0.0).all():
-            raise np.linalg.LinAlgError
-        scale = 1.0 / np.sqrt(diagonal)
-        return np.linalg.cholesky(H * scale[:, None] * scale), scale
+        return ScaledCholesky.of(H)
     except np.linalg.LinAlgError as error:
         raise Unidentifiable(
             "the lines do not determine the noise beside the errors; add lines"
@@ -205,17 +190,17 @@ def _by_coordinate(
     return square + 2.0 * (ou.below[:-1] * next_.reshape(-1, 3)).sum(axis=0)
 
 
-def _longer(noise: NoiseModel) -> NoiseModel:
+def _lengthen(noise: NoiseModel) -> NoiseModel:
     return replace(noise, ou_time_s=noise.ou_time_s * float(np.exp(_STEP)))
 
 
-def _moved(noise: NoiseModel) -> list[NoiseModel]:
+def _perturb(noise: NoiseModel) -> list[NoiseModel]:
     """Return the noise with one parameter a little larger each."""
     (beam, across), factor = noise.ou, float(np.exp(_STEP))
     moved = [
         replace(noise, ou=(beam * factor, across)),
         replace(noise, ou=(beam, across * factor)),
-        _longer(noise),
+        _lengthen(noise),
     ]
     if np.isfinite(noise.along_sigma_mm):
         moved.append(replace(noise, along_sigma_mm=noise.along_sigma_mm * factor))

@@ -16,14 +16,20 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.estimation.direction import with_half_widths
-from app.estimation.information import Information, added
+from app.estimation.design_matrix import DesignMatrix, Linearisation
+from app.estimation.direction import add_half_widths
+from app.estimation.elimination import select_independent
+from app.estimation.information import Information, add_information
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence, Slope
-from app.estimation.prior import BendingPrior, first_guess, fitted
-from app.estimation.problem import Part, Problem, refined_pose
-from app.estimation.runs import Measured, Share, shares_of, together, with_noise
+from app.estimation.prior import BendingPrior, fit_prior, guess_prior
+from app.estimation.runs import (
+    RunInformation,
+    RunInput,
+    collect_information,
+    combine_runs,
+)
 from app.kinematics.effects.base import Effect
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -33,7 +39,6 @@ _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
 _COARSE_MM = 35.0
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
-_SAME = 1e-6  # phase and speed of a line of one cell are the same
 _SWEEPS = 2  # over several Runs
 _JITTER_FLOOR_MM = 2e-5  # far below any tracker's noise: no jitter
 # Few data say little of the Ornstein–Uhlenbeck part; most trackers in most halls are
@@ -48,21 +53,21 @@ LONGEST_S = 60.0
 _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
 
 
-def first_noise(seen: Observations, *, perpendicular_only: bool) -> NoiseModel:
+def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
     """Return the tracker's noise: this Run's scatter, a usual correlated part."""
-    white = (float(seen.scatter[0]), float(seen.scatter[1]))
-    along = np.inf if perpendicular_only or not seen.passes else 2e-4
+    white = (float(observations.scatter[0]), float(observations.scatter[1]))
+    along = np.inf if perpendicular_only or not observations.passes else 2e-4
     return NoiseModel(white, (0.1, 0.1), 1.0, along)
 
 
-def looked_at(
+def refine_runs(
     machine: Machine,
-    runs: Sequence[Measured],
+    runs: Sequence[RunInput],
     beside: Sequence[Effect] = (),
     known: KnownEffects | None = None,
     *,
     longest_s: float = LONGEST_S,
-) -> tuple[Measured, ...]:
+) -> tuple[RunInput, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
 
     beside : further effects that must not pass for Ornstein–Uhlenbeck noise
@@ -75,105 +80,95 @@ def looked_at(
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or KnownEffects()
-    offsets_mm = [run.seen.at.offset_mm for run in runs]
+    offsets_mm = [run.observations.at.offset_mm for run in runs]
     model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
     # Lost motion must not pass for Ornstein–Uhlenbeck noise.
-    model = with_half_widths(known.beside(model))
+    model = add_half_widths(known.extend(model))
     model = model.with_effects(*(e for e in beside if e.name not in model.slices))
-    few = [replace(run, seen=_some_lines(run.seen)) for run in runs]
-    shares = list(shares_of(few, model))
-    data = known.informed(together(shares), model)
-    prior, result = fitted(data, first_guess(model))
+    few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
+    found = list(collect_information(few, model))
+    prior, result = fit_prior(
+        known.add_to(combine_runs(found), model), guess_prior(model)
+    )
     # The noise of one Run shifts what the others hold for the error motions.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
-        others = shares[:k] + shares[k + 1 :]
-        noise = _fitted_noise(shares[k], prior, others, known, longest_s)
+        others = found[:k] + found[k + 1 :]
+        noise = _fit_noise(found[k], prior, others, known, longest_s)
         if len(runs) > 1:
-            shares[k] = with_noise(shares[k].problem, noise)
+            found[k] = found[k].replace_noise(noise)
         else:
-            shares[k] = replace(shares[k], noise=noise)
+            about = replace(found[k].linearisation, noise=noise)
+            found[k] = replace(found[k], linearisation=about)
     return tuple(
-        Measured(
-            run.seen,
-            refined_pose(share.problem, share.completed(result)[0]),
-            share.noise,
+        RunInput(
+            run.observations,
+            one.linearisation.correct_pose(one.restore_pose(result)[0]),
+            one.noise,
         )
-        for run, share in zip(runs, shares, strict=True)
+        for run, one in zip(runs, found, strict=True)
     )
 
 
-def _fitted_noise(
-    share: Share,
+def _fit_noise(
+    run: RunInformation,
     prior: BendingPrior,
-    others: Sequence[Share],
+    others: Sequence[RunInformation],
     effects: KnownEffects,
     longest_s: float,
 ) -> NoiseModel:
     """Return the likeliest noise of a Run, precisions and the others' noise held."""
-    seen = share.problem.seen
-    part = share.problem.part(seen, merge=_merge(seen))
-    columns = _columns(part)
-    precision = prior.precision_matrix(prior.model.size)
-    charged = Information(precision, np.zeros(len(precision)), 0.0, 0.0)
-    known = added(
-        [
-            effects.informed(charged, prior.model),
-            *(other.about_machine for other in others),
-        ]
-    )
-    evidence = NoiseEvidence(part, columns, part.off, known)
-    return _likeliest(evidence, share.noise, longest_s)
+    design = _merged_design(run.observations, run.linearisation)
+    charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
+    before = effects.add_to(charged, prior.model)
+    known = add_information([before, *(other.about_machine for other in others)])
+    columns = select_independent(design)
+    evidence = NoiseEvidence(design, columns, design.residual, known)
+    return _maximise(evidence, run.noise, longest_s)
 
 
-def residual_noise(
-    problem: Problem, theta: Float64[np.ndarray, " p"], noise: NoiseModel
+def estimate_residual_noise(
+    observations: Observations, about: Linearisation, theta: Float64[np.ndarray, " p"]
 ) -> NoiseModel:
     """Return the noise that the residuals of an estimate show.
 
     Quick, for the live estimate: what the estimate has taken up of it is not counted.
     """
-    part = problem.part(problem.seen, merge=_merge(problem.seen))
-    left = part.off - part.rows[:, :, : part.data] @ theta
-    timing = _columns(part)[:, :, part.data :]
-    nothing = Information(np.zeros((0, 0)), np.zeros(0), 0.0, 0.0)
-    evidence = NoiseEvidence(part, timing, left, nothing)
-    return _likeliest(evidence, noise, LONGEST_S)
+    design = _merged_design(observations, about)
+    timing = select_independent(design)[:, :, design.fixed :]
+    residual = design.residual - design.columns @ theta
+    nothing = Information.of_matrix(np.zeros((0, 0)))
+    evidence = NoiseEvidence(design, timing, residual, nothing)
+    return _maximise(evidence, about.noise, LONGEST_S)
 
 
-def _columns(part: Part) -> Float64[np.ndarray, "n 3 p"]:
-    """Return the columns of all parameters; of a line's speed where it shows."""
-    phase, speed = part.timing[:, :, ::2], part.timing[:, :, 1::2]
-    alone = np.einsum("nil,nil->l", phase, phase), np.einsum("nil,nil->l", speed, speed)
-    both = np.einsum("nil,nil->l", phase, speed)
-    shows = alone[0] * alone[1] - both**2 > _SAME * alone[0] * alone[1]
-    told = np.ones(part.rows.shape[2], bool)
-    told[part.data] = False
-    told[part.data + 2 :: 2] = shows
-    return part.rows[:, :, told]
+def _merged_design(observations: Observations, about: Linearisation) -> DesignMatrix:
+    return about.build(observations, merge=_count_to_merge(observations))
 
 
-def _some_lines(seen: Observations) -> Observations:
+def _select_lines(observations: Observations) -> Observations:
     """Return whole lines or standstills, evenly spread, that make enough cells."""
-    rows = np.unique(seen.row)
-    cells = len(seen) / _merge(seen)
+    rows = np.unique(observations.row)
+    cells = len(observations) / _count_to_merge(observations)
     keep = max(_FEWEST_ROWS, int(len(rows) * min(1.0, _CELLS / cells)))
     if keep >= len(rows):
-        return seen
+        return observations
     kept = rows[np.linspace(0, len(rows) - 1, keep).round().astype(np.int64)]
-    return seen.taken(np.flatnonzero(np.isin(seen.row, kept)))
+    return observations.taken(np.flatnonzero(np.isin(observations.row, kept)))
 
 
-def _merge(seen: Observations) -> int:
+def _count_to_merge(observations: Observations) -> int:
     """Return how many cells are still short against the correlation time."""
-    length = float(np.median(seen.count)) / seen.at.machine.tracker.rate_hz
+    length = (
+        float(np.median(observations.count)) / observations.at.machine.tracker.rate_hz
+    )
     return max(1, round(_MERGED_S / length))
 
 
-def _likeliest(
+def _maximise(
     evidence: NoiseEvidence, noise: NoiseModel, longest_s: float
 ) -> NoiseModel:
     """Return the noise model of least cost: Newton's steps, halved where too long."""
-    x = _packed(noise)
+    x = _pack(noise)
     low, high = _BOUNDS[: len(x)].T
     high = np.minimum(high, [np.inf, np.inf, np.log(longest_s), np.inf][: len(x)])
     here, step = _slope(evidence, x, noise), np.zeros(len(x))
@@ -190,14 +185,14 @@ def _likeliest(
         if there.cost > here.cost:
             break
         x, here = x + step, there
-    return _unpacked(x, noise)
+    return _unpack(x, noise)
 
 
 def _slope(
     evidence: NoiseEvidence, x: Float64[np.ndarray, " k"], noise: NoiseModel
 ) -> Slope:
     """Return the slope of the evidence, with the prior on the correlated part."""
-    found = evidence.at(_unpacked(x, noise))
+    found = evidence.evaluate(_unpack(x, noise))
     off = (x[:3] - _USUAL) / _USUAL_SPREAD**2
     gradient, curvature = found.gradient.copy(), found.curvature.copy()
     gradient[:3] += 2.0 * off
@@ -205,14 +200,14 @@ def _slope(
     return Slope(found.cost + float(off @ (x[:3] - _USUAL)), gradient, curvature)
 
 
-def _packed(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
+def _pack(noise: NoiseModel) -> Float64[np.ndarray, " k"]:
     known = [*noise.ou, noise.ou_time_s]
     if np.isfinite(noise.along_sigma_mm):
         known.append(max(noise.along_sigma_mm, _JITTER_FLOOR_MM))
     return np.log(known)
 
 
-def _unpacked(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
+def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
     beam, across, tau, *jitter = (float(v) for v in np.exp(x))
     along = noise.along_sigma_mm
     if jitter:

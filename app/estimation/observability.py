@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.estimate import Observability
-from app.estimation.runs import Measured, shares_of, together
-from app.estimation.separation import statements
-from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import usual_precision_matrix, weak_shapes
+from app.estimation.runs import RunInput, collect_information, combine_runs
+from app.estimation.separation import describe_confounded
+from app.estimation.volumetric_map import compute_volumetric_gram
+from app.estimation.weak_shapes import find_weak_shapes, usual_precision_matrix
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -21,21 +21,21 @@ _INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bri
 _UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
 
 
-def observability(machine: Machine, runs: Sequence[Measured]) -> Observability:
+def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observability:
     """Return rank, the named null space, and the shapes that are told only weakly."""
-    offsets_mm = [run.seen.at.offset_mm for run in runs]
+    offsets_mm = [run.observations.at.offset_mm for run in runs]
     model, merged = identifiable_model(machine, *offsets_mm, intervals=_INTERVALS)
-    shares = shares_of(runs, model)
-    told = together(shares).matrix
-    alone = np.sum([np.diag(share.data.matrix)[: model.size] for share in shares], 0)
+    found = collect_information(runs, model)
+    told = combine_runs(found).matrix
+    alone = np.sum([np.diag(run.data.matrix)[: model.size] for run in found], 0)
     scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
     value, vector = np.linalg.eigh(told * scale[:, None] * scale)
     blind = value < _UNSEEN**2 * value[-1] + 1e-13
     covariance = np.linalg.inv(told + usual_precision_matrix(model))
     every = np.concatenate(offsets_mm)
-    said = statements(machine, every, merged, model, covariance)
+    said = describe_confounded(machine, every, merged, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
-    weak = weak_shapes(told, model, volumetric_gram(model), blind=False)
+    weak = find_weak_shapes(told, model, compute_volumetric_gram(model), blind=False)
     return Observability(
         model.size + sum(_shapes(m.symbol, model.machine) for m in merged),
         int(model.size - blind.sum()),

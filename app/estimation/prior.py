@@ -13,18 +13,19 @@ known to widens the covariance (Kass & Steffey 1989).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
+from app.estimation.elimination import OwnParameters
 from app.estimation.information import (
     Information,
     Posterior,
-    posterior,
-    without_rest,
+    compute_posterior,
 )
-from app.kinematics.effects.base import QuadraticPrior
+from app.kinematics.effects.base import Parameter, QuadraticPrior
 from app.kinematics.model import MachineModel
 
 _ROUNDS = 40  # at most
@@ -61,7 +62,7 @@ class BendingPrior:
         )
 
 
-def first_guess(model: MachineModel) -> BendingPrior:
+def guess_prior(model: MachineModel) -> BendingPrior:
     """Return a prior for effects of usual size."""
     asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
@@ -75,12 +76,12 @@ def _log_determinant(charge: QuadraticPrior) -> float:
     return float(np.log(eigenvalue).sum())
 
 
-def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
+def fit_prior(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
     """Return the prior whose precisions fit the data, and the posterior under it."""
     size = prior.model.size
-    machine = without_rest(data, size)
+    machine = OwnParameters.of(data, size).eliminate()
     for _ in range(_ROUNDS):
-        result = posterior(machine, prior.precision_matrix(size))
+        result = compute_posterior(machine, prior.precision_matrix(size))
         precision = _next_precision(prior, result)
         change = max(
             abs(float(np.log(precision[name] / old)))
@@ -89,10 +90,22 @@ def fitted(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Poster
         prior = replace(prior, precision=precision)
         if change < _SETTLED:
             break
-    return prior, posterior(data, prior.precision_matrix(len(data.vector)))
+    return prior, compute_posterior(data, prior.precision_matrix(len(data.vector)))
 
 
-def evidence_cost(data: Information, prior: BendingPrior, result: Posterior) -> float:
+def diagonal_precision(
+    parameters: Sequence[Parameter], sigma: Mapping[str, float], other: float = 1.0
+) -> Float64[np.ndarray, "p p"]:
+    """Return the precision of parameters known to a standard deviation by their unit.
+
+    other : standard deviation in units that `sigma` does not name
+    """
+    return np.diag([sigma.get(p.unit, other) ** -2.0 for p in parameters])
+
+
+def compute_evidence_cost(
+    data: Information, prior: BendingPrior, result: Posterior
+) -> float:
     """Return −2 log p(data | noise, prior), up to a constant."""
     return (
         data.log_determinant

@@ -17,107 +17,106 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
-from app.estimation.information import (
-    Information,
-    Posterior,
-    added,
-    information,
-    rest_per_first,
-    with_rest,
-    without_rest,
-)
+from app.estimation.design_matrix import Linearisation, linearise
+from app.estimation.elimination import OwnParameters
+from app.estimation.information import Information, Posterior, add_information
 from app.estimation.noise import NoiseModel
-from app.estimation.problem import (
-    Problem,
-    columns_with,
-    pose_problem,
-    with_machine_effects,
-)
+from app.estimation.normal_equations import compute_information
 from app.kinematics.effects.base import Effect
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class RunInput:
     """One Run as the solve takes it.
 
     pose : workpiece to tracker, about which the problem is linear
     """
 
-    seen: Observations
+    observations: Observations
     pose: RigidTransform
     noise: NoiseModel
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
-    """What one Run tells, of its own pose and timing as well.
+class RunInformation:
+    """What one Run tells, of its own pose as well.
 
-    data : over all parameters of `problem.model`
+    data : over all parameters of the linearisation
     """
 
-    problem: Problem
-    noise: NoiseModel
+    observations: Observations
+    linearisation: Linearisation
     data: Information
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The Run's noise."""
+        return self.linearisation.noise
 
     @property
     def about_machine(self) -> Information:
         """What it tells of the machine. Raises Unidentifiable."""
-        return without_rest(self.data, self.problem.machine_model.size)
+        return self._own.eliminate()
 
     @property
-    def own_per_machine(self) -> Float64[np.ndarray, "r p"]:
-        """How far its own parameters go against those of the machine."""
-        return rest_per_first(self.data, self.problem.machine_model.size)
+    def pose_per_machine(self) -> Float64[np.ndarray, "r p"]:
+        """How far its pose goes against the machine's parameters."""
+        return self._own.follow()
 
-    def completed(
+    @property
+    def _own(self) -> OwnParameters:
+        return OwnParameters.of(self.data, self.linearisation.machine_model.size)
+
+    def restore_pose(
         self, machine: Posterior
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "r r"]]:
-        """Return all parameters of the problem, and the covariance of its own."""
-        return with_rest(self.data, machine)
+        """Return all parameters of the problem, and the covariance of its pose."""
+        return self._own.restore(machine)
+
+    def replace_noise(self, noise: NoiseModel) -> RunInformation:
+        """Return what the Run tells under another noise model."""
+        linearisation = replace(self.linearisation, noise=noise)
+        data = compute_information(self.observations, linearisation)
+        return RunInformation(self.observations, linearisation, data)
+
+    def restrict(self, effects: Sequence[Effect]) -> RunInformation:
+        """Return what the Run tells where only some of the machine's effects are."""
+        keep = self.linearisation.select_columns(effects)
+        data = replace(
+            self.data,
+            matrix=self.data.matrix[np.ix_(keep, keep)],
+            vector=self.data.vector[keep],
+        )
+        return RunInformation(
+            self.observations, self.linearisation.restrict(effects), data
+        )
 
 
-def share_of(run: Measured, model: MachineModel) -> Share:
-    """Return what a Run tells of a model's parameters."""
-    timing = bool(np.isfinite(run.noise.along_sigma_mm))
-    problem = pose_problem(run.seen, model, run.pose, timing=timing)
-    return with_noise(problem, run.noise)
-
-
-def with_noise(problem: Problem, noise: NoiseModel) -> Share:
-    """Return what a problem tells under a noise model."""
-    return Share(problem, noise, information(problem, noise))
-
-
-def shares_of(runs: Sequence[Measured], model: MachineModel) -> tuple[Share, ...]:
+def collect_information(
+    runs: Sequence[RunInput], model: MachineModel
+) -> tuple[RunInformation, ...]:
     """Return what each Run tells of a model's parameters."""
-    return tuple(share_of(run, model) for run in runs)
+    found: list[RunInformation] = []
+    for run in runs:
+        about = linearise(run.observations, model, run.pose, run.noise)
+        data = compute_information(run.observations, about)
+        found.append(RunInformation(run.observations, about, data))
+    return tuple(found)
 
 
-def together(shares: Sequence[Share]) -> Information:
+def combine_runs(runs: Sequence[RunInformation]) -> Information:
     """Return what all Runs tell of the machine.
 
     Raises Unidentifiable, with the number of the Run where there are several.
     """
     parts: list[Information] = []
-    for number, share in enumerate(shares, start=1):
+    for number, run in enumerate(runs, start=1):
         try:
-            parts.append(share.about_machine)
+            parts.append(run.about_machine)
         except Unidentifiable as error:
-            if len(shares) == 1:
+            if len(runs) == 1:
                 raise
-            raise Unidentifiable(f"Run {number} of {len(shares)}: {error}") from error
-    return added(parts)
-
-
-def with_effects_only(share: Share, effects: Sequence[Effect]) -> Share:
-    """Return what a Run tells where only some of the machine's effects are."""
-    problem = share.problem
-    keep = columns_with(problem, effects)
-    data = replace(
-        share.data,
-        matrix=share.data.matrix[np.ix_(keep, keep)],
-        vector=share.data.vector[keep],
-    )
-    return Share(with_machine_effects(problem, effects), share.noise, data)
+            raise Unidentifiable(f"Run {number} of {len(runs)}: {error}") from error
+    return add_information(parts)

@@ -35,7 +35,7 @@ _TRIALS = {
 _LONGEST_MM = 500.0  # that is asked for
 
 
-def statements(
+def describe_confounded(
     machine: Machine,
     offsets_mm: Float64[np.ndarray, "n 3"],
     merged: Sequence[Confounded],

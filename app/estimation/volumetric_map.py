@@ -52,7 +52,7 @@ class VolumetricMap:
         return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3)
 
 
-def volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
+def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
     """Return the map of one target's volumetric error over the axis travel."""
     at, weight = _quadrature(model.machine, target)
     centre = weight @ at.point_mm
@@ -64,7 +64,7 @@ def volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap:
     return VolumetricMap(model, fit, centre)
 
 
-def volumetric_gram(
+def compute_volumetric_gram(
     model: MachineModel, target: str = ""
 ) -> Float64[np.ndarray, "p p"]:
     """Return G with E|δ|² = tr(G C): mean square length over the axis travel, mm².
@@ -73,7 +73,7 @@ def volumetric_gram(
     (brunn-hanebeck-2005, eq. 24–26 and 34–36), the rigid motion left out.
     """
     at, weight = _quadrature(model.machine, target)
-    columns = volumetric_map(model, target).jacobian(at)
+    columns = build_volumetric_map(model, target).jacobian(at)
     flat = (columns * np.sqrt(weight)[:, None, None]).reshape(-1, model.size)
     return flat.T @ flat
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import eigh
 
-from app.estimation.prior import first_guess
+from app.estimation.prior import diagonal_precision, guess_prior
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, is_turn
@@ -68,15 +68,14 @@ def usual_precision_matrix(
 
     prior_precision : of effects, by name, where it is known better
     """
-    prior = first_guess(model)
+    prior = guess_prior(model)
     known = {n: s for n, s in (prior_precision or {}).items() if n in prior.precision}
     prior = replace(prior, precision={**prior.precision, **known})
-    precision = prior.precision_matrix(model.size)
-    slack = [USUAL.get(p.unit, 1.0) ** -2 for p in model.parameters]
-    return precision + np.diag(slack)
+    slack = diagonal_precision(model.parameters, USUAL)
+    return prior.precision_matrix(model.size) + slack
 
 
-def weak_shapes(
+def find_weak_shapes(
     told: Float64[np.ndarray, "p p"],
     model: MachineModel,
     gram: Float64[np.ndarray, "p p"],
@@ -121,7 +120,7 @@ def _named(
     first = next(e for e in model.effects if e.name == taking[0])
     form = "the angle"
     if first.motion:
-        form = form_of(first.motion, shape[model.slices[first.name]])
+        form = describe_form(first.motion, shape[model.slices[first.name]])
     return WeakShape(taking, left, sigma_mm, form)
 
 
@@ -131,7 +130,7 @@ def _at_tool(
     return float(np.sqrt(max(shape[part] @ gram[part, part] @ shape[part], 0.0)))
 
 
-def form_of(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
+def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
     """Say what a motion looks like along its axis: a slope, a bow, an S, a wave."""
     axis = motion.axis
     at = np.linspace(axis.low, axis.high, _GRID)

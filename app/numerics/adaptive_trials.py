@@ -88,7 +88,7 @@ It may work ahead; it is told to stop by not being asked any more.
 """
 
 
-def kept(values: Float64[np.ndarray, "o t"], interval: Interval) -> TrialBlock:
+def summarise(values: Float64[np.ndarray, "o t"], interval: Interval) -> TrialBlock:
     """Return what a block's trials come down to."""
     share = round(_KEPT[interval] * values.shape[1])
     ordered = np.sort(values, axis=1)

@@ -10,7 +10,7 @@ D + C,
 and D⁻¹ + C⁻¹ is a band of width three when coordinates are interleaved. D⁻¹ may be
 singular: a direction of no information (along the travel, say) has precision 0.
 
-Points may also come a few at a time (`extended`). What follows tells more about the
+Points may also come a few at a time (`extend`). What follows tells more about the
 slow part of the last point, so that one waits; all before it are accounted for.
 """
 
@@ -23,10 +23,11 @@ from jaxtyping import Float64, Int64
 from scipy.linalg import (
     cho_solve_banded,
     cholesky_banded,
-    solve_triangular,
     solveh_banded,
 )
 from scipy.linalg.lapack import dtbtrs
+
+from app.numerics.scaled_cholesky import ScaledCholesky
 
 _BAND = 3
 _ROUNDING = 1e-12  # of the largest precision: no information
@@ -45,7 +46,7 @@ class Whitener:
     factor: Float64[np.ndarray, "b m"]
     log_determinant: float
 
-    def halves(
+    def whiten(
         self, rows: Float64[np.ndarray, "n 3 p"]
     ) -> tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "s p"]]:
         """Return (A, Z) with rowsᵀ V⁻¹ rows = AᵀA − ZᵀZ."""
@@ -54,22 +55,27 @@ class Whitener:
         if not self.factor.size:
             return flat, np.zeros((0, rows.shape[2]))
         pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
-        return flat, _solved(self.factor, pulled)
+        return flat, _solve_banded(self.factor, pulled)
 
-    def applied(
-        self, rows: Float64[np.ndarray, "n 3 p"]
-    ) -> Float64[np.ndarray, "n 3 p"]:
+    def apply(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "n 3 p"]:
         """Return V⁻¹ rows."""
+        return self.split(rows)[0]
+
+    def split(
+        self, rows: Float64[np.ndarray, "n 3 p"]
+    ) -> tuple[Float64[np.ndarray, "n 3 p"], Float64[np.ndarray, "n 3 p"]]:
+        """Return V⁻¹ rows, and the expected Ornstein–Uhlenbeck noise in rows."""
         precision = np.swapaxes(self.root, 1, 2) @ self.root
         weighted = precision @ rows
         if not self.factor.size:
-            return weighted
+            return weighted, np.zeros_like(rows)
         flat = weighted.reshape(-1, rows.shape[2])
-        ou = cho_solve_banded((self.factor, True), flat).reshape(rows.shape)
-        return weighted - precision @ ou
+        ou = cho_solve_banded((self.factor, True), flat, check_finite=False)
+        ou = ou.reshape(rows.shape)
+        return weighted - precision @ ou, ou
 
 
-def whitener(
+def factorise(
     time_s: Float64[np.ndarray, " n"],
     white_precision: Float64[np.ndarray, "n 3 3"],
     ou_sigma: Float64[np.ndarray, "n 3"],
@@ -83,8 +89,8 @@ def whitener(
     root, log_white = _white_root(white_precision)
     if not ou_sigma.any():
         return Whitener(root, np.empty((0, 0)), log_white)
-    ou = ou_precision(time_s, ou_sigma, ou_time_s)
-    band = _interleaved(white_precision, ou.diagonal, ou.below)
+    ou = build_ou_precision(time_s, ou_sigma, ou_time_s)
+    band = _interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     log_sum = 2.0 * float(np.log(factor[0]).sum())
     return Whitener(root, factor, log_white + ou.log_determinant + log_sum)
@@ -102,22 +108,22 @@ class OrnsteinUhlenbeckPrecision:
     below: Float64[np.ndarray, "n 3"]
     log_determinant: float
 
-    def times(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def multiply(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Return C⁻¹ times a vector."""
         product = self.diagonal * ou
         product[:-1] += self.below[:-1] * ou[1:]
         product[1:] += self.below[:-1] * ou[:-1]
         return product
 
-    def solved(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def solve(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Return C times a vector."""
         none = np.zeros((len(right), 3, 3))
-        band = _interleaved(none, self.diagonal, self.below)
+        band = _interleave(none, self.diagonal, self.below)
         solved = solveh_banded(band, right.ravel(), lower=True, check_finite=False)
         return solved.reshape(right.shape)
 
 
-def ou_precision(
+def build_ou_precision(
     time_s: Float64[np.ndarray, " n"],
     sigma: Float64[np.ndarray, "n 3"],
     ou_time_s: float,
@@ -138,13 +144,12 @@ def ou_precision(
 
 
 @dataclass(frozen=True, slots=True)
-class Tail:
-    """The last point so far: its correlated noise given all points, itself included.
+class OrnsteinUhlenbeckState:
+    """The correlated noise of the last point given all points, in information form.
 
-    sigma : (3,) of the Ornstein–Uhlenbeck part
-    precision : (3, 3) of the Ornstein–Uhlenbeck part, what follows not yet counted
-    pulled : (3, p), precision times the Ornstein–Uhlenbeck part's mean, as a function
-        of the columns
+    sigma : (3,) standard deviation of the process
+    precision : (3, 3) of the state, what follows not yet counted
+    pulled : (3, p), precision times the mean of the state, as a function of the columns
     """
 
     time_s: float
@@ -152,59 +157,57 @@ class Tail:
     precision: Float64[np.ndarray, "3 3"]
     pulled: Float64[np.ndarray, "3 p"]
 
-    def taken(self) -> tuple[Float64[np.ndarray, "p p"], float]:
-        """Return what the tail takes from rowsᵀ V⁻¹ rows, and its share of log det V.
+    def marginalise(self) -> tuple[Float64[np.ndarray, "p p"], float]:
+        """Return what the state takes from rowsᵀ V⁻¹ rows, and its part of log det V.
 
         Valid as long as nothing follows.
         """
-        factor = np.linalg.cholesky(self.precision)
-        solved = solve_triangular(factor, self.pulled, lower=True)
-        return solved.T @ solved, 2.0 * float(np.log(np.diag(factor)).sum())
+        factor = ScaledCholesky.of(self.precision)
+        half = factor.solve_half(self.pulled)
+        return half.T @ half, factor.log_determinant
 
 
-def without_columns(
+def eliminate_columns(
     total: Float64[np.ndarray, "q q"],
-    tail: Tail | None,
+    state: OrnsteinUhlenbeckState | None,
     kept: Int64[np.ndarray, " k"],
     rest: Int64[np.ndarray, " r"],
-) -> tuple[Float64[np.ndarray, "k k"], float, Tail | None]:
+) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
     """Integrate columns out that no later point has; exact, whatever follows.
 
-    With the Ornstein–Uhlenbeck part c of the last point, sums so far are the quadratic
-    form wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and tail over the
-    columns kept, and what is added to the log determinant. Raises LinAlgError if the
-    points do not determine the rest.
+    With the correlated noise c of the last point, sums so far are the quadratic form
+    wᵀ total w − 2 cᵀ pulled w + cᵀ precision c. Returns total and state over the
+    columns kept, and what the log determinant gains.
+    Raises LinAlgError if the points do not determine the rest.
     """
     square = total[np.ix_(kept, kept)]
     if not len(rest):
-        pulled = None if tail is None else replace(tail, pulled=tail.pulled[:, kept])
-        return square, 0.0, pulled
-    H = total[np.ix_(rest, rest)]
-    scale = 1.0 / np.sqrt(np.diag(H))
-    factor = np.linalg.cholesky(H * scale[:, None] * scale)
-    half = _lower(factor, total[np.ix_(rest, kept)] * scale[:, None])
+        if state is not None:
+            state = replace(state, pulled=state.pulled[:, kept])
+        return square, 0.0, state
+    factor = ScaledCholesky.of(total[np.ix_(rest, rest)])
+    half = factor.solve_half(total[np.ix_(rest, kept)])
     square -= half.T @ half
-    turned = 2.0 * float(np.log(np.diag(factor)).sum() - np.log(scale).sum())
-    if tail is None:
-        return square, turned, None
-    r = _lower(factor, (tail.pulled[:, rest] * scale).T)
-    pulled = tail.pulled[:, kept] - r.T @ half
-    left = replace(tail, pulled=pulled, precision=tail.precision - r.T @ r)
-    return square, turned, left
+    if state is not None:
+        own = factor.solve_half(state.pulled[:, rest].T)
+        pulled = state.pulled[:, kept] - own.T @ half
+        precision = state.precision - own.T @ own
+        state = replace(state, pulled=pulled, precision=precision)
+    return square, factor.log_determinant, state
 
 
-def extended(
-    tail: Tail | None,
+def extend(
+    state: OrnsteinUhlenbeckState | None,
     time_s: Float64[np.ndarray, " n"],
     white_precision: Float64[np.ndarray, "n 3 3"],
     ou_sigma: Float64[np.ndarray, "n 3"],
     ou_time_s: float,
     rows: Float64[np.ndarray, "n 3 p"],
-) -> tuple[Float64[np.ndarray, "p p"], float, Tail | None]:
-    """Return what further points add to rowsᵀ V⁻¹ rows and log det V, and their tail.
+) -> tuple[Float64[np.ndarray, "p p"], float, OrnsteinUhlenbeckState | None]:
+    """Return what further points add to rowsᵀ V⁻¹ rows and log det V, and their state.
 
-    tail : of the points before; None if these are the first, or the noise is white
-    The sums are those of `whitener` once the last tail's share is taken.
+    state : after the points before; None if these are the first, or the noise is white
+    The sums are those of `factorise` once the last state is marginalised.
     """
     root, log_white = _white_root(white_precision)
     white = root @ rows
@@ -212,25 +215,27 @@ def extended(
     if not ou_sigma.any():
         return flat.T @ flat, log_white, None
     pulled = (np.swapaxes(root, 1, 2) @ white).reshape(flat.shape)
-    if tail is not None:
-        time_s = np.concatenate([[tail.time_s], time_s])
-        ou_sigma = np.concatenate([tail.sigma[None], ou_sigma])
-        white_precision = np.concatenate([tail.precision[None], white_precision])
-        pulled = np.concatenate([tail.pulled, pulled])
-    ou = ou_precision(time_s, ou_sigma, ou_time_s)
-    log_slow = ou.log_determinant
-    if tail is not None:  # counted when the tail was the newest point
-        ou.diagonal[0] -= 1.0 / tail.sigma**2
-        log_slow -= 2.0 * float(np.log(tail.sigma).sum())
-    band = _interleaved(white_precision, ou.diagonal, ou.below)
+    if state is not None:
+        time_s = np.concatenate([[state.time_s], time_s])
+        ou_sigma = np.concatenate([state.sigma[None], ou_sigma])
+        white_precision = np.concatenate([state.precision[None], white_precision])
+        pulled = np.concatenate([state.pulled, pulled])
+    ou = build_ou_precision(time_s, ou_sigma, ou_time_s)
+    log_ou = ou.log_determinant
+    if state is not None:  # counted when the state was the newest
+        ou.diagonal[0] -= 1.0 / state.sigma**2
+        log_ou -= 2.0 * float(np.log(state.sigma).sum())
+    band = _interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
-    solved = _solved(factor, pulled)
+    solved = _solve_banded(factor, pulled)
     settled = solved[:-3]
     log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
     last = _last_block(factor)
-    left = Tail(float(time_s[-1]), ou_sigma[-1], last @ last.T, last @ solved[-3:])
+    newest = OrnsteinUhlenbeckState(
+        float(time_s[-1]), ou_sigma[-1], last @ last.T, last @ solved[-3:]
+    )
     gain = flat.T @ flat - settled.T @ settled
-    return gain, log_white + log_slow + log_sum, left
+    return gain, log_white + log_ou + log_sum, newest
 
 
 def _white_root(
@@ -257,19 +262,13 @@ def _white_root(
     return root, log_determinant
 
 
-def _solved(
+def _solve_banded(
     factor: Float64[np.ndarray, "b m"], right: Float64[np.ndarray, "m p"]
 ) -> Float64[np.ndarray, "m p"]:
     solved, info = dtbtrs(factor, np.asfortranarray(right), uplo="L")
     if info:
         raise np.linalg.LinAlgError(f"banded solve failed ({info})")
     return solved
-
-
-def _lower(
-    factor: Float64[np.ndarray, "r r"], right: Float64[np.ndarray, "r p"]
-) -> Float64[np.ndarray, "r p"]:
-    return solve_triangular(factor, right, lower=True, check_finite=False)
 
 
 def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:
@@ -279,7 +278,7 @@ def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"
     return block
 
 
-def _interleaved(
+def _interleave(
     white: Float64[np.ndarray, "n 3 3"],
     diagonal: Float64[np.ndarray, "n 3"],
     below: Float64[np.ndarray, "n 3"],

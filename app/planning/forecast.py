@@ -16,15 +16,15 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
-from app.alignment.observations import Observations
-from app.estimation.information import posterior
+from app.estimation.design_matrix import linearise
+from app.estimation.information import compute_posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
-from app.estimation.observability import observability
-from app.estimation.prior import first_guess
-from app.estimation.recursive import Linearisation, Recursive, begun
-from app.estimation.runs import Measured
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.observability import assess_observability
+from app.estimation.prior import diagonal_precision, guess_prior
+from app.estimation.recursive import RecursiveEstimator
+from app.estimation.runs import RunInput
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -35,7 +35,7 @@ from drivers.interfaces.records import Path
 
 _CURVE = 24  # places along the plan at which the uncertainty is told
 # Of the tracker, before enough lines tell it: a millimetre, a milliradian.
-_POSE = np.repeat([1.0, 1e6], 3)
+_POSE = {"mm": 1.0, "rad": 1e-3}
 # Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
 # ones, in the median of their error motions.
 _SMOOTHER = 4.0
@@ -101,15 +101,16 @@ def forecast(
     seen = rehearsed(machine, commanded, station_mm)
     offsets = np.unique(seen.at.offset_mm, axis=0)
     known = known or KnownEffects()
-    model = known.beside(identifiable_model(machine, offsets)[0])
+    model = known.extend(identifiable_model(machine, offsets)[0])
     if perpendicular_only:
         noise = replace(noise, along_sigma_mm=np.inf)
     prior = usual_precision_matrix(
-        model, prior_precision or usual_prior_precision(model)
+        model, prior_precision or guess_prior_precision(model)
     )
-    prior[known.part(model), known.part(model)] += known.precision_matrix()
-    judge = _Judge(model, prior, volumetric_gram(model))
-    sums = _begun(model, seen, noise)
+    prior[known.locate(model), known.locate(model)] += known.precision_matrix()
+    judge = _Judge(model, prior, compute_volumetric_gram(model))
+    about = linearise(seen, model, seen.pose, noise)
+    sums = RecursiveEstimator.start(about)
     rows: list[int] = []
     sigmas: list[float] = []
     covariance = np.zeros((model.size, model.size))
@@ -117,11 +118,11 @@ def forecast(
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
     told = [0, *ends[np.unique(some)].tolist()]
     for first, last in pairwise(told):
-        sums = sums.added(seen.taken(np.arange(first, last)))
+        sums = sums.add(seen.taken(np.arange(first, last)))
         covariance, sigma = judge.of(sums)
         rows.append(int(seen.row[last - 1]))
         sigmas.append(sigma)
-    told_of = observability(machine, [Measured(seen, seen.pose, noise)])
+    told_of = assess_observability(machine, [RunInput(seen, seen.pose, noise)])
     return Forecast(
         model,
         known,
@@ -133,9 +134,9 @@ def forecast(
     )
 
 
-def usual_prior_precision(model: MachineModel) -> dict[str, float]:
+def guess_prior_precision(model: MachineModel) -> dict[str, float]:
     """Return the precisions that estimates of usual machines come to, by effect."""
-    found = first_guess(model).precision
+    found = guess_prior(model).precision
     return {name: _SMOOTHER * precision for name, precision in found.items()}
 
 
@@ -145,15 +146,11 @@ class _Judge:
     prior: Float64[np.ndarray, "p p"]
     gram: Float64[np.ndarray, "p p"]
 
-    def of(self, sums: Recursive) -> tuple[Float64[np.ndarray, "p p"], float]:
+    def of(self, sums: RecursiveEstimator) -> tuple[Float64[np.ndarray, "p p"], float]:
         """Return the covariance after the cells so far, and the volumetric sigma."""
         data, size = sums.information(), self.model.size
-        prior = block_diag(self.prior, np.diag(_POSE))
-        covariance = posterior(data, prior).covariance[:size, :size]
+        pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
+        prior = block_diag(self.prior, pose)
+        covariance = compute_posterior(data, prior).covariance[:size, :size]
         square = float(np.sum(self.gram * covariance))
         return covariance, float(np.sqrt(max(square, 0.0)))
-
-
-def _begun(model: MachineModel, seen: Observations, noise: NoiseModel) -> Recursive:
-    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
-    return begun(Linearisation(model, seen.pose, (x, y, z), noise))

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from scipy.linalg import cho_factor, cho_solve
 
 from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.machine import Target
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
 from app.motion.motion_times import Drive
+from app.numerics.scaled_cholesky import ScaledCholesky
 from drivers.interfaces.records import Path
 
 
@@ -158,7 +158,4 @@ class Outlook(ABC):
 
 def inverse(matrix: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p p"]:
     """Return the inverse of a positive definite matrix of unlike units."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    factor = cho_factor(matrix * scale[:, None] * scale, lower=True)
-    found = np.asarray(cho_solve(factor, np.eye(len(matrix))), np.float64)
-    return found * scale[:, None] * scale
+    return ScaledCholesky.of(matrix).invert()

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from app.estimation.direction import with_half_widths
+from app.estimation.direction import add_half_widths
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.prior import diagonal_precision
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch
@@ -29,14 +30,14 @@ from app.kinematics.model import MachineModel
 from app.motion.corner_path import corner_path
 from app.motion.paths import DEFAULT_FEED_MM_MIN
 from app.motion.workspace import Workspace
-from app.planning.forecast import usual_prior_precision
+from app.planning.forecast import guess_prior_precision
 from app.planning.line_outlook import LineOutlook
 from app.planning.outlook import ExpectedNoise, Outlook, inverse
 from app.planning.point_outlook import PointOutlook
 from app.planning.rehearsal import EXPECTED_NOISE, rehearsed, usual_stations_mm
 
 INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
-_ANY_POSE = (1e2, 1e-1)  # mm and rad: nobody knows where the tracker stands
+_ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # nobody knows where the tracker stands
 _ANY_LAG_S = 1e-3  # of an axis behind its command
 _JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
 
@@ -148,16 +149,16 @@ def _believed(
     lags: tuple[ServoMismatch, ...] = (),
 ) -> _Believed:
     motions, _ = identifiable_model(machine, offsets_mm, intervals=INTERVALS)
-    motions = with_half_widths(known.beside(motions))
+    motions = add_half_widths(known.extend(motions))
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
-    pose = np.diag(np.repeat(np.array(_ANY_POSE) ** -2.0, 3))
+    pose = diagonal_precision(_pose_of(machine).parameters, _ANY_POSE)
     prior = usual_precision_matrix(
-        motions, prior_precision or usual_prior_precision(motions)
+        motions, prior_precision or guess_prior_precision(motions)
     )
-    prior[known.part(motions), known.part(motions)] += known.precision_matrix()
+    prior[known.locate(motions), known.locate(motions)] += known.precision_matrix()
     gram = np.zeros((model.size, model.size))
-    gram[:size, :size] = volumetric_gram(motions) + _in_motion(motions, known)
+    gram[:size, :size] = compute_volumetric_gram(motions) + _in_motion(motions, known)
     return _Believed(
         model=model,
         target=target,

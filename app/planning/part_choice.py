@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.errors import PlanningError
-from app.estimation.live import Findings
+from app.estimation.live import LiveFindings
 from app.kinematics.machine import Machine, linear_part
 from app.measurement.parts import append_part
 from app.measurement.progress import schedule_rows
@@ -65,7 +65,7 @@ class PartChoice:
         self._known = request.known(machine)
         self._number = 0
 
-    def next(self, found: Findings, sigma_mm: float) -> Part:
+    def next(self, found: LiveFindings, sigma_mm: float) -> Part:
         """Return the next part; its rows count as commanded from now on.
 
         sigma_mm : volumetric, by the live estimate
@@ -89,7 +89,7 @@ class PartChoice:
         predicted_mm = sigma_mm * float(np.sqrt(ratio))
         return Part(part, rows, self._used_s - before_s, predicted_mm)
 
-    def _planner(self, found: Findings) -> Planner:
+    def _planner(self, found: LiveFindings) -> Planner:
         outlook, request = self._outlook(found), self._request
         feeds, drive = request.feeds_mm_min, self._drive
         told = np.zeros_like(outlook.precision)
@@ -102,14 +102,14 @@ class PartChoice:
         known = replace(outlook, precision=outlook.precision + told)
         return Planner(self._machine, known, request.workspace, drive, feeds)
 
-    def _measured(self, found: Findings) -> set[int]:
+    def _measured(self, found: LiveFindings) -> set[int]:
         """Return the rows that have told something.
 
         The last one may wait for samples that come after it.
         """
         return set(found.rows) | {len(self.commanded) - 1}
 
-    def _outlook(self, found: Findings) -> Outlook:
+    def _outlook(self, found: LiveFindings) -> Outlook:
         # Few lines may show no jitter of the feed at all; there is always some.
         least_mm = _LEAST_JITTER * EXPECTED_NOISE.along_sigma_mm
         along_mm = max(found.noise.along_sigma_mm, least_mm)

@@ -63,7 +63,9 @@ class PlanRequest:
 
     def known(self, machine: Machine) -> KnownEffects:
         """Return what the model knows of a machine's effects. Raises BundleError."""
-        return KnownEffects() if self.model is None else self.model.known(machine)
+        return (
+            KnownEffects() if self.model is None else self.model.select_effects(machine)
+        )
 
     def refuse_nonsense(self) -> None:
         """Raise PlanningError for numbers that no plan can follow."""

@@ -102,7 +102,7 @@ def analyse(
     _require_different(accounts)
     machine = one_machine([run.machine for run in runs], names)  # before the work
     digests = [account.digest for account in accounts]
-    known = None if model is None else model.known(machine, digests)
+    known = None if model is None else model.select_effects(machine, digests)
     observed = [
         _aligned(run, name, len(runs)) for run, name in zip(runs, names, strict=True)
     ]

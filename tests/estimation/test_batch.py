@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from app.alignment.align import align
 from app.estimation import batch
 from app.estimation.batch import estimate
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from simulators.synthetic import Setting
 from simulators.tracker_head import Air
 
@@ -22,7 +22,7 @@ def judge(record, rigid_free, volume, at_rest):
         result = estimate(align(run), **options)
         q = volume(run.machine)
         at = at_rest(run.machine, q)
-        maps = volumetric_map(result.model)
+        maps = build_volumetric_map(result.model)
         before = rigid_free(q, truth.deviation_mm(q))
         left = before - rigid_free(q, maps.error_mm(at, result.theta))
         u = maps.sigma_mm(at, result.covariance)

@@ -7,8 +7,8 @@ from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.estimation.extrapolation import (
     beyond_travel_variance_mm2,
-    variations,
-    whole_travel,
+    estimate_variations,
+    full_travel,
 )
 from app.files.bundle import read_bundle
 from app.kinematics.conditions import standstill
@@ -129,7 +129,9 @@ def test_the_uncertainty_grows_from_the_edge_to_the_end_of_the_travel(partly_dri
 def test_the_slope_outside_stays_within_what_was_seen_inside(partly_driven):
     for seed in (500, 501, 502, 503):
         found, _ = partly_driven(seed)
-        known = variations(found.model, found.theta, found.measured, found.covariance)
+        known = estimate_variations(
+            found.model, found.theta, found.measured, found.covariance
+        )
         for motion in found.model.effects:
             if motion.name not in known:
                 continue
@@ -153,8 +155,8 @@ def test_a_measurement_of_the_whole_travel_is_left_as_it_is(record, monkeypatch)
 def test_beyond_the_travel_the_uncertainty_grows_on(partly_driven):
     found, _ = partly_driven(500)
     machine = found.model.machine
-    known = variations(
-        found.model, found.theta, whole_travel(machine), found.covariance
+    known = estimate_variations(
+        found.model, found.theta, full_travel(machine), found.covariance
     )
     high = np.array([a.high for a in machine.axes])
     steps = np.array([0.0, 1.0, 10.0, 100.0, 2e3, 8e3])[:, None] * np.array([1.0, 0, 0])

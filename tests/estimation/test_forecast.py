@@ -5,7 +5,7 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.planning.forecast import forecast
 
 
@@ -16,7 +16,7 @@ def outcomes(record, request):
     for seed in (1, 2, 3):
         run, truth = record(seed, rows=24)
         made = estimate(align(run), perpendicular_only=request.param)
-        variance = np.sum(volumetric_gram(made.model) * made.covariance)
+        variance = np.sum(compute_volumetric_gram(made.model) * made.covariance)
         stand = truth.recording.pose.position_mm
 
         def foretold(run=run, stand=stand, **known):

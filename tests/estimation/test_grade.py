@@ -8,7 +8,7 @@ import pytest
 from app.alignment.align import align
 from app.errors import PlanningError
 from app.estimation.batch import estimate
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.machine import Target, TrackerNoise
 from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
@@ -40,7 +40,7 @@ def test_what_is_expected_before_motion_is_what_the_estimate_achieves(
     found = estimate(align(run))
     stand = found.runs[0].pose.invert().translation_mm
     expected = grade(run.machine, run.commanded, station_mm=stand).sigma_mm
-    achieved = np.sqrt(np.sum(volumetric_gram(found.model) * found.covariance))
+    achieved = np.sqrt(np.sum(compute_volumetric_gram(found.model) * found.covariance))
     assert 0.6 < achieved / expected < 1.6
 
 

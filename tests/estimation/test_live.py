@@ -8,7 +8,7 @@ import pytest
 from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.estimation.live import LiveEstimator
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.results.error_tables import error_tables
 from drivers.interfaces.records import TrackerSamples
 
@@ -68,7 +68,7 @@ def test_the_volumetric_uncertainty_falls_line_by_line(moving):
 
 def test_the_volumetric_uncertainty_is_that_of_the_map(moving):
     _, _, last = moving
-    expected = np.sqrt(np.sum(volumetric_gram(last.model) * last.covariance))
+    expected = np.sqrt(np.sum(compute_volumetric_gram(last.model) * last.covariance))
     assert last.volumetric_sigma_mm == pytest.approx(expected)
 
 

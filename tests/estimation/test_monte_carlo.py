@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.direction import best_fit
-from app.estimation.monte_carlo import block, drawn, prepared
+from app.estimation.direction import select_fit
+from app.estimation.monte_carlo import draw_outputs, prepare_trials, run_block
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import widen_by_unknown_precision
-from app.estimation.runs import Measured
+from app.estimation.runs import RunInput
 from app.kinematics.identifiable import identifiable_model
 from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
@@ -26,7 +26,7 @@ def fit(record):
     model, _ = identifiable_model(
         seen.at.machine, seen.at.offset_mm, knot_spacing_mm=100.0
     )
-    return best_fit([Measured(seen, seen.pose, NOISE)], model)
+    return select_fit([RunInput(seen, seen.pose, NOISE)], model)
 
 
 def under(trials, noise):
@@ -54,7 +54,7 @@ def of_noise_alone(trials, noise):
 
 def test_trials_confirm_the_linear_uncertainty(fit):
     outputs, linear = squareness(fit)
-    told = propagate(partial(block, prepared(fit, outputs, FEW)), FEW)
+    told = propagate(partial(run_block, prepare_trials(fit, outputs, FEW)), FEW)
     assert (np.abs(told.mean) < 0.2 * linear).all()
     assert told.sigma / linear == pytest.approx(1.0, abs=0.05)
     assert (told.high - told.low) / (2 * 1.96 * linear) == pytest.approx(1.0, abs=0.08)
@@ -62,11 +62,11 @@ def test_trials_confirm_the_linear_uncertainty(fit):
 
 def test_strengths_that_are_known_leave_the_covariance_of_the_solve(fit):
     outputs, _ = squareness(fit)
-    trials = prepared(fit, outputs, FEW)
+    trials = prepare_trials(fit, outputs, FEW)
     known = tuple(replace(one, log_sigma=0.0) for one in trials.charged)
     covariance = fit.result.covariance
     linear = np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
-    told = propagate(partial(block, replace(trials, charged=known)), FEW)
+    told = propagate(partial(run_block, replace(trials, charged=known)), FEW)
     assert told.sigma / linear == pytest.approx(1.0, abs=0.02)
     assert agrees(told, np.zeros(3), linear, FEW.digits).all()
 
@@ -74,23 +74,23 @@ def test_strengths_that_are_known_leave_the_covariance_of_the_solve(fit):
 def test_more_noise_than_was_weighed_shows_in_the_trials(fit):
     outputs, linear = squareness(fit)
     loud = NoiseModel((2.0, 2.0), (0.5, 0.5), 0.8, 2e-4)
-    trials = prepared(fit, outputs, FEW)
+    trials = prepare_trials(fit, outputs, FEW)
     quiet, louder = (
-        drawn(of_noise_alone(trials, noise), 0, 500).std(axis=1)
+        draw_outputs(of_noise_alone(trials, noise), 0, 500).std(axis=1)
         for noise in (NOISE, loud)
     )
     assert louder / quiet == pytest.approx(2.0, rel=1e-3)
-    told = propagate(partial(block, under(trials, loud)), FEW)
+    told = propagate(partial(run_block, under(trials, loud)), FEW)
     assert (told.sigma > 1.2 * linear).all()
 
 
 def test_slow_noise_remembers_for_as_long_as_it_is_said_to(fit):
     outputs, _ = squareness(fit)
-    trials = prepared(fit, outputs, FEW)
+    trials = prepare_trials(fit, outputs, FEW)
     ou = NoiseModel((1e-6, 1e-6), (0.25, 0.25), 0.8, 1e-9)
     forgetful = replace(ou, ou_time_s=1e-3)
     remembered, quick = (
-        drawn(of_noise_alone(trials, noise), 0, 4000).std(axis=1)
+        draw_outputs(of_noise_alone(trials, noise), 0, 4000).std(axis=1)
         for noise in (ou, forgetful)
     )
     assert (quick < 0.96 * remembered).all()
@@ -98,16 +98,20 @@ def test_slow_noise_remembers_for_as_long_as_it_is_said_to(fit):
 
 def test_who_computes_a_block_does_not_change_it(fit):
     outputs, _ = squareness(fit)
-    trials = prepared(fit, outputs, TrialPlan(seed=7))
-    alone = [drawn(trials, number, 500) for number in range(3)]
+    trials = prepare_trials(fit, outputs, TrialPlan(seed=7))
+    alone = [draw_outputs(trials, number, 500) for number in range(3)]
     with ThreadPoolExecutor(3) as pool:
-        shared = list(pool.map(lambda number: drawn(trials, number, 500), range(3)))
+        shared = list(
+            pool.map(lambda number: draw_outputs(trials, number, 500), range(3))
+        )
     np.testing.assert_array_equal(alone, shared)
 
 
 def test_another_seed_or_block_is_another_draw(fit):
     outputs, _ = squareness(fit)
-    one, other = (prepared(fit, outputs, TrialPlan(seed=s)) for s in (1, 2))
-    assert not np.allclose(drawn(one, 0, 10), drawn(other, 0, 10))
-    assert not np.allclose(drawn(one, 0, 10), drawn(one, 1, 10))
-    np.testing.assert_array_equal(drawn(one, 0, 10), drawn(one, 0, 600)[:, :10])
+    one, other = (prepare_trials(fit, outputs, TrialPlan(seed=s)) for s in (1, 2))
+    assert not np.allclose(draw_outputs(one, 0, 10), draw_outputs(other, 0, 10))
+    assert not np.allclose(draw_outputs(one, 0, 10), draw_outputs(one, 1, 10))
+    np.testing.assert_array_equal(
+        draw_outputs(one, 0, 10), draw_outputs(one, 0, 600)[:, :10]
+    )

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.direction import with_half_widths
-from app.estimation.information import Information, information, posterior, without_rest
+from app.estimation.design_matrix import linearise
+from app.estimation.direction import add_half_widths
+from app.estimation.information import Information, compute_posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence
-from app.estimation.noise_fit import first_noise, looked_at
-from app.estimation.prior import evidence_cost, first_guess, fitted
-from app.estimation.problem import pose_problem
-from app.estimation.runs import Measured
+from app.estimation.noise_fit import guess_noise, refine_runs
+from app.estimation.normal_equations import compute_information
+from app.estimation.prior import compute_evidence_cost, fit_prior, guess_prior
+from app.estimation.runs import RunInformation, RunInput
 from app.kinematics.identifiable import identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
@@ -27,26 +28,24 @@ def seen(record):
 @pytest.fixture(scope="module")
 def rough(seen):
     model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
-    problem = pose_problem(seen, with_half_widths(model), seen.pose)
-    size = problem.machine_model.size
-    data = without_rest(information(problem, NOISE), size)
-    prior, _ = fitted(data, first_guess(problem.machine_model))
-    return problem, prior
+    about = linearise(seen, add_half_widths(model), seen.pose, NOISE)
+    run = RunInformation(seen, about, compute_information(seen, about))
+    prior, _ = fit_prior(run.about_machine, guess_prior(about.machine_model))
+    return run, prior
 
 
 @pytest.fixture(scope="module", params=[2e-4, np.inf], ids=["timed", "across"])
 def judged(request, rough):
-    problem, prior = rough
-    timing = bool(np.isfinite(request.param))
+    run, prior = rough
     noise = replace(NOISE, along_sigma_mm=request.param)
-    return evidence_of(replace(problem, timing=timing), prior), noise
+    return evidence_of(run, prior, noise), noise
 
 
-def evidence_of(problem, prior):
-    part, size = problem.part(problem.seen), prior.model.size
-    columns = np.delete(part.rows, part.data, axis=2)
-    known = Information(prior.precision_matrix(size), np.zeros(size), 0.0, 0.0)
-    return NoiseEvidence(part, columns, part.off, known)
+def evidence_of(run, prior, noise=NOISE):
+    design = replace(run.linearisation, noise=noise).build(run.observations)
+    columns = np.delete(design.rows, design.fixed, axis=2)
+    known = Information.of_matrix(prior.precision_matrix(prior.model.size))
+    return NoiseEvidence(design, columns, design.residual, known)
 
 
 def moved(noise, x):
@@ -58,45 +57,45 @@ def moved(noise, x):
 
 def test_the_gradient_is_the_slope_of_the_cost(judged):
     evidence, noise = judged
-    found = evidence.at(noise).gradient
+    found = evidence.evaluate(noise).gradient
     for k, gradient in enumerate(found):
         step = 1e-3 * np.eye(len(found))[k]
-        up, down = (evidence.at(moved(noise, x)).cost for x in (step, -step))
+        up, down = (evidence.evaluate(moved(noise, x)).cost for x in (step, -step))
         assert gradient == pytest.approx((up - down) / 2e-3, rel=1e-3, abs=0.05)
 
 
 def test_the_curvature_leads_downhill(judged):
     evidence, noise = judged
-    here = evidence.at(noise)
+    here = evidence.evaluate(noise)
     assert np.linalg.eigvalsh(here.curvature).min() > 0.0
     step = -np.linalg.solve(here.curvature, here.gradient)
-    there = evidence.at(moved(noise, 0.1 * step))
+    there = evidence.evaluate(moved(noise, 0.1 * step))
     assert there.cost < here.cost
 
 
 def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
-    problem, prior = rough
+    run, prior = rough
 
     def difference(cost):
         return cost(NOISE) - cost(replace(NOISE, ou=(0.4, 0.3), ou_time_s=1.5))
 
     def summed(noise):
-        data = without_rest(information(problem, noise), problem.machine_model.size)
-        precision = prior.precision_matrix(problem.machine_model.size)
-        return evidence_cost(data, prior, posterior(data, precision))
+        data = run.replace_noise(noise).about_machine
+        precision = prior.precision_matrix(prior.model.size)
+        return compute_evidence_cost(data, prior, compute_posterior(data, precision))
 
-    evidence = evidence_of(problem, prior)
-    assert difference(lambda noise: evidence.at(noise).cost) == pytest.approx(
+    evidence = evidence_of(run, prior)
+    assert difference(lambda noise: evidence.evaluate(noise).cost) == pytest.approx(
         difference(summed), abs=1e-4
     )
 
 
 @pytest.mark.parametrize("factor", [0.2, 5.0])
 def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
-    start = first_noise(seen, perpendicular_only=False)
+    start = guess_noise(seen, perpendicular_only=False)
     other = moved(start, np.log([factor, factor, 1.0 / factor, factor]))
     best, again = (
-        looked_at(seen.at.machine, [Measured(seen, seen.pose, noise)])[0].noise
+        refine_runs(seen.at.machine, [RunInput(seen, seen.pose, noise)])[0].noise
         for noise in (start, other)
     )
     assert np.log(again.ou) == pytest.approx(np.log(best.ou), abs=0.15)

@@ -9,10 +9,13 @@ from hypothesis import strategies as st
 
 from app.alignment.align import align
 from app.errors import EstimationError
-from app.estimation.information import Information, information, without_rest
-from app.estimation.noise import NoiseModel, whiten
-from app.estimation.problem import pose_problem
-from app.estimation.recursive import Linearisation, begun
+from app.estimation.design_matrix import linearise
+from app.estimation.elimination import OwnParameters
+from app.estimation.information import Information
+from app.estimation.noise import NoiseModel
+from app.estimation.normal_equations import compute_information
+from app.estimation.recursive import RecursiveEstimator
+from app.estimation.whitening import whiten
 from app.kinematics.identifiable import identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
@@ -21,34 +24,24 @@ DIGITS = 1e-9
 
 def about_of(seen, noise=NOISE):
     model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
-    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
-    return Linearisation(model, seen.pose, (x, y, z), noise)
+    return linearise(seen, model, seen.pose, noise)
 
 
 def all_at_once(about, seen):
     """Take all cells and the timing of all lines into one dense problem."""
-    problem = pose_problem(seen, about.machine_model, about.pose)
-    part, noise = problem.part(seen), about.noise
-    known = part.rows
-    if np.isinf(noise.along_sigma_mm):
-        known = known[:, :, : part.data + 1]
-    order = np.r_[: part.data, part.data + 1 : known.shape[2], part.data]
-    rows = known[:, :, order]
-    whitened = whiten(seen, noise, part.frame)
-    total = np.tensordot(rows, whitened.applied(rows), axes=((0, 1), (0, 1)))
-    data = Information(
-        total[:-1, :-1],
-        total[:-1, -1],
-        float(total[-1, -1]),
-        whitened.log_determinant,
-    )
-    return without_rest(data, about.size) if len(order) > about.size + 1 else data
+    design = about.build(seen)
+    order = np.r_[: design.fixed, design.fixed + 1 : design.rows.shape[2], design.fixed]
+    rows = design.rows[:, :, order]
+    whitener = whiten(design, about.noise)
+    total = np.tensordot(rows, whitener.apply(rows), axes=((0, 1), (0, 1)))
+    data = Information.from_total(total, whitener.log_determinant)
+    return OwnParameters.of(data, about.size).eliminate()
 
 
 def added_in_parts(about, seen, cuts):
-    sums = begun(about)
+    sums = RecursiveEstimator.start(about)
     for part in np.split(np.arange(len(seen)), sorted(cuts)):
-        sums = sums.added(seen.taken(part))
+        sums = sums.add(seen.taken(part))
     return sums
 
 
@@ -89,15 +82,21 @@ def test_a_line_at_a_time_gives_the_batch(moving, expected):
 
 def test_the_sums_do_not_grow_with_the_number_of_lines(moving):
     about = about_of(moving)
-    one = begun(about).added(moving.taken(np.flatnonzero(moving.at.line == 0)))
-    every = begun(about).added(moving)
-    assert one.total.shape == every.total.shape == (about.size + 3, about.size + 3)
+    one = RecursiveEstimator.start(about).add(
+        moving.taken(np.flatnonzero(moving.at.line == 0))
+    )
+    every = RecursiveEstimator.start(about).add(moving)
+    assert (
+        one.sums.total.shape
+        == every.sums.total.shape
+        == (about.size + 3, about.size + 3)
+    )
 
 
 def test_asking_on_the_way_changes_nothing(moving, expected):
-    sums = begun(about_of(moving))
+    sums = RecursiveEstimator.start(about_of(moving))
     for part in np.array_split(np.arange(len(moving)), 7):
-        sums = sums.added(moving.taken(part))
+        sums = sums.add(moving.taken(part))
         sums.information()
     assert_same(sums.information(), expected)
 
@@ -106,21 +105,19 @@ def test_asking_on_the_way_changes_nothing(moving, expected):
 def test_the_batch_made_part_by_part_is_one_dense_problem(
     moving, expected, cells, monkeypatch
 ):
-    monkeypatch.setattr("app.estimation.problem._CELLS", cells)
+    monkeypatch.setattr("app.estimation.design_matrix._CELLS", cells)
     about = about_of(moving)
-    problem = pose_problem(moving, about.machine_model, about.pose)
-    parts = list(problem.parts())
-    assert sum(len(part.seen) for part in parts) == len(moving)
+    parts = list(about.split(moving))
+    assert sum(len(part.observations) for part in parts) == len(moving)
     assert (len(parts) > 1) == (cells < len(moving))
-    assert_same(information(problem, about.noise), expected)
+    assert_same(compute_information(moving, about), expected)
 
 
 def test_standstills_add_up_to_the_batch(record):
     seen = align(record(4, "standstill", rows=30)[0])
     about = about_of(seen)
-    problem = pose_problem(seen, about.machine_model, about.pose)
     sums = added_in_parts(about, seen, [3, 4, 50])
-    assert_same(sums.information(), information(problem, about.noise))
+    assert_same(sums.information(), compute_information(seen, about))
 
 
 def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
@@ -131,26 +128,35 @@ def test_lines_and_standstills_in_one_measurement_add_up_to_the_batch(moving):
         moving, at=replace(at, velocity_mm_s=at.velocity_mm_s * ~still[:, None])
     )
     about = about_of(seen)
-    assert_same(begun(about).added(seen).information(), all_at_once(about, seen))
+    assert_same(
+        RecursiveEstimator.start(about).add(seen).information(),
+        all_at_once(about, seen),
+    )
 
 
 def test_white_noise_needs_no_tail(moving):
     about = about_of(moving, NoiseModel((1.0, 1.0), (0.0, 0.0), 1.0, 2e-4))
     sums = added_in_parts(about, moving, [10, 11, 200])
-    assert sums.tail is None
+    assert sums.sums.state is None
     assert_same(sums.information(), all_at_once(about, moving))
 
 
 def test_across_the_travel_alone_timing_is_no_unknown(moving):
     about = about_of(moving, replace(NOISE, along_sigma_mm=np.inf))
     machine = about.machine_model.size
-    a = without_rest(added_in_parts(about, moving, [40]).information(), machine)
-    b = without_rest(begun(about).added(moving).information(), machine)
+    a = OwnParameters.of(
+        added_in_parts(about, moving, [40]).information(), machine
+    ).eliminate()
+    b = OwnParameters.of(
+        RecursiveEstimator.start(about).add(moving).information(), machine
+    ).eliminate()
     assert np.allclose(a.matrix, b.matrix, rtol=1e-7)
     assert np.linalg.eigvalsh(a.matrix).min() > -1e-6 * np.linalg.norm(a.matrix)
 
 
 def test_cells_out_of_order_are_refused(moving):
-    sums = begun(about_of(moving)).added(moving.taken(np.arange(20, 30)))
+    sums = RecursiveEstimator.start(about_of(moving)).add(
+        moving.taken(np.arange(20, 30))
+    )
     with pytest.raises(EstimationError, match="order of time"):
-        sums.added(moving.taken(np.arange(10)))
+        sums.add(moving.taken(np.arange(10)))

@@ -10,11 +10,11 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.estimation.information import information, without_rest
+from app.estimation.design_matrix import linearise
 from app.estimation.live import LiveEstimator
 from app.estimation.noise import NoiseModel
-from app.estimation.problem import pose_problem
-from app.estimation.recursive import Linearisation, begun
+from app.estimation.normal_equations import compute_information
+from app.estimation.recursive import RecursiveEstimator
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.identifiable import identifiable_model
@@ -100,14 +100,12 @@ def test_a_tracker_on_the_table_sees_turns_of_both_sides(share_left):
 def test_arcs_and_stops_added_one_by_one_are_the_batch(rng):
     seen = from_base("head-table").seen
     model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
-    x, y, z = (float(v) for v in seen.at.point_mm.mean(axis=0))
-    about = Linearisation(model, seen.pose, (x, y, z), NOISE)
-    sums = begun(about)
+    about = linearise(seen, model, seen.pose, NOISE)
+    sums = RecursiveEstimator.start(about)
     cuts = np.sort(rng.choice(np.arange(1, len(seen)), 40, replace=False))
     for part in np.split(np.arange(len(seen)), cuts):
-        sums = sums.added(seen.taken(part))
-    problem = pose_problem(seen, model, seen.pose)
-    expected = without_rest(information(problem, NOISE), about.size)
+        sums = sums.add(seen.taken(part))
+    expected = compute_information(seen, about)
     found = sums.information()
     scale = 1.0 / np.sqrt(np.diag(expected.matrix))
     off = (found.matrix - expected.matrix) * scale[:, None] * scale

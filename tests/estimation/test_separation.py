@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.estimation import separation
-from app.estimation.information import posterior
+from app.estimation.information import compute_posterior
 from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import (
@@ -45,7 +45,7 @@ def table_sigma(machine, path, symbol):
     prior = np.diag(np.full(model.size + 6, 1e-2))
     prior[: model.size, : model.size] = usual_precision_matrix(model)
     part = model.slices[symbol]
-    covariance = posterior(data, prior).covariance[part, part]
+    covariance = compute_posterior(data, prior).covariance[part, part]
     motion = next(e for e in model.effects if e.name == symbol)
     rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, 25))
     return np.sqrt(np.einsum("np,pq,nq->n", rows, covariance, rows).mean())

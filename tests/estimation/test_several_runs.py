@@ -9,8 +9,8 @@ from app.alignment.align import align
 from app.errors import BundleError, Unidentifiable
 from app.estimation.batch import estimate
 from app.estimation.noise import NoiseModel
-from app.estimation.runs import Measured, shares_of, together
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.runs import RunInput, collect_information, combine_runs
+from app.estimation.volumetric_map import build_volumetric_map
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.conditions import standstill
@@ -85,7 +85,7 @@ def judge(rigid_free, volume):
         target = next(t for t in machine.targets if t.offset_mm == offset_mm)
         q = volume(machine)
         at = standstill(machine, q, np.tile(offset_mm, (len(q), 1)))
-        maps = volumetric_map(result.model, target.name)
+        maps = build_volumetric_map(result.model, target.name)
         before = rigid_free(q, truth.deviation_mm(q))
         left = before - rigid_free(q, maps.error_mm(at, result.theta))
         inside = np.abs(left) < 2 * maps.sigma_mm(at, result.covariance)
@@ -102,7 +102,7 @@ def volumetric_sigma(result):
     q = np.random.default_rng(3).uniform(
         [a.low for a in machine.axes], [a.high for a in machine.axes], (200, 3)
     )
-    sigma = volumetric_map(result.model).sigma_mm(
+    sigma = build_volumetric_map(result.model).sigma_mm(
         standstill(machine, q), result.covariance
     )
     return float(np.sqrt(np.mean(sigma**2)))
@@ -142,11 +142,11 @@ def test_a_loud_run_does_not_spoil_a_quiet_one(moving, judge):
 
 
 def test_the_same_run_twice_halves_the_variance_that_noise_makes(moving):
-    run = Measured(moving, moving.pose, NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 1e-4))
+    run = RunInput(moving, moving.pose, NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 1e-4))
     at = moving.at
     model, _ = identifiable_model(at.machine, at.offset_mm, intervals=5)
     once, twice = (
-        np.diag(np.linalg.inv(together(shares_of(runs, model)).matrix))
+        np.diag(np.linalg.inv(combine_runs(collect_information(runs, model)).matrix))
         for runs in ([run], [run, run])
     )
     assert np.sqrt(twice / once) == pytest.approx(1 / np.sqrt(2), rel=1e-6)
@@ -204,11 +204,11 @@ def test_two_machines_are_refused_with_run_and_field(moving, standing):
 
 def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing):
     noise = NoiseModel((1.0, 1.0), (0.0, 0.0), 1.0, 0.0)
-    runs = [Measured(seen, seen.pose, noise) for seen in (moving, standing)]
+    runs = [RunInput(seen, seen.pose, noise) for seen in (moving, standing)]
     model, _ = identifiable_model(
         moving.at.machine, moving.at.offset_mm, standing.at.offset_mm, intervals=5
     )
-    shares = shares_of(runs, model)
+    shares = collect_information(runs, model)
     own = [share.problem.model.size - model.size for share in shares]
     stacked = np.zeros((model.size + sum(own), model.size + sum(own)))
     vector = np.zeros(len(stacked))
@@ -218,7 +218,7 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
         stacked[np.ix_(place, place)] += share.data.matrix
         vector[place] += share.data.vector
         begin += count
-    data = together(shares)
+    data = combine_runs(shares)
     expected = np.linalg.solve(stacked, vector)[: model.size]
     found = np.linalg.solve(data.matrix, data.vector)
     sigma = np.sqrt(np.diag(np.linalg.inv(stacked))[: model.size])

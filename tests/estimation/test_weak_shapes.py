@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import form_of, usual_precision_matrix, weak_shapes
+from app.estimation.volumetric_map import compute_volumetric_gram
+from app.estimation.weak_shapes import (
+    describe_form,
+    find_weak_shapes,
+    usual_precision_matrix,
+)
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
@@ -24,7 +28,7 @@ MILL = Machine(
 def known():
     """A model, its Gram matrix, and data that tell all of it but one shape of EXX."""
     model, _ = identifiable_model(MILL, np.array([(20.0, 30.0, -100.0)]), intervals=5)
-    return model, volumetric_gram(model)
+    return model, compute_volumetric_gram(model)
 
 
 def told_but(model, shape, left):
@@ -46,7 +50,9 @@ def shape_of(model, symbol):
 
 def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
     model, gram = known
-    (found,) = weak_shapes(told_but(model, shape_of(model, "EYY"), 0.8), model, gram)
+    (found,) = find_weak_shapes(
+        told_but(model, shape_of(model, "EYY"), 0.8), model, gram
+    )
     assert found.symbols == ("EYY",)
     assert found.left == pytest.approx(0.8, rel=1e-3)
     assert str(found).startswith("EYY: ")
@@ -55,21 +61,24 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
 
 def test_what_is_told_well_is_not_weak(known):
     model, gram = known
-    assert weak_shapes(told_but(model, shape_of(model, "EYY"), 0.3), model, gram) == ()
+    assert (
+        find_weak_shapes(told_but(model, shape_of(model, "EYY"), 0.3), model, gram)
+        == ()
+    )
 
 
 def test_motions_that_share_a_shape_are_named_together(known):
     model, gram = known
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
-    (found,) = weak_shapes(told_but(model, shape, 0.9), model, gram)
+    (found,) = find_weak_shapes(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")
 
 
 def test_the_exact_null_space_can_be_left_to_others(known):
     model, gram = known
     told = told_but(model, shape_of(model, "EYY"), 1.0)
-    assert len(weak_shapes(told, model, gram)) == 1
-    assert weak_shapes(told, model, gram, blind=False) == ()
+    assert len(find_weak_shapes(told, model, gram)) == 1
+    assert find_weak_shapes(told, model, gram, blind=False) == ()
 
 
 @pytest.mark.parametrize(
@@ -86,4 +95,4 @@ def test_a_shape_is_called_by_what_it_looks_like(shape, name):
     at = np.linspace(X.low, X.high, 200)
     value = shape(at / X.high)
     theta = np.linalg.lstsq(motion.rows(at), value - value[0], rcond=None)[0]
-    assert form_of(motion, theta) == f"{name} of the error along X"
+    assert describe_form(motion, theta) == f"{name} of the error along X"

@@ -21,12 +21,12 @@ from app.jobs.workers import ProcessWorkers, Workers, in_order, opened
 TASKS = """
 import os, time
 import numpy as np
-from app.numerics.adaptive_trials import BLOCK, kept
+from app.numerics.adaptive_trials import BLOCK, summarise
 
 def block(widths, number):
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(number,)))
     drawn = widths[:, None] * rng.uniform(-1.0, 1.0, (len(widths), BLOCK))
-    return kept(np.cumsum(drawn, axis=0), "symmetric")
+    return summarise(np.cumsum(drawn, axis=0), "symmetric")
 
 def about(number):
     return number, os.getpid(), os.environ.get("OPENBLAS_NUM_THREADS")

@@ -10,9 +10,9 @@ from app.numerics.adaptive_trials import (
     NORMAL_FACTOR,
     TrialPlan,
     agrees,
-    kept,
     numerical_tolerance,
     propagate,
+    summarise,
 )
 
 
@@ -21,7 +21,7 @@ def blocks(draw, seed=1, interval="symmetric"):
 
     def made(number):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-        return kept(np.atleast_2d(draw(rng)), interval)
+        return summarise(np.atleast_2d(draw(rng)), interval)
 
     return made
 
@@ -82,7 +82,7 @@ def test_the_shortest_interval_of_a_skewed_output_begins_at_its_mode():
 def test_what_is_kept_of_the_blocks_gives_the_interval_of_all_trials(interval):
     drawn = [exponential(np.random.default_rng(i)) for i in range(7)]
     told = propagate(
-        lambda number: kept(drawn[number][None], interval),
+        lambda number: summarise(drawn[number][None], interval),
         TrialPlan(interval=interval, digits=2, most_blocks=7),
     )
     every = np.sort(np.concatenate(drawn))

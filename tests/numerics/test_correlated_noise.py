@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.numerics.correlated_noise import extended, ou_precision, whitener
+from app.numerics.correlated_noise import build_ou_precision, extend, factorise
 
 TAU_S = 0.8
 
@@ -35,13 +35,13 @@ def dense(time_s, white, sigma):
 
 def summed(built, rows):
     """Return rowsᵀ V⁻¹ rows."""
-    return np.tensordot(rows, built.applied(rows), axes=((0, 1), (0, 1)))
+    return np.tensordot(rows, built.apply(rows), axes=((0, 1), (0, 1)))
 
 
 def test_slow_and_white_noise_are_whitened_exactly(case):
     time_s, white, sigma, rows = case
     V, flat = dense(time_s, white, sigma), rows.reshape(-1, 4)
-    built = whitener(time_s, white, sigma, TAU_S)
+    built = factorise(time_s, white, sigma, TAU_S)
     assert np.allclose(
         summed(built, rows), flat.T @ np.linalg.solve(V, flat), rtol=1e-9
     )
@@ -50,7 +50,7 @@ def test_slow_and_white_noise_are_whitened_exactly(case):
 
 def test_without_slow_noise_only_white_weights_remain(case):
     time_s, white, sigma, rows = case
-    built = whitener(time_s, white, 0.0 * sigma, TAU_S)
+    built = factorise(time_s, white, 0.0 * sigma, TAU_S)
     expected = np.einsum("kip,kij,kjq->pq", rows, white, rows)
     assert not built.factor.size
     assert np.allclose(summed(built, rows), expected)
@@ -63,15 +63,15 @@ def test_a_direction_without_precision_carries_nothing(case, rng):
     seen = np.eye(3) - blind[:, :, None] * blind[:, None, :]
     precision = seen @ white @ seen
     along = blind[:, :, None] * rng.normal(size=(len(time_s), 1, 4))
-    built = whitener(time_s, precision, sigma, TAU_S)
+    built = factorise(time_s, precision, sigma, TAU_S)
     shifted = summed(built, rows + along)
     assert np.allclose(summed(built, rows), shifted, rtol=1e-9)
 
 
 def test_one_point_in_correlated_noise_tells_less_than_many_white_ones(case):
     time_s, white, sigma, rows = case
-    ou = summed(whitener(time_s, white, sigma, TAU_S), rows)
-    free = summed(whitener(time_s, white, 0.0 * sigma, TAU_S), rows)
+    ou = summed(factorise(time_s, white, sigma, TAU_S), rows)
+    free = summed(factorise(time_s, white, 0.0 * sigma, TAU_S), rows)
     gained = free - ou
     assert np.linalg.eigvalsh(gained).min() > 0.0
 
@@ -81,31 +81,31 @@ def test_one_point_in_correlated_noise_tells_less_than_many_white_ones(case):
 def test_points_a_few_at_a_time_add_up_to_all_at_once(cuts):
     rng = np.random.default_rng(5)
     time_s, white, sigma, rows = make_case(rng)
-    built = whitener(time_s, white, sigma, TAU_S)
+    built = factorise(time_s, white, sigma, TAU_S)
     total, log_determinant, tail = np.zeros((4, 4)), 0.0, None
     for k in np.split(np.arange(30), sorted(cuts)):
-        gain, log_gain, tail = extended(
+        gain, log_gain, tail = extend(
             tail, time_s[k], white[k], sigma[k], TAU_S, rows[k]
         )
         total, log_determinant = total + gain, log_determinant + log_gain
-    taken, log_taken = tail.taken()
+    taken, log_taken = tail.marginalise()
     assert np.allclose(total - taken, summed(built, rows), rtol=1e-10, atol=1e-10)
     assert log_determinant + log_taken == pytest.approx(built.log_determinant)
 
 
 def test_points_of_white_noise_leave_no_tail(case):
     time_s, white, sigma, rows = case
-    total, _, tail = extended(None, time_s, white, 0.0 * sigma, TAU_S, rows)
-    built = whitener(time_s, white, 0.0 * sigma, TAU_S)
+    total, _, tail = extend(None, time_s, white, 0.0 * sigma, TAU_S, rows)
+    built = factorise(time_s, white, 0.0 * sigma, TAU_S)
     assert tail is None
     assert np.allclose(total, summed(built, rows))
 
 
 def test_the_slow_covariance_and_its_inverse_undo_each_other(case, rng):
     time_s, _, sigma, _ = case
-    ou = ou_precision(time_s, sigma, TAU_S)
+    ou = build_ou_precision(time_s, sigma, TAU_S)
     moved = rng.normal(size=sigma.shape)
     fade = np.exp(-np.abs(time_s[:, None] - time_s) / TAU_S)
     expected = np.einsum("kl,kj,lj,lj->kj", fade, sigma, sigma, moved)
-    assert ou.solved(moved) == pytest.approx(expected)
-    assert ou.times(expected) == pytest.approx(moved)
+    assert ou.solve(moved) == pytest.approx(expected)
+    assert ou.multiply(expected) == pytest.approx(moved)

@@ -70,11 +70,11 @@ def planned(model):
 def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
     planned, model
 ):
-    known = model.known(MACHINE)
+    known = model.select_effects(MACHINE)
 
     def left(plan):
         after = forecast(MACHINE, plan.commanded, plan.station_mm, known=known)
-        part = known.part(after.model)
+        part = known.locate(after.model)
         return np.sqrt(np.diag(after.covariance)[part]) / SIGMA
 
     assert np.mean(left(planned[True])) < 0.9 * np.mean(left(planned[False]))
@@ -91,12 +91,12 @@ def test_what_is_foretold_is_what_the_measurement_then_states(planned, model, ru
     program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
     setting = Setting(machine_seed=6, hidden=hidden)
     run = run_of(synthetic.record(SMALL, program, 7, "otf", setting))
-    known = model.known(MACHINE)
+    known = model.select_effects(MACHINE)
     found = estimate(with_surroundings(align(run), run.commanded), known=known)
-    part = known.part(found.model)
+    part = known.locate(found.model)
     stated = np.sqrt(np.diag(found.covariance)[part])
     foretold = np.sqrt(
-        np.diag(plan.forecast.covariance)[known.part(plan.forecast.model)]
+        np.diag(plan.forecast.covariance)[known.locate(plan.forecast.model)]
     )
     assert (np.abs(np.log(stated / foretold)) < np.log(2.0)).all()
     true = np.array([-0.002, 5e-5, 0.012])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.estimation.estimate import Estimate, Observability, Residuals, RunEstimate
-from app.estimation.extrapolation import whole_travel
+from app.estimation.extrapolation import full_travel
 from app.estimation.noise import NoiseModel
 from app.files.result_file import CalibrationResult
 from app.kinematics.identifiable import identifiable_model
@@ -85,7 +85,7 @@ def construct() -> Callable[..., Estimate]:
             "none",
             False,
             (of_a_run(residuals),),
-            whole_travel(machine),
+            full_travel(machine),
         )
 
     return made

@@ -16,7 +16,7 @@ from app.alignment.surroundings import with_surroundings
 from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.batch import estimate
-from app.estimation.monte_carlo import drawn as trials_drawn
+from app.estimation.monte_carlo import draw_outputs as trials_drawn
 from app.estimation.monte_carlo import prepared
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import restore_effect
@@ -197,7 +197,9 @@ def test_no_run_counts_twice(told):
 def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     one = told(LAG)
     seen = with_surroundings(align(one.run), one.run.commanded)
-    found = estimate(seen, known=one.earlier.known(one.run.machine), keep_fit=True)
+    found = estimate(
+        seen, known=one.earlier.select_effects(one.run.machine), keep_fit=True
+    )
     last = found.model.slices[found.model.effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
     drawn = trials_drawn(prepared(found.fit, outputs, TrialPlan(seed=1)), 0, 1500)

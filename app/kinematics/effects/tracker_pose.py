@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter, Role
-from app.numerics.rigid import cross_matrix
+from app.numerics.rigid import RigidTransform, cross_matrix
 
 
 @dataclass(frozen=True)
@@ -33,3 +33,11 @@ class TrackerPose(Effect):
         columns[:, :, :3] = np.eye(3)
         columns[:, :, 3:] = cross_matrix(at.point_mm - np.array(self.centre_mm))
         return columns
+
+    def correct(
+        self, pose: RigidTransform, theta: Float64[np.ndarray, " p"]
+    ) -> RigidTransform:
+        """Return a pose with these parameters in it."""
+        translation, rotation = theta[:3], theta[3:]
+        centre = np.array(self.centre_mm)
+        return pose.precede_small(rotation, translation - np.cross(rotation, centre))

@@ -1,0 +1,105 @@
+"""Normal equations of cells that come in the order of time, all at once or one by one.
+
+Information adds (brunn-hanebeck-2005, eq. 31–33 in information form), but two things
+reach beyond a cell. The Ornstein–Uhlenbeck noise ties every cell to the next: the state
+of the last cell's noise therefore stays in the sums as three unknowns until the next
+cell has told about it. The timing of a line belongs to its cells alone: once the line
+is finished, phase and speed are integrated out, given that state. Both are exact, in
+any order of elimination, so the sums do not depend on how the cells were split.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.alignment.observations import Observations
+from app.estimation.design_matrix import DesignMatrix, Linearisation
+from app.estimation.elimination import eliminate_timing
+from app.estimation.information import Information
+from app.estimation.noise import NoiseModel, cell_noise
+from app.numerics.correlated_noise import OrnsteinUhlenbeckState, extend
+
+
+@dataclass(frozen=True, slots=True)
+class NormalEquations:
+    """Products of all columns over the cells so far.
+
+    total : (q, q) over fixed parameters, data, and the timing of lines under way
+    fixed : number of parameters of machine and poses; lines : under way
+    state : of the last cell's Ornstein–Uhlenbeck noise
+    """
+
+    total: Float64[np.ndarray, "q q"]
+    fixed: int
+    log_determinant: float = 0.0
+    state: OrnsteinUhlenbeckState | None = None
+    lines: tuple[int, ...] = ()
+
+    @staticmethod
+    def empty(fixed: int) -> NormalEquations:
+        """Return the normal equations of no cells."""
+        return NormalEquations(np.zeros((fixed + 1, fixed + 1)), fixed)
+
+    def add(self, design: DesignMatrix, noise: NoiseModel) -> NormalEquations:
+        """Return them with further cells, later than all before.
+
+        Raises Unidentifiable if the timing of a finished line is not determined.
+        """
+        if self.lines and self.lines != design.lines:
+            return self.finish_lines().add(design, noise)
+        before = self._widen(design.rows.shape[2])
+        precision, ou_sigma = cell_noise(design.observations, noise, design.travel)
+        time_s = design.observations.at.time_s
+        gain, log_gain, state = extend(
+            before.state, time_s, precision, ou_sigma, noise.ou_time_s, design.rows
+        )
+        return replace(
+            before,
+            total=before.total + gain,
+            log_determinant=before.log_determinant + log_gain,
+            state=state,
+            lines=design.lines,
+        )
+
+    def finish_lines(self) -> NormalEquations:
+        """Integrate the timing of the lines under way out."""
+        if not self.lines:
+            return self
+        total, gain, state = eliminate_timing(self.total, self.state, self.fixed)
+        log_determinant = self.log_determinant + gain
+        return NormalEquations(total, self.fixed, log_determinant, state)
+
+    def information(self) -> Information:
+        """Return the information on machine and poses, all else integrated out."""
+        done = self.finish_lines()
+        if done.state is None:
+            return Information.from_total(done.total, done.log_determinant)
+        taken, log_taken = done.state.marginalise()
+        log_determinant = done.log_determinant + log_taken
+        return Information.from_total(done.total - taken, log_determinant)
+
+    def _widen(self, width: int) -> NormalEquations:
+        """Return them with columns for the timing of new lines."""
+        more = width - len(self.total)
+        if not more:
+            return self
+        state = self.state
+        if state is not None:
+            state = replace(state, pulled=np.pad(state.pulled, ((0, 0), (0, more))))
+        return replace(self, total=np.pad(self.total, (0, more)), state=state)
+
+
+def compute_information(
+    observations: Observations, linearisation: Linearisation
+) -> Information:
+    """Return the information of all cells on machine and poses.
+
+    Raises Unidentifiable if the timing of a line is not determined.
+    """
+    sums = NormalEquations.empty(linearisation.size)
+    for design in linearisation.split(observations):
+        sums = sums.add(design, linearisation.noise)
+    return sums.information()
