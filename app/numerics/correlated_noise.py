@@ -51,7 +51,7 @@ class Whitener:
     ) -> tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "s p"]]:
         """Return (A, Z) with rowsᵀ V⁻¹ rows = AᵀA − ZᵀZ."""
         white = self.root @ rows
-        flat = white.reshape(-1, rows.shape[2])
+        flat = white.reshape(3 * len(rows), rows.shape[2])
         if not self.factor.size:
             return flat, np.zeros((0, rows.shape[2]))
         pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
@@ -67,7 +67,7 @@ class Whitener:
         """Return V⁻¹ rows, and the expected Ornstein–Uhlenbeck noise in rows."""
         precision = np.swapaxes(self.root, 1, 2) @ self.root
         weighted = precision @ rows
-        if not self.factor.size:
+        if not self.factor.size or not rows.size:
             return weighted, np.zeros_like(rows)
         flat = weighted.reshape(-1, rows.shape[2])
         ou = cho_solve_banded((self.factor, True), flat, check_finite=False)
