@@ -19,8 +19,8 @@ from recordings import run_of
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.estimation.information import information
-from app.estimation.problem import pose_problem
+from app.estimation.design_matrix import linearise
+from app.estimation.normal_equations import compute_information
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.error_motion import ErrorMotion
@@ -74,7 +74,8 @@ def signal_to_noise(
         for k, shift in enumerate(shifts_mm)
     ]
     machine = model.with_effects(*shapes)
-    data = information(pose_problem(seen, machine, seen.pose), true_noise(air)).matrix
+    about = linearise(seen, machine, seen.pose, true_noise(air))
+    data = compute_information(seen, about).matrix
     truth = true_parameters(model, recording.truth)
     total = data + _usual_precision(model, truth, len(data))
     return np.array([_left(total, k) for k in range(model.size, machine.size)])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
@@ -76,7 +76,7 @@ def map_mm(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a model's volumetric error and its standard uncertainty, (n, 3) each."""
     at = standstill(within.machine, within.position_mm)
-    found = volumetric_map(model)
+    found = build_volumetric_map(model)
     return found.error_mm(at, theta), found.sigma_mm(at, covariance)
 
 

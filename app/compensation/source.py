@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.volumetric_map import VolumetricMap, volumetric_map
+from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
@@ -113,4 +113,4 @@ def source_of(result: CalibrationResult) -> Source:
         axis: (position_mm, value_um / UM_PER_MM)
         for axis, (position_mm, value_um) in result.half_difference_um.items()
     }
-    return Source(result, volumetric_map(result.model), half)
+    return Source(result, build_volumetric_map(result.model), half)

@@ -10,9 +10,9 @@ from app.discovery.aligned_run import AlignedRun, align_runs
 from app.discovery.findings import Finding, state_findings
 from app.discovery.gap import Gap, measure_gap
 from app.discovery.residual_location import RunResidual, locate_residuals
+from app.discovery.run_data import RunData
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import TermSearch
-from app.discovery.view import Base, View
 from app.discovery.within import within_cells
 from app.estimation.baseline import (
     Baseline,
@@ -20,9 +20,11 @@ from app.estimation.baseline import (
     fit_baseline,
     refit_noise,
 )
+from app.estimation.design_matrix import Linearisation, middle_of
 from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.effects.installed import list_families
+from app.kinematics.effects.tracker_pose import TrackerPose
 from app.progress import ShareProgress, ignore_progress
 
 
@@ -101,23 +103,21 @@ def _place(aligned: Sequence[AlignedRun], baseline: Baseline) -> tuple[AlignedRu
     )
 
 
-def _run_data(aligned: Sequence[AlignedRun], baseline: Baseline) -> list[View]:
+def _run_data(aligned: Sequence[AlignedRun], baseline: Baseline) -> list[RunData]:
     """Return the data of each Run with its pose and noise in the baseline."""
-    views: list[View] = []
+    run_data: list[RunData] = []
     for one, fitted in zip(_place(aligned, baseline), baseline.runs, strict=True):
-        x, y, z = fitted.seen.at.point_mm.mean(axis=0)
-        centre_mm = (float(x), float(y), float(z))
-        base = Base(
+        base = Linearisation(
             baseline.model,
+            TrackerPose(middle_of(fitted.observations)),
             fitted.pose,
-            centre_mm,
             fitted.noise,
             baseline.theta,
             len(baseline.runs),
         )
         within = within_cells(one.run, one.observations, base)
-        views.append(View(one.observations, base, within))
-    return views
+        run_data.append(RunData(one.observations, base, within))
+    return run_data
 
 
 def _state(

@@ -20,8 +20,8 @@ from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
 from app.discovery.candidate_term import CandidateTerm
-from app.discovery.sums import FoldedSums, Offered, information_of
-from app.estimation.information import posterior
+from app.discovery.sums import FoldedSums, Offered
+from app.estimation.information import Information, compute_posterior
 
 _FREE = 100.0  # times the usual size: a fitted term has hardly a prior
 
@@ -138,7 +138,9 @@ def predict_held_out(
     total, columns = sums.total(), np.arange(len(precision))
     square, unknown = np.zeros((2, len(sums.fold)))
     for k, fold in enumerate(sums.fold):
-        fit = posterior(information_of(total - fold, columns), precision)
+        fit = compute_posterior(
+            Information.from_total(total - fold, columns=columns), precision
+        )
         theta = fit.theta
         own = fold[:-1, :-1]
         square[k] = fold[-1, -1] - 2.0 * theta @ fold[:-1, -1] + theta @ own @ theta

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.alignment.reduction import beam_frame
+from app.discovery.run_data import RunData
 from app.discovery.term_fitter import TermFit
-from app.discovery.view import View
 from app.estimation.noise import floor_mm
 
 
@@ -27,7 +27,7 @@ class Gap:
     expected_um: float
 
 
-def measure_gap(run_data: Sequence[View], baseline: TermFit, best: TermFit) -> Gap:
+def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
     """Return the gap; with a fast effect, of the samples within cells as well."""
     floor_um = _noise_floor_um(run_data)
     fast = any(term.is_fast for term in best.terms)
@@ -39,10 +39,10 @@ def measure_gap(run_data: Sequence[View], baseline: TermFit, best: TermFit) -> G
     )
 
 
-def _noise_floor_um(run_data: Sequence[View]) -> float:
+def _noise_floor_um(run_data: Sequence[RunData]) -> float:
     """Return the root mean square that noise alone leaves in a cell of all Runs."""
     square, cells = 0.0, 0
-    for seen, base in ((view.seen, view.base) for view in run_data):
+    for seen, base in ((run.observations, run.base) for run in run_data):
         frame = beam_frame(seen.tracker_mm) @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
         square += len(seen) * floor_mm(seen, base.noise, along) ** 2

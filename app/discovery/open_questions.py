@@ -16,11 +16,12 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.discovery.candidate_term import CandidateTerm
 from app.discovery.discover import Discovery
+from app.discovery.run_data import RunData
 from app.discovery.sums import Lines
 from app.discovery.term_fitter import TermFit
 from app.discovery.term_search import LEAST_EVIDENCE
-from app.discovery.view import Base, View
-from app.estimation.volumetric_map import volumetric_gram
+from app.estimation.design_matrix import Linearisation
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import USUAL_MM
@@ -56,11 +57,11 @@ class HypothesisPair:
 
     one: Hypothesis
     other: Hypothesis
-    base: Base
+    base: Linearisation
 
     def measure(self, observations: Observations) -> Float64[np.ndarray, "q q"]:
         """Return the normal equations of `planning.discrimination.Question`."""
-        lines = Lines([View(observations, self.base)], 1)
+        lines = Lines([RunData(observations, self.base)], 1)
         effects = (*self.one.effects, *self.other.effects)
         total = lines.sums(effects).total()[:-1, :-1]
         columns = self._columns(len(total))
@@ -68,7 +69,7 @@ class HypothesisPair:
 
     def _columns(self, size: int) -> Float64[np.ndarray, "t q"]:
         """Return the map from roots, means and pose to machine, poses, effects."""
-        machine, first = self.base.model.size, self.base.size
+        machine, first = self.base.machine_model.size, self.base.size
         split = first + len(self.one.mean) - machine
         middle = self.one.root.shape[1]
         end = middle + self.other.root.shape[1]
@@ -91,7 +92,7 @@ def design_discrimination(
 
     The same seed gives the same lines.
     """
-    gram = volumetric_gram(found.baseline.model)
+    gram = compute_volumetric_gram(found.baseline.model)
     questions = tuple(_list_questions(found, gram))[:_MOST_QUESTIONS]
     if not questions:
         return None

@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.view import TIMING, FastSums, View
-from app.discovery.whitened import Line
+from app.discovery.line import Line
+from app.discovery.run_data import FastSums, RunData
+from app.estimation.elimination import fit_timing
 from app.estimation.noise import NoiseModel
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect
@@ -44,7 +45,7 @@ class Residual:
 
 
 def weight_residual(
-    view: View,
+    data: RunData,
     lines: Sequence[Line],
     effects: Sequence[Effect],
     theta: Float64[np.ndarray, " p"],
@@ -53,17 +54,20 @@ def weight_residual(
 
     lines : of this Run; theta : of machine and poses, then of the effects
     """
-    seen, base = view.seen, view.base
+    seen, base = data.observations, data.base
     residual_mm, weighted = np.zeros((2, len(seen), 3))
     precision = np.zeros((len(seen), 3, 3))
     moved = _displacement_mm(seen.at, effects, theta[base.size :])
     for line in lines:
-        left = line.rows[:, :, -1] - line.rows[:, :, TIMING:-1] @ theta[: base.size]
-        left = left - np.einsum("nij,nj->ni", line.frame, moved[line.cells])
-        left, solved = _take_out_timing(line, left)
-        weighted[line.cells] = np.einsum("nij,ni->nj", line.frame, solved)
-        residual_mm[line.cells] = np.einsum("nij,ni->nj", line.frame, left)
-        root = np.matmul(line.whitener.root, line.frame)
+        design, frame = line.design, line.design.frame
+        left = design.residual - design.columns @ theta[: base.size]
+        left = (left - np.einsum("nij,nj->ni", frame, moved[line.cells]))[:, :, None]
+        late, timing = fit_timing(line.whitener, design.timing, left)
+        solved = line.whitener.apply(left) - timing @ late
+        left = left - design.timing @ late
+        weighted[line.cells] = np.einsum("nij,nik->nj", frame, solved)
+        residual_mm[line.cells] = np.einsum("nij,nik->nj", frame, left)
+        root = np.matmul(line.whitener.root, frame)
         precision[line.cells] = np.matmul(np.swapaxes(root, 1, 2), root)
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
     return Residual(
@@ -73,7 +77,7 @@ def weight_residual(
         precision,
         _ou_over_white(noise, rate_hz),
         noise.ou_time_s,
-        view.within,
+        data.within,
     )
 
 
@@ -85,18 +89,6 @@ def _displacement_mm(
     for effect, (first, last) in zip(effects, pairwise(ends), strict=True):
         moved += effect.jacobian(at) @ theta[first:last]
     return moved
-
-
-def _take_out_timing(
-    line: Line, left: Float64[np.ndarray, "n 3"]
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Return a line's residual without phase and speed, and V⁻¹ times that."""
-    timing = line.rows[:, :, :TIMING]
-    columns = np.concatenate([timing, left[:, :, None]], axis=2)
-    applied = line.whitener.applied(columns)
-    products = np.tensordot(timing, applied, axes=((0, 1), (0, 1)))
-    late = np.linalg.lstsq(products[:, :TIMING], products[:, TIMING], rcond=1e-10)[0]
-    return left - timing @ late, applied[:, :, -1] - applied[:, :, :TIMING] @ late
 
 
 def _ou_over_white(noise: NoiseModel, rate_hz: float) -> float:

@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
 from app.discovery.residual import Residual
-from app.discovery.view import stretches
+from app.estimation.design_matrix import find_lines
 
 _BINS, _SIDE = 8, 4
 
@@ -81,7 +81,7 @@ def locate_residual(
     seen: Observations, residual_mm: Float64[np.ndarray, "n 3"]
 ) -> ResidualLocation:
     """Return where a residual is."""
-    parts = [slice(first, last) for first, last in stretches(seen)]
+    parts = [slice(first, last) for first, last in find_lines(seen)]
     segments = [_segment(seen, residual_mm, part) for part in parts]
     segments.sort(key=lambda s: -s.rms_um)
     shares = {

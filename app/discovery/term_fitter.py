@@ -12,20 +12,21 @@ from app.discovery.candidate_term import CandidateTerm, propose_terms
 from app.discovery.event_time import locate_event
 from app.discovery.evidence import HeldOutMisfit, predict_held_out, prior_precision
 from app.discovery.residual import Residual, weight_residual
+from app.discovery.run_data import RunData
 from app.discovery.scan import scan_term
 from app.discovery.sums import Lines
 from app.discovery.term_data import TermData
 from app.discovery.value_refinement import refine_values
-from app.discovery.view import View
 from app.estimation.baseline import MachinePrior
 from app.estimation.information import Posterior
+from app.estimation.prior import diagonal_precision
 from app.kinematics.effects.catalogue import Family
 
 FOLDS = 8
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 # Prior of a tracker's place around the one that alignment found: a millimetre, a
 # milliradian. It keeps the place known where one of a Run's few lines is held out.
-_POSE = np.repeat([1.0, 1e6], 3)
+_POSE = {"mm": 1.0, "rad": 1e-3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +76,17 @@ class TermFitter:
     """Fits terms to Runs of one machine, and ranks a catalogue of terms."""
 
     def __init__(
-        self, run_data: Sequence[View], prior: MachinePrior, families: Sequence[Family]
+        self,
+        run_data: Sequence[RunData],
+        prior: MachinePrior,
+        families: Sequence[Family],
     ) -> None:
         self.run_data = tuple(run_data)
-        self._at = tuple(run.seen.at for run in run_data)
+        self._at = tuple(run.observations.at for run in run_data)
         base = run_data[0].base
         self._size = base.size
-        self._poses = np.diag(np.r_[np.zeros(base.model.size), *[_POSE] * base.runs])
+        poses = diagonal_precision(base.pose_parameters, _POSE)
+        self._poses = np.pad(poses, (base.machine_model.size, 0))
         self._prior = prior
         self._lines = Lines(run_data, FOLDS)
         self._catalogue = tuple(propose_terms(families, self._at))
@@ -185,8 +190,8 @@ class TermFitter:
         """Return what a fit leaves in every cell of each Run."""
         effects, theta = [t.effect for t in fit.terms], fit.posterior.theta
         return [
-            weight_residual(view, self._lines.of(run), effects, theta)
-            for run, view in enumerate(self.run_data)
+            weight_residual(data, self._lines.of(run), effects, theta)
+            for run, data in enumerate(self.run_data)
         ]
 
 

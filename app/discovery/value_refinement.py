@@ -17,7 +17,7 @@ from app.discovery.event_time import locate_event
 from app.discovery.evidence import prior_precision
 from app.discovery.term_data import TermData
 from app.discovery.value_posterior import average_value
-from app.estimation.information import Posterior, posterior
+from app.estimation.information import Posterior, compute_posterior
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
 
@@ -200,7 +200,7 @@ def _fit(
     total[:size, :size] = known
     own = range(size, len(total))
     total[own, own] = (_FREE * spacing) ** -2
-    return posterior(sums.information(np.arange(len(total))), total)
+    return compute_posterior(sums.information(np.arange(len(total))), total)
 
 
 def _clip(

@@ -17,11 +17,11 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.alignment.surroundings import with_pose
 from app.errors import Unidentifiable
-from app.estimation.information import Information, Posterior, posterior
+from app.estimation.information import Information, Posterior, compute_posterior
 from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import first_noise, looked_at
-from app.estimation.prior import BendingPrior, first_guess, fitted
-from app.estimation.runs import Measured
+from app.estimation.noise_fit import guess_noise, refine_runs
+from app.estimation.prior import BendingPrior, fit_prior, guess_prior
+from app.estimation.runs import RunInput
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.of_run import EffectOfRun
 from app.kinematics.effects.time_spline import time_splines
@@ -57,7 +57,7 @@ class SmoothMotions:
 
     def fit(self, data: Information) -> tuple[SmoothMotions, Posterior]:
         """Return the prior whose precisions fit the data, and the posterior."""
-        bending, result = fitted(data, self.bending)
+        bending, result = fit_prior(data, self.bending)
         return SmoothMotions(bending), result
 
 
@@ -75,7 +75,7 @@ class KnownMachine:
 
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
         """Return itself, which has nothing to fit, and the posterior."""
-        return self, posterior(data, self.precision_matrix(len(data.vector)))
+        return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Baseline:
     model: MachineModel
     theta: Float64[np.ndarray, " p"]
     prior: MachinePrior
-    runs: tuple[Measured, ...]
+    runs: tuple[RunInput, ...]
 
 
 def fit_baseline(
@@ -122,10 +122,10 @@ def fit_baseline(
     """
     if reference is None:
         model, _ = identifiable_model(machine, *(o.at.offset_mm for o in observations))
-        theta, prior = np.zeros(model.size), SmoothMotions(first_guess(model))
+        theta, prior = np.zeros(model.size), SmoothMotions(guess_prior(model))
     else:
         model, theta, prior = reference.model, reference.theta, reference.prior()
-    runs = tuple(Measured(o, o.pose, _first_noise(o)) for o in observations)
+    runs = tuple(RunInput(o, o.pose, _first_noise(o)) for o in observations)
     return Baseline(model, theta, prior, _fit_noise(model, runs, ()))
 
 
@@ -134,7 +134,7 @@ def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:
 
     Where the effects leave nothing to judge the noise by, it stays as it is.
     """
-    runs = tuple(replace(r, noise=_first_noise(r.seen)) for r in baseline.runs)
+    runs = tuple(replace(r, noise=_first_noise(r.observations)) for r in baseline.runs)
     try:
         return replace(baseline, runs=_fit_noise(baseline.model, runs, effects))
     except Unidentifiable:
@@ -142,21 +142,26 @@ def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:
 
 
 def _first_noise(observations: Observations) -> NoiseModel:
-    return first_noise(observations, perpendicular_only=False)
+    return guess_noise(observations, perpendicular_only=False)
 
 
 def _fit_noise(
-    model: MachineModel, runs: Sequence[Measured], effects: Sequence[Effect]
-) -> tuple[Measured, ...]:
+    model: MachineModel, runs: Sequence[RunInput], effects: Sequence[Effect]
+) -> tuple[RunInput, ...]:
     """Return the Runs with pose and noise beside effects and what changes slowly."""
     slow = [
         EffectOfRun(spline, number)
         for number, run in enumerate(runs)
-        for spline in time_splines(run.seen.at, _knot_spacing_s(run.seen))
+        for spline in time_splines(
+            run.observations.at, _knot_spacing_s(run.observations)
+        )
     ]
     beside = (*slow, *model.catalogued, *effects)
-    better = looked_at(model.machine, runs, beside, longest_s=_LONGEST_NOISE_S)
-    return tuple(replace(run, seen=with_pose(run.seen, run.pose)) for run in better)
+    better = refine_runs(model.machine, runs, beside, longest_s=_LONGEST_NOISE_S)
+    return tuple(
+        replace(run, observations=with_pose(run.observations, run.pose))
+        for run in better
+    )
 
 
 def _knot_spacing_s(observations: Observations) -> float:

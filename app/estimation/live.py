@@ -11,7 +11,7 @@ millimetre and a milliradian, a hundred times what they are known to at the end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -9,15 +9,18 @@ are integrated out, as in the decision.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
+from app.estimation.prior import diagonal_precision
+from app.kinematics.effects.tracker_pose import TrackerPose
 
-POSE = 6
+_POSE = TrackerPose((0.0, 0.0, 0.0)).parameters
+POSE = len(_POSE)
 
 
 @dataclass(frozen=True)
@@ -41,14 +44,14 @@ class Question:
         return sum(self.ranks) + 2 + POSE
 
     def expect_log_bayes(
-        self, normal: Float64[np.ndarray, "q q"], pose_sigma: tuple[float, float]
+        self, normal: Float64[np.ndarray, "q q"], pose_sigma: Mapping[str, float]
     ) -> float:
         """Return the expected log Bayes factor for the truth that is harder to confirm.
 
         normal : normal equations of lines; pose_sigma : standard uncertainty of the
         tracker's next place, mm and rad
         """
-        known = np.diag(np.repeat(np.array(pose_sigma) ** -2.0, 3))
+        known = diagonal_precision(_POSE, pose_sigma)
         begin = len(normal) - POSE
         cross = normal[begin:, :begin]
         absorbed = np.linalg.solve(normal[begin:, begin:] + known, cross)

@@ -8,7 +8,7 @@ expected to be decided.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -35,10 +35,10 @@ _SLOWER = (1.0, 0.4, 0.15)  # of the highest feed of the Runs
 _RANDOM_ENDS = 10
 _LEAST_MOTION = 30.0  # mm; less may be lost on the way, so the axis rests instead
 _SPREAD_MM = 40.0  # of the stops off one line: how they are recognised
-_UNKNOWN_POSE = (1.0, 1e-3)
+_UNKNOWN_POSE = {"mm": 1.0, "rad": 1e-3}
 # The first lines decide nothing while the tracker's place is open. What they will
 # decide once it is known guides their choice.
-_KNOWN_POSE, _GUIDANCE = (0.02, 2e-5), 0.2
+_KNOWN_POSE, _GUIDANCE = {"mm": 0.02, "rad": 2e-5}, 0.2
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class LineChoice:
     def _expect(
         self,
         normal: Sequence[Float64[np.ndarray, "q q"]],
-        pose_sigma: tuple[float, float],
+        pose_sigma: Mapping[str, float],
     ) -> tuple[float, ...]:
         pairs = zip(self.questions, normal, strict=True)
         return tuple(q.expect_log_bayes(s, pose_sigma) for q, s in pairs)

@@ -24,10 +24,16 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.estimation.information import Information, posterior
-from app.estimation.separation import statements
-from app.estimation.volumetric_map import volumetric_gram
-from app.estimation.weak_shapes import WeakShape, usual_precision_matrix, weak_shapes
+from app.estimation.information import Information, compute_posterior
+from app.estimation.prior import diagonal_precision
+from app.estimation.separation import describe_confounded
+from app.estimation.volumetric_map import compute_volumetric_gram
+from app.estimation.weak_shapes import (
+    WeakShape,
+    find_weak_shapes,
+    usual_precision_matrix,
+)
+from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -46,7 +52,7 @@ _INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
 _NAMED = 3  # weakest motions
 # What any measurement tells of the tracker's pose: 1 mm, 10 mrad. Less drowns in
 # rounding where a set-up tells hardly anything.
-_ROUGH_POSE = np.array([1.0, 1.0, 1.0, 1e4, 1e4, 1e4])
+_ROUGH_POSE = {"mm": 1.0, "rad": 1e-2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +137,10 @@ class _Judge:
     def judged(self, set_ups: tuple[SetUp, ...]) -> _Judged:
         seen = [rehearsed(s.machine, s.commanded, s.station_mm) for s in set_ups]
         told = np.sum([self._told(one) for one in seen], axis=0)
-        nothing = Information(told, np.zeros(len(told)), 0.0, 0.0)
-        covariance = posterior(nothing, usual_precision_matrix(self.model)).covariance
+        nothing = Information.of_matrix(told)
+        covariance = compute_posterior(
+            nothing, usual_precision_matrix(self.model)
+        ).covariance
         sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
         return _Judged(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
 
@@ -141,9 +149,10 @@ class _Judge:
         matrix = expected_information(
             seen, self.model, perpendicular_only=self.perpendicular_only
         ).matrix
-        p = self.model.size
-        pose, cross = matrix[p:, p:] + np.diag(_ROUGH_POSE), matrix[:p, p:]
-        return matrix[:p, :p] - cross @ np.linalg.solve(pose, cross.T)
+        p, pose = self.model.size, TrackerPose((0.0, 0.0, 0.0)).parameters
+        own = matrix[p:, p:] + diagonal_precision(pose, _ROUGH_POSE)
+        cross = matrix[:p, p:]
+        return matrix[:p, :p] - cross @ np.linalg.solve(own, cross.T)
 
 
 def grade(
@@ -187,7 +196,7 @@ def _graded(
         ]
     )
     model, merged = identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
-    judge = _Judge(model, volumetric_gram(model), perpendicular_only)
+    judge = _Judge(model, compute_volumetric_gram(model), perpendicular_only)
     every = [judge.judged(set_ups) for set_ups in tried]
     worst = max(every, key=lambda one: one.number)
     weakest = _weakest(worst, judge)
@@ -202,10 +211,10 @@ def _graded(
         min(one.number for one in every),
         _improved(worst, weakest[0].remedy, judge),
         weakest,
-        weak_shapes(
+        find_weak_shapes(
             refined.T @ worst.told @ refined, coarse, refined.T @ judge.gram @ refined
         ),
-        statements(machine, offsets_mm, merged, model, worst.covariance),
+        describe_confounded(machine, offsets_mm, merged, model, worst.covariance),
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from app.estimation.elimination import project_out_white
 from app.kinematics.conditions import Conditions, RecordedState
 from app.kinematics.machine import LinearAxis
 from app.motion.motion_times import Drive
@@ -53,9 +54,8 @@ class LineOutlook(Outlook):
         )
         if np.isinf(self.noise.jitter_mm2_s):
             return rows
-        timing = self._timing(root, slope).reshape(len(begin), 3 * _PLACES, 2)
-        basis, _ = np.linalg.qr(timing)
-        return rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
+        timing = self._timing(root, slope).reshape(len(begin), 3 * _PLACES, -1)
+        return project_out_white(rows, timing)
 
     @property
     def order_is_free(self) -> bool:
@@ -161,7 +161,7 @@ class LineOutlook(Outlook):
 
     def _timing(
         self, root: Float64[np.ndarray, "m 3 3"], slope_mm: Float64[np.ndarray, "m 3"]
-    ) -> Float64[np.ndarray, "m 3 2"]:
+    ) -> Float64[np.ndarray, "m 3 t"]:
         """Return the rows of phase and speed."""
         pulled = np.einsum("nij,nj->ni", root, slope_mm)
         lag = np.tile(_MIDDLES, len(root) // _PLACES)

@@ -17,9 +17,10 @@ from app.alignment.observations import Observations
 from app.alignment.stretches import approach_signs, offsets_mm, on_workpiece
 from app.alignment.surroundings import with_surroundings
 from app.errors import PlanningError
-from app.estimation.information import Information, information
+from app.estimation.design_matrix import linearise
+from app.estimation.information import Information
 from app.estimation.noise import NoiseModel
-from app.estimation.problem import pose_problem
+from app.estimation.normal_equations import compute_information
 from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
@@ -93,11 +94,8 @@ def expected_information(
 ) -> Information:
     """Return what the cells would tell of model and tracker pose, timing left out."""
     along = np.inf if perpendicular_only else EXPECTED_NOISE.along_sigma_mm
-    noise = NoiseModel(
-        EXPECTED_NOISE.white, EXPECTED_NOISE.ou, EXPECTED_NOISE.ou_time_s, along
-    )
-    problem = pose_problem(seen, model, seen.pose, timing=bool(np.isfinite(along)))
-    return information(problem, noise)
+    noise = replace(EXPECTED_NOISE, along_sigma_mm=along)
+    return compute_information(seen, linearise(seen, model, seen.pose, noise))
 
 
 def _stretches(commanded: Path | Configurations) -> Iterator[_Stretch]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from markupsafe import Markup
 
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import LinearAxis
@@ -62,7 +62,7 @@ def _draw_volume(found: Findings) -> Markup:
     axes = model.machine.linear_axes
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
-    error = UM_PER_MM * volumetric_map(model).error_mm(
+    error = UM_PER_MM * build_volumetric_map(model).error_mm(
         standstill(model.machine, with_rotary_axes(model.machine, flat)),
         found.estimate.theta,
     )

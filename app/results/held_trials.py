@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.estimation.estimate import Estimate
-from app.estimation.monte_carlo import block, prepared
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.monte_carlo import prepare_trials, run_block
+from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM, scale_of
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import RotaryAxis
@@ -120,8 +120,8 @@ def held_against_trials(
         raise ValueError("the estimate has not kept its fit")
     asked = _asked(estimate.model)
     rows = np.concatenate([a.rows for a in asked])
-    trials = prepared(estimate.fit, rows, plan)
-    moved = propagate(partial(block, trials), plan, run, on_progress)
+    trials = prepare_trials(estimate.fit, rows, plan)
+    moved = propagate(partial(run_block, trials), plan, run, on_progress)
     linear = np.sqrt(np.einsum("op,op->o", rows @ estimate.covariance, rows).clip(0.0))
     columns = {
         "value": rows @ estimate.theta,
@@ -173,7 +173,7 @@ def _map(model: MachineModel) -> _Asked:
         for axis in model.machine.axes
     ]
     at = np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
-    J = volumetric_map(model).jacobian(standstill(model.machine, at))
+    J = build_volumetric_map(model).jacobian(standstill(model.machine, at))
     return _Asked(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
 
 

@@ -22,8 +22,8 @@ from app.discovery.extended_model import (
 )
 from app.discovery.findings import Finding
 from app.estimation.baseline import ReferenceModel
-from app.estimation.extrapolation import measured_ranges
-from app.estimation.observability import observability
+from app.estimation.extrapolation import find_measured_ranges
+from app.estimation.observability import assess_observability
 from app.files.machine_file import machine_to_json
 from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import MODEL_SCHEMA
@@ -154,7 +154,7 @@ def _effect_json(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:
 
 
 def _tables_json(grown: ExtendedModel, found: Discovery) -> dict[str, Any]:
-    ranges = measured_ranges(*(one.observations for one in found.aligned))
+    ranges = find_measured_ranges(*(one.observations for one in found.aligned))
     tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
     halves = half_differences(grown.model, grown.theta, grown.covariance)
     return {
@@ -173,7 +173,7 @@ def _tables_json(grown: ExtendedModel, found: Discovery) -> dict[str, Any]:
 
 
 def _observability_json(found: Discovery) -> dict[str, Any]:
-    seen = observability(found.baseline.model.machine, found.baseline.runs)
+    seen = assess_observability(found.baseline.model.machine, found.baseline.runs)
     return {
         "rank": seen.rank,
         "parameters": seen.parameters,

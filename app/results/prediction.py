@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float64
 from app.estimation.extrapolation import (
     Variation,
     beyond_travel_variance_mm2,
-    variations,
-    whole_travel,
+    estimate_variations,
+    full_travel,
 )
-from app.estimation.volumetric_map import VolumetricMap, volumetric_map
+from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
@@ -48,14 +48,14 @@ def predict(
     targets : the target at each point; the first of the machine where left out
     """
     error, uncertainty = np.empty((len(position), 3)), np.empty((len(position), 3))
-    known = variations(
+    known = estimate_variations(
         result.model,
         result.theta,
-        result.measured or whole_travel(result.machine),
+        result.measured or full_travel(result.machine),
         result.covariance,
     )
     for name, rows in _by_target(targets, len(position)):
-        found = volumetric_map(result.model, name)
+        found = build_volumetric_map(result.model, name)
         for begin in range(0, len(rows), _BLOCK):
             block = rows[begin : begin + _BLOCK]
             error[block], uncertainty[block] = _block(

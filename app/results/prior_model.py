@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import BundleError
-from app.estimation.known_effects import KnownEffects, known_effects
+from app.estimation.known_effects import KnownEffects, extract_known_effects
 from app.files.result_file import LARGEST_BYTES, CalibrationResult, decode_result
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
@@ -46,7 +46,9 @@ class PriorModel:
         """Tell whether it was made from one of some Runs, told by their digests."""
         return not {run["input_sha256"] for run in self.runs}.isdisjoint(digests)
 
-    def known(self, machine: Machine, digests: Sequence[str] = ()) -> KnownEffects:
+    def select_effects(
+        self, machine: Machine, digests: Sequence[str] = ()
+    ) -> KnownEffects:
         """Return what it knows of the effects of a machine.
 
         digests : of the Runs to be analysed; where it was made from one of them its
@@ -56,8 +58,8 @@ class PriorModel:
         """
         self.require_same(machine)
         own = self.result
-        known = known_effects(own.model, own.theta, own.covariance)
-        return known.hardly_known() if self.is_of(digests) else known
+        known = extract_known_effects(own.model, own.theta, own.covariance)
+        return known.loosen() if self.is_of(digests) else known
 
     def require_same(self, machine: Machine) -> None:
         """Raise BundleError if it is of another machine or of another target."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
@@ -66,7 +66,7 @@ def volumetric_error(
 ) -> VolumetricError:
     """Return the volumetric error of the first target over the axis travel."""
     position_mm = grid_mm(model, _GRID)
-    J = UM_PER_MM * volumetric_map(model).jacobian(
+    J = UM_PER_MM * build_volumetric_map(model).jacobian(
         standstill(model.machine, position_mm)
     )
     error = J @ theta

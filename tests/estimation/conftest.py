@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 
@@ -44,7 +44,10 @@ def share_left(rigid_free):
     def measured(result, truth):
         machine = truth.machine
         q = np.random.default_rng(1).uniform(machine.low, machine.high, (200, 5))
-        at, maps = standstill(result.model.machine, q), volumetric_map(result.model)
+        at, maps = (
+            standstill(result.model.machine, q),
+            build_volumetric_map(result.model),
+        )
         before = rigid_free(at.point_mm, truth.deviation_mm(q, "T1"))
         left = before - rigid_free(at.point_mm, maps.error_mm(at, result.theta))
         inside = np.abs(left) < 2 * maps.sigma_mm(at, result.covariance)

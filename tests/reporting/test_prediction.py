@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.volumetric_map import volumetric_map
+from app.estimation.volumetric_map import build_volumetric_map
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
@@ -91,7 +91,7 @@ def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
     loaded, travel_points, rng
 ):
     at = standstill(loaded.machine, travel_points)
-    J = 1e3 * volumetric_map(loaded.model).jacobian(at)
+    J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
     drawn = rng.multivariate_normal(
         loaded.theta, loaded.covariance, 4000, method="eigh"
     )
