@@ -17,7 +17,7 @@ from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.estimation.monte_carlo import draw_outputs as trials_drawn
-from app.estimation.monte_carlo import prepared
+from app.estimation.monte_carlo import prepare_trials
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
@@ -202,7 +202,7 @@ def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     )
     last = found.model.slices[found.model.effects[-1].name].start
     outputs = np.eye(found.model.size)[[0, 5, last]]
-    drawn = trials_drawn(prepared(found.fit, outputs, TrialPlan(seed=1)), 0, 1500)
+    drawn = draw_outputs(prepare_trials(found.fit, outputs, TrialPlan(seed=1)), 0, 1500)
     linear = np.sqrt(np.diag(outputs @ found.covariance @ outputs.T))
     assert drawn.std(axis=1) == pytest.approx(linear, rel=0.1)
 
