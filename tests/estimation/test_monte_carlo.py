@@ -47,9 +47,9 @@ def squareness(fit):
 def of_noise_alone(trials, noise):
     """Return the trials with another noise and nothing that only the prior knows."""
     silent = tuple(
-        replace(one, root=0.0 * one.root, log_sigma=0.0) for one in trials.charged
+        replace(one, root=0.0 * one.root, log_sigma=0.0) for one in trials.prior
     )
-    return replace(under(trials, noise), charged=silent)
+    return replace(under(trials, noise), prior=silent)
 
 
 def test_trials_confirm_the_linear_uncertainty(fit):
@@ -60,13 +60,13 @@ def test_trials_confirm_the_linear_uncertainty(fit):
     assert (told.high - told.low) / (2 * 1.96 * linear) == pytest.approx(1.0, abs=0.08)
 
 
-def test_strengths_that_are_known_leave_the_covariance_of_the_solve(fit):
+def test_precisions_that_are_known_leave_the_covariance_of_the_solve(fit):
     outputs, _ = squareness(fit)
     trials = prepare_trials(fit, outputs, FEW)
-    known = tuple(replace(one, log_sigma=0.0) for one in trials.charged)
+    known = tuple(replace(one, log_sigma=0.0) for one in trials.prior)
     covariance = fit.result.covariance
     linear = np.sqrt(np.einsum("om,mn,on->o", outputs, covariance, outputs))
-    told = propagate(partial(run_block, replace(trials, charged=known)), FEW)
+    told = propagate(partial(run_block, replace(trials, prior=known)), FEW)
     assert told.sigma / linear == pytest.approx(1.0, abs=0.02)
     assert agrees(told, np.zeros(3), linear, FEW.digits).all()
 
