@@ -16,7 +16,6 @@ from app.alignment.surroundings import with_surroundings
 from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.batch import estimate
-from app.estimation.monte_carlo import draw_outputs as trials_drawn
 from app.estimation.monte_carlo import prepare_trials
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import restore_effect
