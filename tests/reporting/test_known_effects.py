@@ -16,7 +16,7 @@ from app.alignment.surroundings import with_surroundings
 from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.batch import estimate
-from app.estimation.monte_carlo import prepare_trials
+from app.estimation.monte_carlo import draw_outputs, prepare_trials
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
