@@ -19,7 +19,7 @@ from app.estimation.volumetric_map import build_volumetric_map
 from app.files.bundle import read_bundle
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import Machine
-from app.reporting.analysis_files import analyse
+from app.results.analysis import analyse
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
@@ -32,7 +32,7 @@ SPACING_MM = 22.0
 def ours(folder: Path) -> tuple[int, np.ndarray]:
     """Read, align, estimate and report; return samples and the predicted map, mm."""
     run = read_bundle(folder / "bundle")
-    estimate = analyse(run).found.estimate
+    estimate = analyse(run).estimate
     at = standstill(run.machine, _points(run.machine))
     return len(run.tracker), build_volumetric_map(estimate.model).error_mm(
         at, estimate.theta

@@ -57,18 +57,23 @@ def analyse(
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
     compute_on_one_thread()
+    from app.estimation.prior_model import read_prior_model
     from app.files.bundle import read_bundle
     from app.numerics.adaptive_trials import TrialPlan
-    from app.reporting.analysis_files import analyse, read_all, write_analysis
-    from app.results.prior_model import read_prior_model
+    from app.reporting.analysis_files import (
+        read_runs,
+        render_analysis,
+        write_analysis,
+    )
+    from app.results.analysis import analyse
 
     require_folder(output, "the results")
     workers = _open_workers() if monte_carlo else nullcontext(map)
     with show_progress("analyse") as on_progress, workers as mapper:
         on_progress(0.0, "reading")
         earlier = None if model is None else read_prior_model(model)
-        analysis = analyse(
-            *read_all(bundles, read_bundle),
+        findings = analyse(
+            *read_runs(bundles, read_bundle),
             model=earlier,
             perpendicular_only=perpendicular_only,
             monte_carlo=TrialPlan(seed=seed, interval=interval)
@@ -77,6 +82,7 @@ def analyse(
             mapper=mapper,
             on_progress=on_progress,
         )
+        analysis = render_analysis(findings)
         on_progress(1.0, "writing")
         write_analysis(analysis, output)
     if json:

@@ -30,7 +30,12 @@ from app.motion.configurations import Commanded
 from app.motion.paths import check_travel, travel_time_s
 from app.planning.default_path import default_path
 from app.plugins import load
-from app.reporting.analysis_files import Analysis, analyse, write_analysis
+from app.reporting.analysis_files import (
+    Analysis,
+    render_analysis,
+    write_analysis,
+)
+from app.results.analysis import analyse
 from drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
@@ -150,7 +155,7 @@ def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
 
 def _analyse_run(run: Run) -> Analysis:
     with show_progress("analyse") as on_progress:
-        return analyse(run, on_progress=on_progress)
+        return render_analysis(analyse(run, on_progress=on_progress))
 
 
 def _describe_options(options: dict[str, Any]) -> str:

@@ -35,16 +35,16 @@ def discover(
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
     compute_on_one_thread()
+    from app.estimation.prior_model import read_prior_model
     from app.files.bundle import read_bundle
-    from app.reporting.analysis_files import read_all
+    from app.reporting.analysis_files import read_runs
     from app.reporting.discovery_files import discover_runs, write_discovery
-    from app.results.prior_model import read_prior_model
 
     require_folder(output, "the results")
     with show_progress("discover") as on_progress:
         on_progress(0.0, "reading")
         parent = None if model is None else read_prior_model(model)
-        runs = read_all(bundles, read_bundle)
+        runs = read_runs(bundles, read_bundle)
         discovered = discover_runs(runs, parent, on_progress)
         on_progress(1.0, "writing")
         write_discovery(discovered, output)

@@ -101,13 +101,13 @@ def plan(
 ) -> None:
     """The measurement that tells most in its time, and what it will leave unknown."""
     compute_on_one_thread()
+    from app.estimation.prior_model import read_prior_model
     from app.files.machine_file import read_machine
     from app.files.workspace_file import read_workspace
     from app.motion.paths import DEFAULT_FEED_MM_MIN
     from app.motion.workspace import Workspace
     from app.planning.plan import PlanRequest, make_plan
     from app.reporting.plan_files import write_plan
-    from app.results.prior_model import read_prior_model
 
     request = PlanRequest(
         mode,

@@ -10,7 +10,6 @@ a table that leans on the past would hide that the machine has changed.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,36 +17,12 @@ from scipy.special import chdtrc
 
 from app.estimation.information import Information, Posterior
 from app.kinematics.effects.catalogue_effect import CatalogueEffect
-from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 
 _EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
 _SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding
 _LOOSE = 100.0
 _TOLD = 0.05  # of a variance, taken away by the Run: enough to contradict
-
-
-class MachineKnowledge(Protocol):
-    """What an earlier measurement has told of a machine, and where it is kept."""
-
-    @property
-    def source(self) -> str:
-        """Its file, or its identifier in the service."""
-        ...
-
-    @property
-    def sha256(self) -> str:
-        """Digest of the file."""
-        ...
-
-    @property
-    def version(self) -> int:
-        """Version of the model."""
-        ...
-
-    def select_effects(self, machine: Machine) -> KnownEffects:
-        """Return the known effects of a machine. Raises BundleError if of another."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -85,8 +85,8 @@ def plan_measurement(
 
 def plan_request(order: Json) -> PlanRequest:
     """Return the request that an order states."""
+    from app.estimation.prior_model import read_prior_model
     from app.planning.plan import PlanRequest
-    from app.results.prior_model import read_prior_model
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):

@@ -31,14 +31,15 @@ def analyse_recorded(
     model_file, model_id : the model whose effects are estimated beside, if any
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.reporting.analysis_files import analyse, read_all, write_analysis
-    from app.results.prior_model import read_prior_model
+    from app.estimation.prior_model import read_prior_model
+    from app.reporting.analysis_files import read_runs, render_analysis, write_analysis
+    from app.results.analysis import analyse
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
-    runs = read_all(run_files, open_recorded)
+    runs = read_runs(run_files, open_recorded)
     shared = nullcontext(map) if monte_carlo is None else opened(workers)
     with shared as mapper:
-        analysis = analyse(
+        findings = analyse(
             *runs,
             model=model,
             perpendicular_only=perpendicular_only,
@@ -46,7 +47,9 @@ def analyse_recorded(
             mapper=mapper,
             on_progress=on_progress,
         )
+    analysis = render_analysis(findings)
     _replace(Path(folder), lambda part: write_analysis(analysis, part))
+    on_progress(1.0, "reporting")
 
 
 def discover_recorded(
@@ -62,14 +65,14 @@ def discover_recorded(
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
     # Imported where it computes: the service itself carries no science and no plots.
-    from app.reporting.analysis_files import read_all
+    from app.estimation.prior_model import read_prior_model
+    from app.reporting.analysis_files import read_runs
     from app.reporting.discovery_files import discover_runs, write_discovery
-    from app.results.prior_model import read_prior_model
 
     parent = (
         None if model_file is None else read_prior_model(model_file, model_id or "")
     )
-    runs = read_all(run_files, open_recorded)
+    runs = read_runs(run_files, open_recorded)
     found = discover_runs(runs, parent, on_progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))
 

@@ -55,6 +55,11 @@ class MachineModel:
         """The error motions, in the order of θ."""
         return tuple(e for e in self.effects if isinstance(e, ErrorMotion))
 
+    @property
+    def knows_all_motions(self) -> bool:
+        """Whether it has all six error motions of every axis: it holds for any tool."""
+        return len(self.error_motions) == 6 * len(self.machine.axes)
+
     @cached_property
     def catalogued(self) -> tuple[CatalogueEffect, ...]:
         """The effects of the catalogue, in the order of θ."""

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import PlanningError
-from app.estimation.known_effects import KnownEffects, MachineKnowledge
+from app.estimation.known_effects import KnownEffects
+from app.estimation.prior_model import PriorModel
 from app.kinematics.machine import Machine, linear_part
 from app.motion.configurations import Configurations
 from app.motion.corner_path import corner_path
@@ -59,7 +60,7 @@ class PlanRequest:
     corner_path: bool = False
     workspace: Workspace = field(default_factory=Workspace)
     seed: int = 0
-    model: MachineKnowledge | None = None
+    model: PriorModel | None = None
 
     def known(self, machine: Machine) -> KnownEffects:
         """Return what the model knows of a machine's effects. Raises BundleError."""

@@ -10,6 +10,7 @@ from typing import Any
 
 from app.discovery.discover import Discovery, discover
 from app.discovery.open_questions import design_discrimination
+from app.estimation.prior_model import PriorModel
 from app.files.commanded_file import encode_commanded
 from app.files.run import Run
 from app.files.whole_files import replace_file
@@ -20,7 +21,6 @@ from app.reporting.discovery_report import render_discovery_report
 from app.results.discovery_json import discovery_json
 from app.results.discrimination_json import ask_json
 from app.results.model_file import NextModel, given_by, next_model
-from app.results.prior_model import PriorModel
 
 DISCOVERY, MODEL, ASK = "discovery.json", "model.json", "ask/path.csv"
 _FOUND = 0.95  # share of the work that is done with the search

@@ -14,12 +14,12 @@ from app.reporting.axis_panels import SIGN
 from app.reporting.error_figures import draw_error_motions
 from app.reporting.templating import View
 from app.reporting.volume_figure import draw_volume
-from app.results.direction_tables import half_differences
-from app.results.effects_beside import effects_beside, taken
+from app.results.direction_tables import compute_half_differences
 from app.results.error_tables import ErrorTable
 from app.results.findings import Findings
 from app.results.model_difference import in_words
 from app.results.numbers_as_text import expanded, plain
+from app.results.updated_effects import describe_use, list_updated_effects
 from app.results.volumetric_error import Figure
 
 _K = 2.0
@@ -69,7 +69,9 @@ def describe_squareness(findings: Findings) -> View:
 def describe_direction(findings: Findings) -> View:
     """Return half the difference between + and − direction where it is significant."""
     estimate = findings.estimate
-    halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
+    halves = compute_half_differences(
+        estimate.model, estimate.theta, estimate.covariance
+    )
     rows: list[tuple[str, str, str]] = []
     for half in halves:
         if half.shows:
@@ -114,18 +116,18 @@ def describe_volume(findings: Findings) -> View:
 
 def describe_effects(findings: Findings) -> View:
     """Return the effects of a given model, before and with this measurement."""
-    account = findings.provenance.model
-    if account is None:
+    used = findings.provenance.model
+    if used is None:
         raise ValueError("the analysis has no model")
-    effects = effects_beside(findings.estimate)
+    effects = list_updated_effects(findings.estimate)
     return {
-        "version": account.version,
-        "source": account.source,
-        "use": taken(account),
+        "version": used.version,
+        "source": used.source,
+        "use": describe_use(used),
         "rows": [
             (
                 one.title,
-                "not used" if account.of_these_runs else _state_numbers(one.before),
+                "not used" if used.of_these_runs else _state_numbers(one.before),
                 _state_numbers(one.after),
             )
             for one in effects

@@ -17,8 +17,8 @@ from app.reporting.run_views import (
 from app.reporting.templating import View
 from app.results.findings import Findings
 from app.results.grade_json import in_words
-from app.results.held_trials import MAP, HeldQuantity, HeldTrials
 from app.results.numbers_as_text import plain
+from app.results.trial_results import MAP, TrialQuantity, TrialResults
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
 
@@ -80,7 +80,7 @@ def describe_validation(findings: Findings) -> View:
     }
 
 
-def describe_trials(trials: HeldTrials) -> View:
+def describe_trials(trials: TrialResults) -> View:
     """Return the linear uncertainty against the trials, quantity by quantity."""
     return {
         "settled": trials.settled,
@@ -135,7 +135,7 @@ def _list_extrapolated(findings: Findings) -> list[str]:
     return ends
 
 
-def _state_quantity(q: HeldQuantity) -> tuple[str, ...]:
+def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
     """Return a quantity at the position of its largest linear uncertainty."""
     i = int(np.argmax(q.linear))
     is_map = q.name == MAP

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-from app.estimation.known_effects import MachineKnowledge
+from app.estimation.prior_model import PriorModel
 from app.files.commanded_file import encode_commanded
 from app.files.machine_file import machine_to_json
 from app.files.whole_files import replace_file
@@ -19,7 +19,7 @@ from app.motion.nc_programs.programs import (
 )
 from app.planning.plan import Planned
 from app.reporting.plan_report import render_plan_report
-from app.results.effects_beside import foretold_json
+from app.results.updated_effects import predicted_effects_json
 from drivers.interfaces.records import Path
 
 SCHEMA = "plan/1"
@@ -47,7 +47,9 @@ def plan_document(planned: Planned) -> dict[str, Any]:
         "predicted": {
             **_both(planned.uncertainty_um),
             "errors": _errors(planned),
-            "effects": foretold_json(found.known, found.model, found.covariance),
+            "effects": predicted_effects_json(
+                found.known, found.model, found.covariance
+            ),
             "servo_mismatch": {
                 axis: {"uncertainty_ms": 1e3 * sigma}
                 for axis, sigma in planned.lag_sigma_s.items()
@@ -68,7 +70,7 @@ def plan_document(planned: Planned) -> dict[str, Any]:
     }
 
 
-def _model_json(model: MachineKnowledge) -> dict[str, Any]:
+def _model_json(model: PriorModel) -> dict[str, Any]:
     return {
         "source": model.source,
         "version": model.version,

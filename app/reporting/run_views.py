@@ -16,7 +16,7 @@ _HOW = {"otf": "on the fly", "standstill": "at standstill"}
 
 def name_runs(findings: Findings) -> str:
     """Return the Runs and their modes in a line."""
-    runs = [run.account for run in findings.runs]
+    runs = [run.summary for run in findings.runs]
     if len(runs) == 1:
         return f"Run {runs[0].name}, measured {_HOW[runs[0].mode]}"
     named = ", ".join(f"{run.name} ({_HOW[run.mode]})" for run in runs)
@@ -25,14 +25,14 @@ def name_runs(findings: Findings) -> str:
 
 def describe_measurement(run: RunFindings) -> View:
     """Return how a Run was measured."""
-    account, estimate = run.account, run.estimate
+    summary, estimate = run.summary, run.estimate
     return {
-        "name": account.name,
-        "mode": account.mode,
-        "feed": _state_feed(account.feed_mm_min),
-        "commanded": account.lines,
+        "name": summary.name,
+        "mode": summary.mode,
+        "feed": _state_feed(summary.feed_mm_min),
+        "commanded": summary.lines,
         "recognised": estimate.lines,
-        "minutes": f"{account.measured_s / 60.0:.1f}",
+        "minutes": f"{summary.measured_s / 60.0:.1f}",
         "samples": f"{estimate.offered_samples:,}",
         "used": 100.0 * estimate.used_samples / max(estimate.offered_samples, 1),
         "cells": f"{estimate.cells:,}",
@@ -41,7 +41,7 @@ def describe_measurement(run: RunFindings) -> View:
         "stands_on": estimate.tracker.stands_on,
         "temperatures": ", ".join(
             f"{sensor} {low:.2f} to {high:.2f} °C"
-            for sensor, (low, high) in account.temperature_degc.items()
+            for sensor, (low, high) in summary.temperature_degc.items()
         ),
     }
 
@@ -55,8 +55,8 @@ def describe_run_residuals(run: RunFindings) -> View:
         ("Correlated part found", noise.ou_um),
     )
     return {
-        "name": run.account.name,
-        "mode": run.account.mode,
+        "name": run.summary.name,
+        "mode": run.summary.mode,
         "figure": draw_residuals(run),
         "noise": [(name, *(plain(v, 2) for v in values)) for name, values in parts],
         "distance_m": f"{noise.distance_mm / 1000.0:.2f}",
@@ -72,10 +72,10 @@ def describe_origin(run: RunFindings, *, across_only: bool) -> View:
     half = [f"{value:.2g}" for value in scale * sigma]
     station = run.estimate.pose.invert().translation_mm.tolist()
     return {
-        "name": run.account.name,
-        "mode": run.account.mode,
-        "digest": run.account.digest,
-        "source": run.account.source,
+        "name": run.summary.name,
+        "mode": run.summary.mode,
+        "digest": run.summary.digest,
+        "source": run.summary.source,
         "across_only": across_only,
         "station_mm": ", ".join(plain(value) for value in station),
         "translation_um": ", ".join(half[:3]),

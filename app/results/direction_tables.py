@@ -37,7 +37,7 @@ class HalfDifference:
         return bool(np.any(np.abs(self.value) > 2.0 * self.uncertainty))
 
 
-def half_differences(
+def compute_half_differences(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],

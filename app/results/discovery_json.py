@@ -11,7 +11,7 @@ from app.discovery.findings import Finding
 from app.discovery.residual_location import RunResidual, Segment
 from app.kinematics.effects.catalogue import Candidate, Family
 from app.kinematics.symbols import is_turn
-from app.results.effects_beside import parameters_json
+from app.results.updated_effects import parameters_json
 
 SCHEMA = "discovery/1"
 _SEGMENTS = 20  # the worst ones; all of them are in the report's plots

@@ -107,15 +107,9 @@ def error_tables(
         tuple(tables),
         tuple(squareness),
         model.machine.targets,
-        holds_for_any_tool(model),
+        model.knows_all_motions,
         tuple(locations),
     )
-
-
-def holds_for_any_tool(model: MachineModel) -> bool:
-    """Tell whether all six motions of every axis are known."""
-    motions = [effect for effect in model.effects if effect.motion]
-    return len(motions) == 6 * len(model.machine.axes)
 
 
 def result_tables(result: CalibrationResult) -> ErrorTables:

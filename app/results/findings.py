@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.estimate import Estimate, RunEstimate
+from app.files.run_summary import RunSummary
 from app.files.units import UM_PER_MM
 from app.planning.grade import Grade
-from app.results.effects_beside import ModelAccount
 from app.results.error_tables import ErrorTables, error_tables
-from app.results.held_trials import HeldTrials
-from app.results.run_account import RunAccount
+from app.results.trial_results import TrialResults
+from app.results.updated_effects import UsedModel
 from app.results.volumetric_error import VolumetricError, volumetric_error
 
 
@@ -25,10 +25,10 @@ class Provenance:
     model : whose effects are beside the error motions, if one was given
     """
 
-    runs: tuple[RunAccount, ...]
+    runs: tuple[RunSummary, ...]
     software_version: str
     created: datetime
-    model: ModelAccount | None = None
+    model: UsedModel | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class RunFindings:
     """
 
     number: int
-    account: RunAccount
+    summary: RunSummary
     estimate: RunEstimate
     by_line: LineResiduals
     noise: NoiseFound
@@ -88,7 +88,7 @@ class Findings:
     tables: ErrorTables
     volumetric: VolumetricError
     runs: tuple[RunFindings, ...]
-    trials: HeldTrials | None = None
+    trials: TrialResults | None = None
     grade: Grade | None = None
 
     @property
@@ -97,13 +97,13 @@ class Findings:
         return self.runs[self.estimate.main]
 
 
-def find(
+def state_findings(
     estimate: Estimate,
     provenance: Provenance,
-    trials: HeldTrials | None = None,
+    trials: TrialResults | None = None,
     grade: Grade | None = None,
 ) -> Findings:
-    """Return the findings of an estimate."""
+    """Return what is stated of an estimate."""
     parts = estimate.model, estimate.theta, estimate.covariance
     return Findings(
         estimate,
@@ -113,12 +113,12 @@ def find(
         tuple(
             RunFindings(
                 number,
-                account,
+                summary,
                 run,
                 residuals_by_line(run, across_only=estimate.perpendicular_only),
                 noise_found(run),
             )
-            for number, (account, run) in enumerate(
+            for number, (summary, run) in enumerate(
                 zip(provenance.runs, estimate.runs, strict=True)
             )
         ),

@@ -24,25 +24,25 @@ from app.discovery.findings import Finding
 from app.estimation.baseline import ReferenceModel
 from app.estimation.extrapolation import find_measured_ranges
 from app.estimation.observability import assess_observability
+from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_to_json
 from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run
+from app.files.run_summary import digest_run
 from app.files.units import unit_of
 from app.kinematics.effects.tool_orientation import tool_orientation
 from app.kinematics.model import MachineModel
-from app.results.direction_tables import half_differences
+from app.results.direction_tables import compute_half_differences
 from app.results.discovery_json import effect_json
 from app.results.error_tables import error_tables
 from app.results.model_difference import difference
-from app.results.prior_model import PriorModel
 from app.results.result_json import (
     half_differences_json,
     locations_json,
     ranges_json,
     table_json,
 )
-from app.results.run_account import run_digest
 
 _TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
@@ -101,7 +101,7 @@ def next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
                 "software_version": version("truepath"),
                 "created": datetime.now(UTC).isoformat(timespec="seconds"),
                 "run": found.run_names,
-                "input_sha256": run_digest(found.aligned[0].run),
+                "input_sha256": digest_run(found.aligned[0].run),
                 "runs": [*_earlier_runs(parent), *_runs_json(found)],
             },
             "model": model_to_json(grown.model, grown.theta, grown.covariance),
@@ -130,7 +130,7 @@ def _before(
 
 def _runs_json(found: Discovery) -> list[dict[str, str]]:
     runs = [aligned.run for aligned in found.aligned]
-    return [{"name": run.name, "input_sha256": run_digest(run)} for run in runs]
+    return [{"name": run.name, "input_sha256": digest_run(run)} for run in runs]
 
 
 def _earlier_runs(parent: PriorModel | None) -> Sequence[dict[str, Any]]:
@@ -156,7 +156,7 @@ def _effect_json(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:
 def _tables_json(grown: ExtendedModel, found: Discovery) -> dict[str, Any]:
     ranges = find_measured_ranges(*(one.observations for one in found.aligned))
     tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
-    halves = half_differences(grown.model, grown.theta, grown.covariance)
+    halves = compute_half_differences(grown.model, grown.theta, grown.covariance)
     return {
         "error_tables": {t.symbol: table_json(t) for t in tables.tables},
         "squareness_urad": {

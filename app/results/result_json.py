@@ -17,18 +17,13 @@ from app.estimation.extrapolation import Ranges
 from app.files.machine_file import machine_to_json
 from app.files.model_file import model_to_json
 from app.files.result_file import RESULT_SCHEMA
+from app.files.run_summary import combine_digests
 from app.files.units import UM_PER_MM
 from app.kinematics.machine import Machine, position_unit
-from app.results.direction_tables import HalfDifference, half_differences
-from app.results.effects_beside import (
-    account_json,
-    effects_beside,
-    effects_json,
-)
+from app.results.direction_tables import HalfDifference, compute_half_differences
 from app.results.error_tables import ErrorTable, ErrorTables
 from app.results.findings import Findings, Provenance
 from app.results.grade_json import grade_json
-from app.results.run_account import digest_of_all
 from app.results.run_json import (
     alignment_json,
     by_direction_json,
@@ -37,6 +32,11 @@ from app.results.run_json import (
     run_json,
 )
 from app.results.trials_json import trials_json
+from app.results.updated_effects import (
+    list_updated_effects,
+    updated_effects_json,
+    used_model_json,
+)
 
 
 def result_json(found: Findings) -> dict[str, Any]:
@@ -45,14 +45,16 @@ def result_json(found: Findings) -> dict[str, Any]:
     return {
         "schema": RESULT_SCHEMA,
         "machine": machine_to_json(estimate.model.machine),
-        "mode": found.main.account.mode,
+        "mode": found.main.summary.mode,
         "error_tables": {t.symbol: table_json(t) for t in found.tables.tables},
         "squareness_urad": {
             s.symbol: {"value": s.value, "uncertainty": s.uncertainty}
             for s in found.tables.squareness
         },
         "direction": _direction_json(found),
-        "effects": effects_json(effects_beside(estimate), found.provenance.model),
+        "effects": updated_effects_json(
+            list_updated_effects(estimate), found.provenance.model
+        ),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
         **locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
@@ -100,7 +102,9 @@ def ranges_json(ranges: Ranges, machine: Machine) -> dict[str, Any]:
 
 def _direction_json(found: Findings) -> dict[str, Any]:
     estimate = found.estimate
-    halves = half_differences(estimate.model, estimate.theta, estimate.covariance)
+    halves = compute_half_differences(
+        estimate.model, estimate.theta, estimate.covariance
+    )
     plain = estimate.direction == "none" and halves  # lost motion of a model's
     return {
         "model": "constant" if plain else estimate.direction,
@@ -178,17 +182,17 @@ def _runs_behind(provenance: Provenance) -> list[dict[str, Any]]:
 
 
 def _provenance_json(found: Findings) -> dict[str, Any]:
-    provenance, run = found.provenance, found.main.account
+    provenance, run = found.provenance, found.main.summary
     return {
         "software": "truepath",
         "software_version": provenance.software_version,
         "created": provenance.created.isoformat(timespec="seconds"),
         "run": ", ".join(account.name for account in provenance.runs),
-        "input_sha256": digest_of_all(provenance.runs),
+        "input_sha256": combine_digests(provenance.runs),
         "runs": _runs_behind(provenance),
         "source": run.source,
         "options": {"perpendicular_only": found.estimate.perpendicular_only},
-        "model": account_json(provenance.model),
+        "model": used_model_json(provenance.model),
         "measured_s": run.measured_s,
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},

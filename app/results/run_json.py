@@ -13,16 +13,16 @@ from app.results.findings import RunFindings
 
 def run_json(run: RunFindings) -> dict[str, Any]:
     """Return one element of `runs`."""
-    account, residuals = run.account, run.estimate.residuals
+    summary, residuals = run.summary, run.estimate.residuals
     return {
-        "name": account.name,
-        "mode": account.mode,
+        "name": summary.name,
+        "mode": summary.mode,
         "samples": run.estimate.offered_samples,
         "used_samples": run.estimate.used_samples,
-        "measured_s": account.measured_s,
-        "feed_mm_min": list(account.feed_mm_min) if account.feed_mm_min else None,
-        "input_sha256": account.digest,
-        "source": account.source,
+        "measured_s": summary.measured_s,
+        "feed_mm_min": list(summary.feed_mm_min) if summary.feed_mm_min else None,
+        "input_sha256": summary.digest,
+        "source": summary.source,
         "alignment": alignment_json(run),
         "residuals": {
             "rms_um": UM_PER_MM * residuals.rms_mm,
@@ -36,10 +36,10 @@ def run_json(run: RunFindings) -> dict[str, Any]:
 
 def alignment_json(run: RunFindings) -> dict[str, Any]:
     """Return where the tracker stood, and what of the commanded rows was found."""
-    account, estimate = run.account, run.estimate
+    summary, estimate = run.summary, run.estimate
     sigma = np.sqrt(np.maximum(np.diag(estimate.pose_covariance), 0.0))
-    first = 1 if account.mode == "otf" else 0
-    rows = set(range(first, first + account.lines))
+    first = 1 if summary.mode == "otf" else 0
+    rows = set(range(first, first + summary.lines))
     return {
         "pose": {
             "from": "workpiece",
@@ -52,7 +52,7 @@ def alignment_json(run: RunFindings) -> dict[str, Any]:
             "shift_um": (UM_PER_MM * sigma[:3]).tolist(),
             "turn_urad": (URAD_PER_RAD * sigma[3:]).tolist(),
         },
-        "lines": account.lines,
+        "lines": summary.lines,
         "matched_lines": estimate.lines,
         "rows_without_data": sorted(rows - set(run.by_line.row.tolist())),
         "cells": estimate.cells,

@@ -7,12 +7,12 @@ from typing import Any
 
 from app.kinematics.symbols import SQUARENESS, is_location
 from app.numerics.adaptive_trials import BLOCK, COVERAGE
-from app.results.held_trials import MAP, HeldQuantity, HeldTrials
+from app.results.trial_results import MAP, TrialQuantity, TrialResults
 
 METHOD = "JCGM 101:2008, adaptive (7.9.4), held against the linear law (8)"
 
 
-def trials_json(held: HeldTrials) -> dict[str, Any]:
+def trials_json(held: TrialResults) -> dict[str, Any]:
     """Return what the trials say, beside what the linear law says."""
     named = {q.name: q for q in held.quantities}
     return {
@@ -45,11 +45,11 @@ def trials_json(held: HeldTrials) -> dict[str, Any]:
     }
 
 
-def _tables(quantities: Iterable[HeldQuantity]) -> list[HeldQuantity]:
+def _tables(quantities: Iterable[TrialQuantity]) -> list[TrialQuantity]:
     return [q for q in quantities if q.position_unit]
 
 
-def _stated(q: HeldQuantity) -> dict[str, Any]:
+def _stated(q: TrialQuantity) -> dict[str, Any]:
     return {
         f"value_{q.unit}": q.value.tolist(),
         f"linear_uncertainty_{q.unit}": q.linear.tolist(),
@@ -62,5 +62,5 @@ def _stated(q: HeldQuantity) -> dict[str, Any]:
     }
 
 
-def _single(q: HeldQuantity) -> dict[str, Any]:
+def _single(q: TrialQuantity) -> dict[str, Any]:
     return {key: value[0] for key, value in _stated(q).items()}

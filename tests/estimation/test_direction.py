@@ -10,7 +10,7 @@ from app.estimation.batch import estimate
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.approach import half_shape, half_width
 from app.kinematics.machine import LinearAxis
-from app.results.direction_tables import half_differences
+from app.results.direction_tables import compute_half_differences
 
 HALF_MM = 0.003
 
@@ -34,7 +34,7 @@ def with_backlash(seen, shape=lambda y: np.ones_like(y)):
 
 
 def halves(result):
-    found = half_differences(result.model, result.theta, result.covariance)
+    found = compute_half_differences(result.model, result.theta, result.covariance)
     return {half.symbol: half for half in found}
 
 

@@ -9,6 +9,7 @@ from app.alignment.align import align
 from app.alignment.surroundings import with_surroundings
 from app.errors import BundleError
 from app.estimation.batch import estimate
+from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
 from app.kinematics.effects.catalogue_effect import restore_effect
@@ -20,7 +21,6 @@ from app.planning.forecast import forecast
 from app.planning.plan import PlanRequest, make_plan
 from app.reporting.plan_files import plan_document
 from app.reporting.plan_report import render_plan_report
-from app.results.prior_model import PriorModel
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag

@@ -13,11 +13,11 @@ from app.estimation.estimate import Estimate, Observability, Residuals, RunEstim
 from app.estimation.extrapolation import full_travel
 from app.estimation.noise import NoiseModel
 from app.files.result_file import CalibrationResult
+from app.files.run_summary import RunSummary
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.numerics.rigid import RigidTransform
-from app.results.findings import Findings, Provenance, find
-from app.results.run_account import RunAccount
+from app.results.findings import Findings, Provenance, state_findings
 
 AXES = (
     LinearAxis("X", -200.0, 300.0),  # zero inside the travel
@@ -109,7 +109,7 @@ def estimate(construct) -> Estimate:
 
 @pytest.fixture(scope="session")
 def provenance() -> Provenance:
-    run = RunAccount(
+    run = RunSummary(
         "monday",
         "otf",
         "0" * 64,
@@ -125,7 +125,7 @@ def provenance() -> Provenance:
 
 @pytest.fixture(scope="session")
 def found(estimate, provenance) -> Findings:
-    return find(estimate, provenance)
+    return state_findings(estimate, provenance)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.reporting.calibration_report import render_calibration_report, render_section
-from app.results.findings import find, noise_found, residuals_by_line
+from app.results.findings import noise_found, residuals_by_line, state_findings
 from app.results.numbers_as_text import expanded, plain
 
 VOID = {"meta", "br", "img", "link", "hr", "path", "use"}
@@ -114,7 +114,7 @@ def test_what_cannot_be_told_is_said_in_words(estimate, outline):
 def test_where_all_is_told_apart_the_report_says_so(
     construct, three_targets, provenance
 ):
-    all_told = find(construct(three_targets), provenance)
+    all_told = state_findings(construct(three_targets), provenance)
     assert "all error motions were identified" in render_section("limits", all_told)
     text = read(render_section("error_motions", all_told)).text
     assert "hold for any tool" in text
@@ -128,13 +128,13 @@ def test_the_provenance_is_there(outline):
 
 def test_residuals_at_the_noise_are_good(estimate, provenance, with_residuals):
     at_noise = replace(estimate.runs[0].residuals, rms_mm=1.0e-3, floor_mm=1.0e-3)
-    found = find(with_residuals(estimate, at_noise), provenance)
+    found = state_findings(with_residuals(estimate, at_noise), provenance)
     assert "explains the measurement to its noise" in render_section("residuals", found)
 
 
 def test_residuals_above_the_noise_are_a_warning(estimate, provenance, with_residuals):
     above = replace(estimate.runs[0].residuals, rms_mm=3.0e-3, floor_mm=1.0e-3)
-    found = find(with_residuals(estimate, above), provenance)
+    found = state_findings(with_residuals(estimate, above), provenance)
     section = render_section("residuals", found)
     assert "3.0 times the noise. The model lacks an effect" in section
     assert 'class="callout warn"' in section
@@ -144,7 +144,7 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
     run = replace(
         provenance.runs[0], mode="standstill", feed_mm_min=None, temperature_degc={}
     )
-    at_rest = find(estimate, replace(provenance, runs=(run,)))
+    at_rest = state_findings(estimate, replace(provenance, runs=(run,)))
     assert "measured at standstill" in render_calibration_report(at_rest)
     text = render_section("machine", at_rest)
     assert "12 points" in text
@@ -158,12 +158,12 @@ def test_a_standstill_run_speaks_of_points(estimate, provenance):
 
 def test_one_feed_is_one_number(estimate, provenance):
     run = replace(provenance.runs[0], feed_mm_min=(2500.0, 2500.0))
-    found = find(estimate, replace(provenance, runs=(run,)))
+    found = state_findings(estimate, replace(provenance, runs=(run,)))
     assert "on the fly at 2,500 mm/min" in render_section("machine", found)
 
 
 def test_across_the_travel_only_is_named(across_only, provenance):
-    found = find(across_only, provenance)
+    found = state_findings(across_only, provenance)
     assert "across the travel only" in render_section("documentation", found)
     assert "along the travel was not used" in render_section("residuals", found)
 
@@ -174,7 +174,7 @@ def test_names_cannot_smuggle_markup_into_the_page(estimate, provenance):
     model = replace(estimate.model, machine=machine)
     run = replace(provenance.runs[0], name=evil, source={evil: evil})
     page = render_calibration_report(
-        find(replace(estimate, model=model), replace(provenance, runs=(run,)))
+        state_findings(replace(estimate, model=model), replace(provenance, runs=(run,)))
     )
     assert "<script" not in page
     assert "&lt;script&gt;" in page
@@ -192,7 +192,7 @@ def test_an_axis_of_which_nothing_is_known_has_no_values(estimate, provenance):
         theta=estimate.theta[rows],
         covariance=estimate.covariance[np.ix_(rows, rows)],
     )
-    text = read(render_section("error_motions", find(thin, provenance))).text
+    text = read(render_section("error_motions", state_findings(thin, provenance))).text
     assert "Values of axis X" in text
     assert "Values of axis Z" not in text
 
@@ -203,7 +203,7 @@ def test_errors_of_nothing_are_drawn_all_the_same(estimate, provenance):
         theta=np.zeros_like(estimate.theta),
         covariance=np.zeros_like(estimate.covariance),
     )
-    read(render_section("volume", find(perfect, provenance)))
+    read(render_section("volume", state_findings(perfect, provenance)))
 
 
 def test_residuals_across_the_travel_count_where_only_those_were_used(across_only):

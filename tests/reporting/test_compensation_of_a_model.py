@@ -15,7 +15,7 @@ from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.screw_cyclic import ScrewCyclicFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
-from app.results.direction_tables import half_differences
+from app.results.direction_tables import compute_half_differences
 from simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"), file="machine.json")
@@ -40,7 +40,7 @@ def source():
     covariance = 1e-12 * np.eye(len(theta))
     half = {
         one.symbol[2]: (one.position_mm, one.value)
-        for one in half_differences(model, theta, covariance)
+        for one in compute_half_differences(model, theta, covariance)
     }
     result = CalibrationResult(model, theta, covariance, half_difference_um=half)
     return source_of(result)

@@ -17,6 +17,7 @@ from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.estimation.monte_carlo import draw_outputs, prepare_trials
+from app.estimation.prior_model import PriorModel
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
@@ -24,10 +25,11 @@ from app.kinematics.effects.lost_motion import BacklashFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
 from app.numerics.adaptive_trials import TrialPlan
-from app.reporting.analysis_files import analyse
+from app.reporting.analysis_files import render_analysis
+from app.results.analysis import analyse
 from app.results.model_file import next_model
 from app.results.prediction import predict
-from app.results.prior_model import PriorModel
+from app.results.result_json import result_json
 from simulators import paths, synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag
@@ -44,6 +46,11 @@ SMALL = load_machine("demo")
 for axis in SMALL["axes"].values():
     axis["min_mm"], axis["max_mm"] = 0.0, TRAVEL_MM
 MACHINES = (3, 5)
+
+
+def stated(*runs, **options):
+    """Return the content of `result.json` of an analysis."""
+    return result_json(analyse(*runs, **options))
 
 
 def taken(content) -> PriorModel:
@@ -88,13 +95,13 @@ def told(run_of):
             first = run_of(driven(7, 40, setting))
             recording = driven(21 + machine, 20, setting)
             run, truth = run_of(recording), recording.truth
-            earlier = taken(analyse(first, model=only_named(first, hidden)).result)
+            earlier = taken(stated(first, model=only_named(first, hidden)))
             made[hidden.name, machine] = Told(
                 run,
                 truth,
                 earlier,
-                analyse(run).result,
-                analyse(run, model=earlier).result,
+                stated(run),
+                stated(run, model=earlier),
             )
         return made[hidden.name, machine]
 
@@ -156,7 +163,7 @@ def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
     one = told(LAG)
     known = one.earlier.result
     loose = replace(known, covariance=1e4 * known.covariance)
-    vague = analyse(one.run, model=replace(one.earlier, result=loose)).result
+    vague = stated(one.run, model=replace(one.earlier, result=loose))
     sure, open_ = (
         np.array(r["error_tables"]["EXX"]["uncertainty_um"]).max()
         for r in (one.beside, vague)
@@ -170,8 +177,8 @@ def test_a_machine_that_has_changed_since_is_told(told):
     effect = known.model.slices[known.model.effects[-1].name]
     theta = known.theta.copy()
     theta[effect] += 30.0 * np.sqrt(np.diag(known.covariance)[effect])
-    changed = analyse(
-        one.run, model=replace(one.earlier, result=replace(known, theta=theta))
+    changed = render_analysis(
+        analyse(one.run, model=replace(one.earlier, result=replace(known, theta=theta)))
     )
     (effect,) = changed.result["effects"]
     assert effect["agrees"] is False
@@ -183,8 +190,8 @@ def test_a_machine_that_has_changed_since_is_told(told):
 def test_no_run_counts_twice(told):
     """A model is made from a Run; on that Run it only names its effects."""
     one = told(LAG)
-    again = analyse(one.run, model=taken(one.beside)).result
-    alone = analyse(one.run, model=only_named(one.run, LAG)).result
+    again = stated(one.run, model=taken(one.beside))
+    alone = stated(one.run, model=only_named(one.run, LAG))
     (fresh,), (own,) = again["effects"], alone["effects"]
     assert fresh["known_before"] is None
     assert fresh["agrees"] is None
@@ -215,7 +222,7 @@ def test_lost_motion_of_a_model_stands_among_both_directions(run_of):
         np.array([-0.004]),
         np.array([[1e-8]]),
     )
-    result = analyse(run, model=PriorModel(loaded, "m", "0")).result
+    result = stated(run, model=PriorModel(loaded, "m", "0"))
     half = result["direction"]["half_difference"]["EYY"]
     assert result["direction"]["model"] == "constant"
     assert list(result["direction"]["half_difference"]) == ["EYY"]
@@ -238,7 +245,7 @@ def test_what_discovery_finds_in_one_run_serves_the_next(hidden, run_of, told, j
         setting = Setting(machine_seed=machine, hidden=(hidden, drift))
         found = discover([run_of(driven(9, 60, setting))])
         earlier = taken(next_model(found, None).content)
-        return analyse(told(hidden, machine).run, model=earlier).result
+        return stated(told(hidden, machine).run, model=earlier)
 
     def rms_um(results):
         squares = [

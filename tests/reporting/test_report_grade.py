@@ -14,7 +14,7 @@ from app.planning.grade import grade
 from app.reporting.calibration_report import render_calibration_report
 from app.results.error_tables import result_tables
 from app.results.error_tables_csv import error_tables_csv
-from app.results.findings import find
+from app.results.findings import state_findings
 from app.results.grade_json import grade_json, in_words
 from app.results.prediction import predict
 from app.results.result_json import result_json
@@ -35,7 +35,7 @@ def partly(estimate):
 def graded(partly, provenance):
     machine = partly.model.machine
     poor = grade(machine, default_path(machine, lines=5), station_mm=STATION_MM)
-    return find(partly, provenance, None, poor)
+    return state_findings(partly, provenance, None, poor)
 
 
 def test_every_extrapolated_value_is_marked_in_the_csv_file(graded):

@@ -15,7 +15,7 @@ from app.files.result_file import result_from_json
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.results.error_tables import result_tables
-from app.results.findings import find
+from app.results.findings import state_findings
 from app.results.prediction import predict
 from app.results.result_json import result_json
 
@@ -77,7 +77,7 @@ def test_rows_that_left_no_data_are_named(estimate, provenance, with_residuals):
     residuals = estimate.runs[0].residuals
     kept = np.where(residuals.row == 4, 5, residuals.row)
     thinned = with_residuals(estimate, replace(residuals, row=kept), lines=11)
-    alignment = result_json(find(thinned, provenance))["alignment"]
+    alignment = result_json(state_findings(thinned, provenance))["alignment"]
     assert alignment["rows_without_data"] == [4]
     assert (alignment["matched_lines"], alignment["lines"]) == (11, 12)
 
@@ -90,7 +90,7 @@ def test_residuals_of_the_rows_add_up_to_the_whole(content):
 
 
 def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance):
-    content = result_json(find(across_only, provenance))
+    content = result_json(state_findings(across_only, provenance))
     assert content["noise"]["along_travel_um"] is None
     assert content["provenance"]["options"] == {"perpendicular_only": True}
     json.dumps(content, allow_nan=False)
@@ -98,7 +98,7 @@ def test_without_data_along_the_travel_its_noise_is_null(across_only, provenance
 
 def test_standstill_rows_count_from_the_first_point(estimate, provenance):
     run = replace(provenance.runs[0], mode="standstill", feed_mm_min=None)
-    found = find(estimate, replace(provenance, runs=(run,)))
+    found = state_findings(estimate, replace(provenance, runs=(run,)))
     content = result_json(found)
     assert content["mode"] == "standstill"
     assert content["alignment"]["rows_without_data"] == [0]
@@ -110,7 +110,7 @@ def test_the_file_predicts_what_the_estimate_predicts(
     construct, load, provenance, travel_points, three_targets, targets
 ):
     estimate = construct(three_targets) if targets == "three" else construct()
-    text = json.dumps(result_json(find(estimate, provenance)))
+    text = json.dumps(result_json(state_findings(estimate, provenance)))
     read = result_from_json(json.loads(text))
     expected = predict(load(estimate), travel_points)
     got = predict(read, travel_points)

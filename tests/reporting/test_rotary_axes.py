@@ -9,7 +9,12 @@ import pytest
 
 from app.files.bundle import read_bundle
 from app.files.result_file import read_result
-from app.reporting.analysis_files import analyse, predict_points, write_analysis
+from app.reporting.analysis_files import (
+    predict_points,
+    render_analysis,
+    write_analysis,
+)
+from app.results.analysis import analyse
 from simulators import synthetic, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
@@ -28,7 +33,7 @@ def analysed(request, tmp_path_factory):
         program = turning_paths.turning_path(machine, 3, 90, 9000.0)
     made = synthetic.record(content, program, 3, request.param)
     write_bundle_files(folder / "bundle", made)
-    analysis = analyse(read_bundle(folder / "bundle"))
+    analysis = render_analysis(analyse(read_bundle(folder / "bundle")))
     write_analysis(analysis, folder)
     return folder, analysis, made.truth
 

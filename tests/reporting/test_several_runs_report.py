@@ -9,7 +9,9 @@ import pytest
 from app.errors import AlignmentError, BundleError
 from app.files.result_file import result_from_json
 from app.kinematics.machine import Target
-from app.reporting.analysis_files import analyse, told_apart
+from app.reporting.analysis_files import render_analysis
+from app.results.analysis import analyse, number_names
+from app.results.result_json import result_json
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def runs(record):
 
 @pytest.fixture(scope="module")
 def analysis(runs):
-    return analyse(*runs)
+    return render_analysis(analyse(*runs))
 
 
 def test_the_mode_is_that_of_the_run_with_most_samples_used(analysis):
@@ -71,8 +73,8 @@ def test_the_report_shows_every_run(analysis):
 
 
 def test_runs_of_one_name_are_numbered():
-    assert told_apart(["a", "b"]) == ["a", "b"]
-    assert told_apart(["run", "run"]) == ["run (1)", "run (2)"]
+    assert number_names(["a", "b"]) == ["a", "b"]
+    assert number_names(["run", "run"]) == ["run (1)", "run (2)"]
 
 
 def test_a_run_that_cannot_be_aligned_is_named(runs, record):
@@ -99,5 +101,5 @@ def test_targets_without_a_name_take_that_of_their_run(runs):
     longer = replace(
         standing.machine, targets=(Target("", "tool", (20.0, 30.0, -250.0)),)
     )
-    result = analyse(moving, replace(standing, machine=longer)).result
+    result = result_json(analyse(moving, replace(standing, machine=longer)))
     assert set(result["machine"]["targets"]) == {"on <the> fly", "points"}

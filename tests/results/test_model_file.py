@@ -9,11 +9,11 @@ import pytest
 
 from app.discovery.discover import discover
 from app.errors import BundleError
+from app.estimation.prior_model import PriorModel
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import CatalogueEffect
 from app.results.model_file import given_by, next_model
 from app.results.prediction import predict
-from app.results.prior_model import PriorModel
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.synthetic import Setting
 

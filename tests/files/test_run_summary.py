@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from app.files.run import Run
+from app.files.run_summary import digest_run, summarize_run
 from app.motion.configurations import Configurations
-from app.results.run_account import account_of, run_digest
 from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 
@@ -35,25 +35,25 @@ def run(estimate, rng) -> Run:
 
 
 def test_a_path_of_four_rows_has_three_lines(run):
-    account = account_of(run)
-    assert (account.mode, account.lines) == ("otf", 3)
-    assert account.feed_mm_min == (500.0, 2500.0)
-    assert account.measured_s == pytest.approx(999 / 500)
-    assert account.samples == 1000
-    assert account.temperature_degc == {"X": (20.0, 22.0), "air": (19.0, 21.0)}
-    assert account.source == {"source": "a"}
+    summary = summarize_run(run)
+    assert (summary.mode, summary.lines) == ("otf", 3)
+    assert summary.feed_mm_min == (500.0, 2500.0)
+    assert summary.measured_s == pytest.approx(999 / 500)
+    assert summary.samples == 1000
+    assert summary.temperature_degc == {"X": (20.0, 22.0), "air": (19.0, 21.0)}
+    assert summary.source == {"source": "a"}
 
 
 def test_standstill_points_have_no_feed(run):
     points = Configurations(("X", "Y", "Z"), run.commanded.position, np.full(4, 1.0))
-    account = account_of(replace(run, commanded=points, temperature=None))
-    assert (account.mode, account.lines) == ("standstill", 4)
-    assert account.feed_mm_min is None
-    assert account.temperature_degc == {}
+    summary = summarize_run(replace(run, commanded=points, temperature=None))
+    assert (summary.mode, summary.lines) == ("standstill", 4)
+    assert summary.feed_mm_min is None
+    assert summary.temperature_degc == {}
 
 
 def test_an_empty_stream_was_measured_for_no_time(run):
-    assert account_of(replace(run, tracker=TrackerSamples.empty())).measured_s == 0.0
+    assert summarize_run(replace(run, tracker=TrackerSamples.empty())).measured_s == 0.0
 
 
 def test_the_digest_is_of_the_numbers_and_not_of_their_storage(run):
@@ -61,7 +61,7 @@ def test_the_digest_is_of_the_numbers_and_not_of_their_storage(run):
     position = np.asfortranarray(run.tracker.position_mm)
     stored = replace(run.tracker, status=status, position_mm=position)
     again = replace(run, name="tuesday", tracker=stored, provenance={})
-    assert run_digest(again) == run_digest(run)
+    assert digest_run(again) == digest_run(run)
 
 
 def moved_sample(run):
@@ -87,4 +87,4 @@ def moved_sample(run):
     ],
 )
 def test_another_input_has_another_digest(run, change):
-    assert run_digest(change(run)) != run_digest(run)
+    assert digest_run(change(run)) != digest_run(run)

@@ -12,11 +12,12 @@ from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.files.bundle import read_bundle
 from app.numerics.adaptive_trials import TrialPlan
-from app.reporting.analysis_files import analyse
+from app.reporting.analysis_files import render_analysis
 from app.reporting.measurement_sections import describe_trials
 from app.reporting.templating import render_part
+from app.results.analysis import analyse
 from app.results.error_tables import error_tables
-from app.results.held_trials import MAP, held_against_trials
+from app.results.trial_results import MAP, run_trials
 from app.results.trials_json import trials_json
 
 PLAN = TrialPlan(seed=5, most_blocks=2)
@@ -34,7 +35,7 @@ def estimated(run):
 
 @pytest.fixture(scope="module")
 def held(estimated):
-    return held_against_trials(estimated, PLAN)
+    return run_trials(estimated, PLAN)
 
 
 def report_of(held):
@@ -72,7 +73,7 @@ def test_the_trials_agree_with_the_linear_law_in_tables_and_map(held):
 
 def test_trials_of_too_small_a_law_do_not_agree_and_the_report_names_what(estimated):
     small = replace(estimated, covariance=0.25 * estimated.covariance)
-    held = held_against_trials(small, PLAN)
+    held = run_trials(small, PLAN)
     held = replace(held, settled=True)
     assert not held.agrees
     text = report_of(held)
@@ -102,7 +103,7 @@ def test_the_file_states_trials_beside_the_linear_law(held):
 def test_an_analysis_carries_the_trials_into_file_and_report(run):
     stages: list[tuple[float, str]] = []
     asked = {"monte_carlo": PLAN, "on_progress": lambda *report: stages.append(report)}
-    analysis = analyse(run, **asked)
+    analysis = render_analysis(analyse(run, **asked))
     assert analysis.result["monte_carlo"]["trials"] == 20_000
     assert "Uncertainty held against trials" in analysis.report_html
     shares = [share for share, _ in stages]
@@ -112,11 +113,11 @@ def test_an_analysis_carries_the_trials_into_file_and_report(run):
 
 
 def test_an_analysis_without_trials_says_nothing_of_them(run):
-    analysis = analyse(run)
+    analysis = render_analysis(analyse(run))
     assert analysis.result["monte_carlo"] is None
     assert "held against trials" not in analysis.report_html
 
 
 def test_an_estimate_without_its_fit_has_no_trials(estimated):
     with pytest.raises(ValueError, match="has not kept its fit"):
-        held_against_trials(replace(estimated, fit=None), PLAN)
+        run_trials(replace(estimated, fit=None), PLAN)

@@ -1,4 +1,4 @@
-"""What a result says about the Run that it was computed from."""
+"""The facts of one measurement that a result states, and the digest of its data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.interfaces.records import Path
 
 
 @dataclass(frozen=True, slots=True)
-class RunAccount:
+class RunSummary:
     """The facts of one measurement.
 
     mode : `otf` or `standstill`
@@ -38,8 +38,8 @@ class RunAccount:
     source: dict[str, str]
 
 
-def account_of(run: Run) -> RunAccount:
-    """Return the account of a Run."""
+def summarize_run(run: Run) -> RunSummary:
+    """Return the facts of a Run."""
     time_s = run.tracker.device_time_s
     feed = None
     if isinstance(run.commanded, Path):
@@ -47,10 +47,10 @@ def account_of(run: Run) -> RunAccount:
             float(run.commanded.feed_mm_min.min()),
             float(run.commanded.feed_mm_min.max()),
         )
-    return RunAccount(
+    return RunSummary(
         run.name,
         run.mode,
-        run_digest(run),
+        digest_run(run),
         # The first row of a path is where its first line starts.
         len(run.commanded) - isinstance(run.commanded, Path),
         feed,
@@ -61,7 +61,7 @@ def account_of(run: Run) -> RunAccount:
     )
 
 
-def run_digest(run: Run) -> str:
+def digest_run(run: Run) -> str:
     """Return the SHA-256 of what an analysis reads of a Run."""
     machine = json.dumps(machine_to_json(run.machine), sort_keys=True)
     digest = hashlib.sha256(machine.encode())
@@ -77,19 +77,19 @@ def run_digest(run: Run) -> str:
     return digest.hexdigest()
 
 
-def digest_of_all(accounts: Sequence[RunAccount]) -> str:
+def combine_digests(summaries: Sequence[RunSummary]) -> str:
     """Return the digest of a Run, or the SHA-256 of the digests of several."""
-    if len(accounts) == 1:
-        return accounts[0].digest
-    every = "\n".join(account.digest for account in accounts)
+    if len(summaries) == 1:
+        return summaries[0].digest
+    every = "\n".join(summary.digest for summary in summaries)
     return hashlib.sha256(every.encode()).hexdigest()
 
 
 def _temperature(run: Run) -> dict[str, tuple[float, float]]:
-    seen = run.temperature
-    if seen is None or not len(seen.time_s):
+    samples = run.temperature
+    if samples is None or not len(samples.time_s):
         return {}
     return {
         name: (float(column.min()), float(column.max()))
-        for name, column in zip(seen.names, seen.celsius.T, strict=True)
+        for name, column in zip(samples.names, samples.celsius.T, strict=True)
     }

@@ -36,7 +36,7 @@ _GRID, _TURNED = 3, 2  # points of a linear and of a rotary axis, ends included
 
 
 @dataclass(frozen=True, slots=True)
-class HeldQuantity:
+class TrialQuantity:
     """One table, squareness or location, or the map, with what the trials make of it.
 
     name : its symbol, or `MAP`; unit : "um" or "urad", of every number
@@ -62,7 +62,7 @@ class HeldQuantity:
 
 
 @dataclass(frozen=True, slots=True)
-class HeldTrials:
+class TrialResults:
     """What the trials say of a whole result.
 
     settled : every number stood still to a fifth of its tolerance
@@ -71,7 +71,7 @@ class HeldTrials:
     plan: TrialPlan
     trials: int
     settled: bool
-    quantities: tuple[HeldQuantity, ...]
+    quantities: tuple[TrialQuantity, ...]
 
     @property
     def numbers(self) -> int:
@@ -105,12 +105,12 @@ class _Asked:
     rows: Float64[np.ndarray, "m p"]
 
 
-def held_against_trials(
+def run_trials(
     estimate: Estimate,
     plan: TrialPlan,
     run: Mapper = map,
     on_progress: ShareProgress = ignore_progress,
-) -> HeldTrials:
+) -> TrialResults:
     """Run trials of an estimate that has kept its fit.
 
     run : computes blocks of trials, here or elsewhere
@@ -135,7 +135,7 @@ def held_against_trials(
     }
     ends = np.cumsum([len(a.rows) for a in asked])
     quantities = tuple(
-        HeldQuantity(
+        TrialQuantity(
             a.name,
             a.unit,
             a.position,
@@ -144,7 +144,7 @@ def held_against_trials(
         )
         for a, end in zip(asked, ends, strict=True)
     )
-    return HeldTrials(plan, moved.trials, moved.settled, quantities)
+    return TrialResults(plan, moved.trials, moved.settled, quantities)
 
 
 def _asked(model: MachineModel) -> list[_Asked]:
@@ -177,7 +177,7 @@ def _map(model: MachineModel) -> _Asked:
     return _Asked(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
 
 
-def _relative(quantity: HeldQuantity) -> float:
+def _relative(quantity: TrialQuantity) -> float:
     stated = quantity.linear > 2.0 * 1e-6 * quantity.linear.max(initial=0.0)
     if not stated.any():
         return 0.0

@@ -23,7 +23,7 @@ _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
 
 
 @dataclass(frozen=True, slots=True)
-class ModelAccount:
+class UsedModel:
     """The model whose effects an analysis has beside the error motions.
 
     source : its file, or its identifier in the service; sha256 : of the file
@@ -40,7 +40,7 @@ class ModelAccount:
 
 
 @dataclass(frozen=True, slots=True)
-class EffectBeside:
+class UpdatedEffect:
     """One effect of the machine.
 
     before, after : its numbers as the model knew them, and as they are with the Run
@@ -64,16 +64,16 @@ class EffectBeside:
         return None if self.chance is None else self.chance >= _DOUBTFUL
 
 
-def effects_beside(estimate: Estimate) -> tuple[EffectBeside, ...]:
+def list_updated_effects(estimate: Estimate) -> tuple[UpdatedEffect, ...]:
     """Return the effects that an estimate has beside the error motions."""
     model, known = estimate.model, estimate.known
-    found: list[EffectBeside] = []
+    found: list[UpdatedEffect] = []
     begin = 0
     for effect, chance in zip(known.effects, estimate.chances, strict=True):
         own = slice(begin, begin + len(effect.parameters))
         now, begin = model.slices[effect.name], own.stop
         found.append(
-            EffectBeside(
+            UpdatedEffect(
                 effect,
                 effect.state(known.theta[own], known.covariance[own, own]),
                 effect.state(estimate.theta[now], estimate.covariance[now, now]),
@@ -83,11 +83,11 @@ def effects_beside(estimate: Estimate) -> tuple[EffectBeside, ...]:
     return tuple(found)
 
 
-def effects_json(
-    effects: tuple[EffectBeside, ...], account: ModelAccount | None
+def updated_effects_json(
+    effects: tuple[UpdatedEffect, ...], used: UsedModel | None
 ) -> list[dict[str, Any]]:
     """Return the effects as `result.json` states them."""
-    fresh = account is not None and account.of_these_runs
+    fresh = used is not None and used.of_these_runs
     return [
         {
             "name": one.effect.family,
@@ -114,7 +114,7 @@ def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
     return stated
 
 
-def foretold_json(
+def predicted_effects_json(
     known: KnownEffects,
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
@@ -143,21 +143,21 @@ def foretold_json(
     return found
 
 
-def account_json(account: ModelAccount | None) -> dict[str, Any] | None:
+def used_model_json(used: UsedModel | None) -> dict[str, Any] | None:
     """Return the model as the provenance of a result states it."""
-    if account is None:
+    if used is None:
         return None
     return {
-        "source": account.source,
-        "version": account.version,
-        "sha256": account.sha256,
-        "taken": taken(account),
+        "source": used.source,
+        "version": used.version,
+        "sha256": used.sha256,
+        "taken": describe_use(used),
     }
 
 
-def taken(account: ModelAccount) -> str:
+def describe_use(used: UsedModel) -> str:
     """Say what an analysis has taken from a model."""
-    if account.of_these_runs:
+    if used.of_these_runs:
         return (
             "the effects of the machine; their numbers are estimated from this "
             "measurement alone, for the model was made from it; so are the error "

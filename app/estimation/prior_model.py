@@ -13,7 +13,6 @@ from app.estimation.known_effects import KnownEffects, extract_known_effects
 from app.files.result_file import LARGEST_BYTES, CalibrationResult, decode_result
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
-from app.results.error_tables import holds_for_any_tool
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class PriorModel:
         same = {(t.on, t.offset_mm) for t in machine.targets} <= {
             (t.on, t.offset_mm) for t in own.targets
         }
-        if not same and not holds_for_any_tool(self.result.model):
+        if not same and not self.result.model.knows_all_motions:
             raise BundleError(
                 "holds for its own target offset alone: it does not have all motions",
                 file=self.source,
