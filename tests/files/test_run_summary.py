@@ -12,7 +12,7 @@ from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 
 
 @pytest.fixture
-def run(estimate, rng) -> Run:
+def run(mill, rng) -> Run:
     n = 1000
     stream = TrackerSamples(
         np.arange(n),
@@ -29,9 +29,7 @@ def run(estimate, rng) -> Run:
     warm = TemperatureSamples(
         ("X", "air"), np.arange(2.0), np.array([[20, 21], [22, 19]])
     )
-    return Run(
-        "monday", estimate.model.machine, path, stream, warm, provenance={"source": "a"}
-    )
+    return Run("monday", mill, path, stream, warm, provenance={"source": "a"})
 
 
 def test_a_path_of_four_rows_has_three_lines(run):
