@@ -1,4 +1,4 @@
-"""A result as files of a format, read back, and the account of what stays."""
+"""A result as files of a format, read back, and the account of what remains."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.carried import carried_effects
-from app.compensation.format import CompensationFormat, Correction
-from app.compensation.order import (
+from app.compensation.axis_tables import (
     AxisTable,
-    CompensationOrder,
-    axis_table,
+    CompensationTables,
+    tabulate_axis,
 )
-from app.compensation.places import (
-    ANYWHERE,
+from app.compensation.effect_residuals import evaluate_effects
+from app.compensation.error_map import ErrorMap
+from app.compensation.format import CompensationFormat, Correction
+from app.compensation.sample_positions import (
     GRID,
-    positions,
-    without_rigid,
+    RANDOM,
+    remove_rigid_motion,
+    sample_positions,
 )
-from app.compensation.source import Source
 from app.errors import BadInput
 from app.files.units import UM_PER_MM
 from app.plugins import load
@@ -29,12 +29,12 @@ from app.plugins import load
 GROUP = "truepath.compensation_formats"
 SPACING_MM = 10.0
 SCHEMA = "compensation/1"
-_BETTER = 0.999  # of the error before: a file that leaves more is not worth loading
+_BETTER = 0.999  # of the error before: files that leave more are refused
 
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """Files by name, and what goes with them.
+    """Files by name, and their account.
 
     account : content of the JSON beside the files
     """
@@ -44,20 +44,20 @@ class Export:
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """Length of the volumetric error without its rigid motion, in µm."""
+class ErrorLength:
+    """Length of the volumetric error without its rigid motion, µm."""
 
     mean_um: float
     largest_um: float
 
 
-def suffix_of(name: str) -> str:
+def find_suffix(name: str) -> str:
     """Return the suffix of a format's files. Raises BadInput for an unknown one."""
-    return _format(name).suffix
+    return _load_format(name).suffix
 
 
 def export_result(
-    source: Source, name: str, stem: str, *, spacing_mm: float = SPACING_MM
+    errors: ErrorMap, name: str, stem: str, *, spacing_mm: float = SPACING_MM
 ) -> Export:
     """Return the files of a format and their account.
 
@@ -67,72 +67,76 @@ def export_result(
     Raises BadInput for an unknown format, or if the files, read back by the rule of the
     controller, do not make the error smaller.
     """
-    kind = _format(name)
-    stamp = _stamp(source, name)
+    kind = _load_format(name)
+    stamp = _write_stamp(errors, name)
 
-    def ordered(of: Source) -> CompensationOrder:
+    def tabulate(of: ErrorMap) -> CompensationTables:
         most = kind.most_points
-        tables = tuple(axis_table(of, axis, spacing_mm, most) for axis in of.axes)
-        return CompensationOrder(stem, of.machine, tables, stamp)
+        tables = tuple(tabulate_axis(of, axis, spacing_mm, most) for axis in of.axes)
+        return CompensationTables(stem, of.machine, tables, stamp)
 
-    order = ordered(source)
-    files = kind.write(order)
-    correction = kind.read(files, source.machine)
-    before, after = _left(source, None), _left(source, correction)
+    content = tabulate(errors)
+    files = kind.write(content)
+    correction = kind.read(files, errors.machine)
+    before, after = _measure(errors, None), _measure(errors, correction)
     if after.mean_um > _BETTER * before.mean_um:
         raise BadInput(
             f"read back by the rule of {kind.control}, the files take the mean "
             f"volumetric error from {before.mean_um:.2f} to {after.mean_um:.2f} µm; "
             "what it carries is below what it resolves: choose another format"
         )
-    account = _account(source, name, kind, order.tables, before, after, list(files))
+    account = _write_account(
+        errors, name, kind, content.tables, before, after, list(files)
+    )
     effects = [
-        one.in_words() for one in carried_effects(source, kind, ordered, correction)
+        one.to_json() for one in evaluate_effects(errors, kind, tabulate, correction)
     ]
     return Export(files, {**account, "effects": effects})
 
 
-def _format(name: str) -> CompensationFormat:
+def _load_format(name: str) -> CompensationFormat:
     return load(GROUP, name)()
 
 
-def _left(source: Source, correction: Correction | None) -> Left:
-    """Return what δ and the correction leave, coming up and coming down."""
-    position = positions(source)
+def _measure(errors: ErrorMap, correction: Correction | None) -> ErrorLength:
+    """Return the length of δ plus correction over both directions."""
+    position = sample_positions(errors)
     lengths: list[Float64[np.ndarray, " n"]] = []
     for direction in (1.0, -1.0):
-        error = source.error_mm(position, direction)
+        error = errors.error_mm(position, direction)
         if correction is not None:
             error = error + correction(position, direction)
-        lengths.append(np.linalg.norm(without_rigid(position, error), axis=1))
+        lengths.append(np.linalg.norm(remove_rigid_motion(position, error), axis=1))
     every = UM_PER_MM * np.concatenate(lengths)
-    return Left(float(every.mean()), float(every.max()))
+    return ErrorLength(float(every.mean()), float(every.max()))
 
 
-def _interpolation_loss_um(source: Source, tables: tuple[AxisTable, ...]) -> float:
-    """Return what straight lines between rows lose at most, along the middle."""
+def _find_interpolation_loss_um(
+    errors: ErrorMap, tables: tuple[AxisTable, ...]
+) -> float:
+    """Return the largest error of straight lines between rows, along the middle."""
     worst = 0.0
     for table in tables:
         at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])
-        place = np.tile(source.middle_mm(), (len(at), 1))
-        place[:, source.machine.axis_names.index(table.axis.name)] = at
-        error = source.error_mm(place)
+        place = np.tile(errors.middle_mm, (len(at), 1))
+        place[:, errors.machine.axis_names.index(table.axis.name)] = at
+        error = errors.error_mm(place)
         between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
         lost = error - error.mean(axis=0) - between + between.mean(axis=0)
         worst = max(worst, float(np.abs(lost).max()))
     return UM_PER_MM * worst
 
 
-def _stamp(source: Source, name: str) -> tuple[str, ...]:
-    """Return what comments of the files say, in plain ASCII."""
-    result = source.result
+def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
+    """Return the comments of the files, in plain ASCII."""
+    result = errors.result
     offsets = "; ".join(
         ", ".join(f"{v:g}" for v in target.offset_mm)
-        for target in source.machine.targets
+        for target in errors.machine.targets
     )
     lines = (
         f"truepath compensation, format {name}",
-        f"machine {source.machine.name}, chain {source.machine.chain}",
+        f"machine {errors.machine.name}, chain {errors.machine.chain}",
         f"target offset {offsets} mm",
         f"run {result.provenance.get('run', '')}, analysed "
         f"{result.provenance.get('created', '')}",
@@ -142,16 +146,16 @@ def _stamp(source: Source, name: str) -> tuple[str, ...]:
     return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
 
 
-def _account(
-    source: Source,
+def _write_account(
+    errors: ErrorMap,
     name: str,
     kind: CompensationFormat,
     tables: tuple[AxisTable, ...],
-    before: Left,
-    after: Left,
+    before: ErrorLength,
+    after: ErrorLength,
     files: list[str],
 ) -> dict[str, Any]:
-    machine = source.machine
+    machine = errors.machine
     rotary = [axis.name for axis in machine.rotary_axes]
     return {
         "schema": SCHEMA,
@@ -161,12 +165,12 @@ def _account(
         "machine": machine.name,
         "kinematic_chain": machine.chain,
         "target_offset_mm": [list(t.offset_mm) for t in machine.targets],
-        "provenance": source.result.provenance,
+        "provenance": errors.result.provenance,
         "sign": {"rule": kind.sign, "verified": kind.sign_is_verified},
         "carries": kind.carries,
         "not_carried": kind.not_carried
         + (f", rotary axes {', '.join(rotary)}" if rotary else ""),
-        "unobservable": list(source.result.unobservable),
+        "unobservable": list(errors.result.unobservable),
         "tables": {
             t.axis.name: {
                 "points": len(t.position_mm),
@@ -177,11 +181,11 @@ def _account(
             for t in tables
         },
         "beyond_the_travel": "the controller holds the end values",
-        "interpolation_loss_um": _interpolation_loss_um(source, tables),
+        "interpolation_loss_um": _find_interpolation_loss_um(errors, tables),
         "volumetric_error_um": {
             "before": {"mean": before.mean_um, "largest": before.largest_um},
             "after": {"mean": after.mean_um, "largest": after.largest_um},
-            "on": f"{GRID} positions an axis and {ANYWHERE} random ones in the "
+            "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
             "travel, coming up and coming down, without the rigid motion of the whole; "
             "of the map of the result, read back by the rule of the controller",
         },

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from app.compensation.export import SPACING_MM, export_result, suffix_of
-from app.compensation.source import source_of
+from app.compensation.error_map import map_errors
+from app.compensation.export import SPACING_MM, export_result, find_suffix
 from app.files.result_file import read_result
 from app.files.whole_files import replace_file
 
@@ -23,15 +23,15 @@ def export_files(
 ) -> dict[str, Any]:
     """Write the files of a format beside `output`, and their account as `STEM.json`.
 
-    A format of one file is written to `output` itself; of several, the stem of `output`
-    begins their names. Returns the account, `files` as paths.
+    A single file is written to `output` itself; the names of several begin with the
+    stem of `output`. Returns the account, `files` as paths.
 
     Raises BundleError with the place in the result, BadInput as `export_result`.
     """
-    suffix = suffix_of(name)
+    suffix = find_suffix(name)
     place = Path(output)
     export = export_result(
-        source_of(read_result(result)),
+        map_errors(read_result(result)),
         name,
         place.stem,
         spacing_mm=spacing_mm,

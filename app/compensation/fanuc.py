@@ -3,9 +3,9 @@
 Values are increments from one point to the next in small integers, so the running sum
 is rounded, not each increment. Point number `3620` is the reference point; number k is
 the interval that ends k − 3620 intervals above it. A magnification keeps increments at
-7 or below, as all controls of this make take. The sign is taken to be that of what is
-added to the command, and has to be tried at the machine. Source: FANUC A-77810E and
-parameter manuals (3620 to 3624).
+7 or below, which every control of this make takes. The sign is assumed to be that of
+what is added to the command, and has to be tried at the machine. Source: FANUC A-77810E
+and parameter manuals (3620 to 3624).
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
+from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import CompensationFormat, Correction
-from app.compensation.order import AxisTable, CompensationOrder
+from app.compensation.interpolated_table import InterpolatedTable, add_tables
 from app.errors import BadInput
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import Machine
@@ -48,12 +49,12 @@ class Fanuc(CompensationFormat):
         "switch power off and on and return to the reference point"
     )
 
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return data and parameters of all axes."""
         tapes: list[_Tape] = []
-        for table in order.tables:
+        for table in content.tables:
             first = tapes[-1].last + 2 if tapes else 1  # one for the reference
-            tapes.append(_tape(table, first))
+            tapes.append(_make_tape(table, first))
         data = [
             f"N{_FIRST + tape.first + k}P{step}"
             for tape in tapes
@@ -70,8 +71,8 @@ class Fanuc(CompensationFormat):
             )
         ]
         return {
-            f"{order.stem}-pitch{self.suffix}": "\n".join(["%", *data, "%", ""]),
-            f"{order.stem}-parameters{self.suffix}": "\n".join(
+            f"{content.stem}-pitch{self.suffix}": "\n".join(["%", *data, "%", ""]),
+            f"{content.stem}-parameters{self.suffix}": "\n".join(
                 ["%", *parameters, "%", ""]
             ),
         }
@@ -80,18 +81,10 @@ class Fanuc(CompensationFormat):
         """Return the sums that the controller adds, straight between points."""
         data = next(text for name, text in files.items() if "-pitch" in name)
         settings = next(text for name, text in files.items() if "-parameters" in name)
-        tables = _sums(_numbers(data), _parameters(settings), machine)
-
-        def correction(
-            position_mm: Float64[np.ndarray, "n a"], direction: float
-        ) -> Float64[np.ndarray, "n 3"]:
-            added = np.zeros((len(position_mm), 3))
-            for axis, (at_mm, sums_mm) in tables.items():
-                at = position_mm[:, machine.axis_names.index(axis)]
-                added[:, LINEAR.index(axis)] = np.interp(at, at_mm, sums_mm)
-            return added
-
-        return correction
+        return add_tables(
+            _sum_increments(_read_data(data), _read_parameters(settings), machine),
+            machine,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +102,7 @@ class _Tape:
         return self.first + len(self.increments) - 1
 
 
-def _tape(table: AxisTable, first: int) -> _Tape:
+def _make_tape(table: AxisTable, first: int) -> _Tape:
     zero = reference_position_mm(table.axis)
     interval = math.ceil(table.spacing_mm * 1e3) / 1e3  # the parameter's resolution
     below = math.ceil((zero - table.axis.min_mm) / interval - 1e-9)
@@ -133,33 +126,33 @@ _DATA = re.compile(r"N(\d+)P(-?\d+)")
 _WORDS = re.compile(r"A(\d)P([\d.-]+)")
 
 
-def _tape_lines(text: str) -> list[str]:
+def _split_tape(text: str) -> list[str]:
     lines = text.split()
     if len(lines) < 3 or lines[0] != "%" or lines[-1] != "%":
         raise BadInput("a tape stands between two %")
     return lines[1:-1]
 
 
-def _numbers(text: str) -> dict[int, int]:
-    found = [_DATA.fullmatch(line) for line in _tape_lines(text)]
+def _read_data(text: str) -> dict[int, int]:
+    found = [_DATA.fullmatch(line) for line in _split_tape(text)]
     if None in found:
         raise BadInput("pitch data are rows N…P…")
     return {int(m.group(1)) - _FIRST: int(m.group(2)) for m in found if m}
 
 
-def _parameters(text: str) -> dict[tuple[int, int], float]:
+def _read_parameters(text: str) -> dict[tuple[int, int], float]:
     return {
         (int(line[1:6]), int(axis) - 1): float(value)
-        for line in _tape_lines(text)
+        for line in _split_tape(text)
         for axis, value in _WORDS.findall(line[6:])
     }
 
 
-def _sums(
+def _sum_increments(
     data: dict[int, int], parameters: dict[tuple[int, int], float], machine: Machine
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return positions and the summed compensation of each axis, in mm."""
-    tables: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+) -> list[InterpolatedTable]:
+    """Return the summed increments of each axis, in mm."""
+    tables: list[InterpolatedTable] = []
     for index, axis in enumerate(machine.linear_axes):
         zero, first, last, magnification, interval = (
             parameters[number, index] for number in (3620, 3621, 3622, 3623, 3624)
@@ -168,6 +161,8 @@ def _sums(
         increments = [data[number] for number in numbers]
         sums = np.concatenate([[0.0], np.cumsum(increments)]) * magnification * _UNIT_MM
         below = int(zero - first) + 1  # intervals under the reference point
-        at = interval * (np.arange(len(sums)) - below)
-        tables[axis.name] = at + reference_position_mm(axis), sums - sums[below]
+        at = interval * (np.arange(len(sums)) - below) + reference_position_mm(axis)
+        value = sums - sums[below]
+        out = LINEAR.index(axis.name)
+        tables.append(InterpolatedTable(axis.name, out, at, value, value))
     return tables

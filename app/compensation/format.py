@@ -1,4 +1,4 @@
-"""What a controller's format of compensation tables has to tell and to do."""
+"""The interface of a controller's format of compensation tables."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.order import CompensationOrder
+from app.compensation.axis_tables import CompensationTables
 from app.kinematics.machine import Machine
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
-"""What the controller adds to commanded positions (mm), coming up (1) or down (−1)."""
+"""What the controller adds at commanded positions (mm) in direction 1 or −1."""
 
 
 class CompensationFormat(ABC):
     """One format: a writer, and a simulator of the controller that reads it.
 
-    control : what people call it
-    suffix : of the file that is asked for where none is given
+    control : its name for people
+    suffix : of its files
     most_points : rows of a table that the controller takes
     carries, not_carried : in words, for the account
     sign : the rule that gives the file its sign
@@ -39,9 +39,9 @@ class CompensationFormat(ABC):
     note: ClassVar[str]
 
     @abstractmethod
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return the files by name, ASCII."""
 
     @abstractmethod
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return what the controller makes of the files. Raises BadInput."""
+        """Return the controller's correction from the files. Raises BadInput."""

@@ -9,19 +9,20 @@ technical manual (compensation tables).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float64
 
+from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import CompensationFormat, Correction
-from app.compensation.order import AxisTable, CompensationOrder
+from app.compensation.interpolated_table import InterpolatedTable, add_tables
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
 
 _WIDTH = 12
+_NUMBERS = ("AXISPOS", "BACKLASH", *LINEAR)
 _CONFIG = "config.cma"
 
 
@@ -47,66 +48,56 @@ class Heidenhain(CompensationFormat):
         "first use; older controls want a spacing that is a power of two of 0.1 µm"
     )
 
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return `STEM-X.com` for each axis, and `config.cma`."""
-        names = {t.axis.name: f"{order.stem}-{t.axis.name}" for t in order.tables}
+        names = {t.axis.name: f"{content.stem}-{t.axis.name}" for t in content.tables}
         files = {
-            f"{names[t.axis.name]}{self.suffix}": _table(names[t.axis.name], t)
-            for t in order.tables
+            f"{names[t.axis.name]}{self.suffix}": _write_table(names[t.axis.name], t)
+            for t in content.tables
         }
-        return {**files, _CONFIG: _config(names, self.suffix)}
+        return {**files, _CONFIG: _write_config(names, self.suffix)}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return what the tables named by `config.cma` add."""
-        row = _rows(files[_CONFIG])[0]
+        row = _read_rows(files[_CONFIG])[0]
         if row.get("ACTIVE") != "*":
             raise BadInput(f"{_CONFIG}: no line is active")
-        tables = {
-            axis: _rows(files[name]) for axis, name in row.items() if axis in LINEAR
-        }
-
-        def correction(
-            position_mm: Float64[np.ndarray, "n a"], direction: float
-        ) -> Float64[np.ndarray, "n 3"]:
-            added = np.zeros((len(position_mm), 3))
-            for axis, rows in tables.items():
-                at = position_mm[:, machine.axis_names.index(axis)]
-                for out, column in enumerate(LINEAR):
-                    added[:, out] += _between(rows, column, at)
-                if direction < 0:
-                    added[:, LINEAR.index(axis)] += _between(rows, "BACKLASH", at)
-            return added
-
-        return correction
+        tables = [
+            table
+            for axis, name in row.items()
+            if axis in LINEAR
+            for table in _read_tables(axis, _read_rows(files[name]))
+        ]
+        return add_tables(tables, machine)
 
 
-def _table(name: str, table: AxisTable) -> str:
-    columns = ("NR", "AXISPOS", "BACKLASH", *LINEAR)
-    lines = [f"BEGIN {name} .COM MM", _line(columns)]
+def _write_table(name: str, table: AxisTable) -> str:
+    columns = ("NR", *_NUMBERS)
+    lines = [f"BEGIN {name} .COM MM", _format_line(columns)]
     values = -table.forward_mm
     lost = (table.forward_mm - table.backward_mm)[:, table.own]
     for number, (at, back, row) in enumerate(
         zip(table.position_mm, lost, values, strict=True)
     ):
         numbers = (f"{at:+.4f}", f"{back:+z.5f}", *(f"{v:+z.5f}" for v in row))
-        lines.append(_line((str(number), *numbers)))
+        lines.append(_format_line((str(number), *numbers)))
     return "\n".join([*lines, "[END]", ""])
 
 
-def _config(names: Mapping[str, str], suffix: str) -> str:
+def _write_config(names: Mapping[str, str], suffix: str) -> str:
     width = max(_WIDTH, *(len(n) + len(suffix) + 2 for n in names.values()))
-    head = _line(("NR", "ACTIVE", *names), width)
-    row = _line(("0", "*", *(f"{n}{suffix}" for n in names.values())), width)
+    head = _format_line(("NR", "ACTIVE", *names), width)
+    row = _format_line(("0", "*", *(f"{n}{suffix}" for n in names.values())), width)
     return "\n".join(
         [f"BEGIN {_CONFIG.removesuffix('.cma')} .CMA", head, row, "[END]", ""]
     )
 
 
-def _line(cells: tuple[str, ...], width: int = _WIDTH) -> str:
+def _format_line(cells: tuple[str, ...], width: int = _WIDTH) -> str:
     return "".join(cell.ljust(width) for cell in cells).rstrip()
 
 
-def _rows(text: str) -> list[dict[str, str]]:
+def _read_rows(text: str) -> list[dict[str, str]]:
     """Return the rows of a table by column name."""
     lines = text.splitlines()
     if len(lines) < 4 or not lines[0].startswith("BEGIN ") or lines[-1] != "[END]":
@@ -115,8 +106,11 @@ def _rows(text: str) -> list[dict[str, str]]:
     return [dict(zip(head, line.split(), strict=True)) for line in lines[2:-1]]
 
 
-def _between(
-    rows: list[dict[str, str]], column: str, at_mm: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, " n"]:
-    position = [float(row["AXISPOS"]) for row in rows]
-    return np.interp(at_mm, position, [float(row[column]) for row in rows])
+def _read_tables(axis: str, rows: list[dict[str, str]]) -> Iterator[InterpolatedTable]:
+    """Yield the columns of an axis: both directions alike, then the backlash."""
+    columns = {n: np.array([float(row[n]) for row in rows]) for n in _NUMBERS}
+    at = columns["AXISPOS"]
+    for out, name in enumerate(LINEAR):
+        yield InterpolatedTable(axis, out, at, columns[name], columns[name])
+    own, zero = LINEAR.index(axis), np.zeros(len(at))
+    yield InterpolatedTable(axis, own, at, zero, columns["BACKLASH"])

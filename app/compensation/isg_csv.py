@@ -17,8 +17,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float64
 
+from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import CompensationFormat, Correction
-from app.compensation.order import AxisTable, CompensationOrder
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR, error_motions, is_turn
@@ -42,17 +42,17 @@ class IsgCsv(CompensationFormat):
         "out), the kinematic chain as it stands in the first line"
     )
 
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file with a block an axis."""
-        lines = [f"// {line}" for line in order.stamp]
-        blocks = ["\n".join(_block(table)) for table in order.tables]
+        lines = [f"// {line}" for line in content.stamp]
+        blocks = ["\n".join(_write_block(table)) for table in content.tables]
         text = "\n".join([*lines, "\n#\n".join(blocks), ""])
-        return {f"{order.stem}{self.suffix}": text}
+        return {f"{content.stem}{self.suffix}": text}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return minus the error that the chain makes of the motions."""
         (text,) = files.values()
-        blocks = dict(_parsed(text))
+        blocks = dict(_read_blocks(text))
 
         def correction(
             position_mm: Float64[np.ndarray, "n a"], direction: float
@@ -64,10 +64,10 @@ class IsgCsv(CompensationFormat):
                 at = position_mm[:, machine.axis_names.index(axis)]
                 if axis in blocks:
                     by, rows = blocks[axis]
-                    motion = _between(rows, at)
+                    motion = _interpolate(rows, at)
                     if by:
                         other = position_mm[:, machine.axis_names.index(by)]
-                        motion = _on_grid(rows, other, at)
+                        motion = _interpolate_grid(rows, other, at)
                     added -= motion[:, :3] + np.cross(motion[:, 3:], lever)
                 lever[:, LINEAR.index(axis)] += at
             return added
@@ -75,20 +75,20 @@ class IsgCsv(CompensationFormat):
         return correction
 
 
-def _block(table: AxisTable) -> Iterator[str]:
-    symbols, bending = error_motions(table.axis.name), table.bending
-    motions = np.hstack([table.shift_mm, table.turn_rad])
-    if bending is None:
+def _write_block(table: AxisTable) -> Iterator[str]:
+    symbols, pair = error_motions(table.axis.name), table.pair
+    motions = np.hstack([table.translation_mm, table.rotation_rad])
+    if pair is None:
         yield "  ".join([table.axis.name, *symbols])
-        yield from _rows(table, motions)
+        yield from _write_rows(table, motions)
         return
-    yield "  ".join([bending.by.name, table.axis.name, *symbols])
-    for by, more in zip(bending.by_mm, bending.more_mm, strict=True):
-        bent = motions + np.hstack([more, np.zeros_like(more)])
-        yield from (f"{by:.6f}  {row}" for row in _rows(table, bent))
+    yield "  ".join([pair.by.name, table.axis.name, *symbols])
+    for by, error in zip(pair.by_mm, pair.error_mm, strict=True):
+        total = motions + np.hstack([error, np.zeros_like(error)])
+        yield from (f"{by:.6f}  {row}" for row in _write_rows(table, total))
 
 
-def _rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterator[str]:
+def _write_rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterator[str]:
     symbols = error_motions(table.axis.name)
     for at, row in zip(table.position_mm, motions, strict=True):
         values = zip(symbols, row, strict=True)
@@ -96,21 +96,21 @@ def _rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterator[str
         yield "  ".join([f"{at:.6f}", *numbers])
 
 
-def _between(
+def _interpolate(
     table: Float64[np.ndarray, "m 7"], at_mm: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 6"]:
     columns = [np.interp(at_mm, table[:, 0], table[:, k]) for k in range(1, 7)]
     return np.stack(columns, axis=1)
 
 
-def _on_grid(
+def _interpolate_grid(
     table: Float64[np.ndarray, "r 8"],
     by_mm: Float64[np.ndarray, " n"],
     at_mm: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "n 6"]:
     """Return the motions between the four neighbours on the grid."""
     places = np.unique(table[:, 0])
-    lines = [_between(table[table[:, 0] == place, 1:], at_mm) for place in places]
+    lines = [_interpolate(table[table[:, 0] == place, 1:], at_mm) for place in places]
     high = np.clip(np.searchsorted(places, by_mm), 1, len(places) - 1)
     share = (by_mm - places[high - 1]) / (places[high] - places[high - 1])
     share = np.clip(share, 0.0, 1.0)[:, None]
@@ -118,7 +118,9 @@ def _on_grid(
     return (1.0 - share) * each[high - 1, n] + share * each[high, n]
 
 
-def _parsed(text: str) -> Iterator[tuple[str, tuple[str, Float64[np.ndarray, "r c"]]]]:
+def _read_blocks(
+    text: str,
+) -> Iterator[tuple[str, tuple[str, Float64[np.ndarray, "r c"]]]]:
     """Yield (axis, (second axis, rows of positions and six motions)) of each block.
 
     The second axis is empty for a block of one argument.

@@ -2,7 +2,7 @@
 
 Rows `nominal forward reverse`, ascending, joint units, at most 256; columns 2 and 3 are
 the positions reached, and the controller sends the motor to command + nominal − column.
-No header and no comment: the loader stops without a word at the first line that is not
+No header and no comment: the loader stops silently at the first line that is not
 three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
 """
 
@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float64
 
+from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import CompensationFormat, Correction
-from app.compensation.order import AxisTable, CompensationOrder
+from app.compensation.interpolated_table import InterpolatedTable, add_tables
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
@@ -38,34 +38,20 @@ class LinuxCnc(CompensationFormat):
         "tables are read when LinuxCNC starts, and replace BACKLASH"
     )
 
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return a table a straight axis, `STEM-X.tbl`."""
         return {
-            f"{order.stem}-{table.axis.name}{self.suffix}": _rows(table)
-            for table in order.tables
+            f"{content.stem}-{table.axis.name}{self.suffix}": _write_rows(table)
+            for table in content.tables
         }
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the trims that the controller adds."""
-        trims = {
-            name.removesuffix(self.suffix)[-1]: _trim(name, text)
-            for name, text in files.items()
-        }
-
-        def correction(
-            position_mm: Float64[np.ndarray, "n a"], direction: float
-        ) -> Float64[np.ndarray, "n 3"]:
-            added = np.zeros((len(position_mm), 3))
-            for axis, (nominal, forward, reverse) in trims.items():
-                at = position_mm[:, machine.axis_names.index(axis)]
-                side = forward if direction > 0 else reverse
-                added[:, LINEAR.index(axis)] = np.interp(at, nominal, side)
-            return added
-
-        return correction
+        tables = [_read_table(name, text, self.suffix) for name, text in files.items()]
+        return add_tables(tables, machine)
 
 
-def _rows(table: AxisTable) -> str:
+def _write_rows(table: AxisTable) -> str:
     at, own = table.position_mm, table.own
     forward, backward = at + table.forward_mm[:, own], at + table.backward_mm[:, own]
     return "".join(
@@ -74,8 +60,8 @@ def _rows(table: AxisTable) -> str:
     )
 
 
-def _trim(name: str, text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return nominal positions and the trims of both directions."""
+def _read_table(name: str, text: str, suffix: str) -> InterpolatedTable:
+    """Return the trims of an axis, whose name ends that of the file."""
     rows: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()
@@ -85,4 +71,6 @@ def _trim(name: str, text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     nominal, forward, reverse = np.array(rows).T
     if len(rows) > 256 or (np.diff(nominal) <= 0).any():
         raise BadInput(f"{name}: 256 rows at most, ascending")
-    return nominal, nominal - forward, nominal - reverse
+    axis = name.removesuffix(suffix)[-1]
+    out = LINEAR.index(axis)
+    return InterpolatedTable(axis, out, nominal, nominal - forward, nominal - reverse)

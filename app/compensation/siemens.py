@@ -2,7 +2,7 @@
 
 `$AA_ENC_COMP` holds a table an axis; a positive value moves the axis in the negative
 direction, so that the file has the error itself. `$AN_CEC` corrects one axis by the
-position of another; its sign is taken to be the same and has to be tried at the
+position of another; its sign is assumed to be the same and has to be tried at the
 machine. Both interpolate straight, hold their end values beyond the table, and are
 equidistant. Source: SINUMERIK function manual, compensations.
 """
@@ -14,10 +14,10 @@ from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float64
 
+from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import CompensationFormat, Correction
-from app.compensation.order import AxisTable, CompensationOrder
+from app.compensation.interpolated_table import InterpolatedTable, add_tables
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
@@ -43,17 +43,17 @@ class SiemensLec(CompensationFormat):
         "with MD32700 = 0, set it to 1, reference the axes"
     )
 
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file for all axes."""
-        lines = ["%_N_AX_EEC_INI", *(f"; {s}" for s in order.stamp), "CHANDATA(1)"]
-        for table in order.tables:
-            lines += _leadscrew(table)
-        return {f"{order.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
+        lines = ["%_N_AX_EEC_INI", *(f"; {s}" for s in content.stamp), "CHANDATA(1)"]
+        for table in content.tables:
+            lines += _write_leadscrew(table)
+        return {f"{content.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the negative of the interpolated tables."""
-        tables = [_Table.of_leadscrew(*item) for item in _settings(files, "ENC_COMP")]
-        return _correction(tables, machine)
+        tables = [_read_leadscrew(*item) for item in _read_settings(files, "ENC_COMP")]
+        return add_tables(tables, machine)
 
 
 class SiemensCec(CompensationFormat):
@@ -77,21 +77,21 @@ class SiemensCec(CompensationFormat):
         "licensed option; verify by a probe move that the tables act at all"
     )
 
-    def write(self, order: CompensationOrder) -> dict[str, str]:
+    def write(self, content: CompensationTables) -> dict[str, str]:
         """Return one file with two tables an axis."""
-        lines = ["%_N_NC_CEC_INI", *(f"; {s}" for s in order.stamp), "CHANDATA(1)"]
-        pairs = [(t, out) for t in order.tables for out in range(3) if out != t.own]
+        lines = ["%_N_NC_CEC_INI", *(f"; {s}" for s in content.stamp), "CHANDATA(1)"]
+        pairs = [(t, out) for t in content.tables for out in range(3) if out != t.own]
         for number, (table, out) in enumerate(pairs):
-            lines += _cross(number, table, out)
-        return {f"{order.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
+            lines += _write_cross(number, table, out)
+        return {f"{content.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the negative of the interpolated tables."""
-        tables = [_Table.of_cross(*item) for item in _settings(files, "CEC")]
-        return _correction(tables, machine)
+        tables = [_read_cross(*item) for item in _read_settings(files, "CEC")]
+        return add_tables(tables, machine)
 
 
-def _leadscrew(table: AxisTable) -> Iterator[str]:
+def _write_leadscrew(table: AxisTable) -> Iterator[str]:
     axis, own = f"{table.axis.name}1", table.own
     for index, value in enumerate(table.mean_mm[:, own]):
         yield f"$AA_ENC_COMP[0,{index},{axis}]={value:z.6f}"
@@ -101,7 +101,7 @@ def _leadscrew(table: AxisTable) -> Iterator[str]:
     yield f"$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"
 
 
-def _cross(number: int, table: AxisTable, out: int) -> Iterator[str]:
+def _write_cross(number: int, table: AxisTable, out: int) -> Iterator[str]:
     for index, value in enumerate(table.mean_mm[:, out]):
         yield f"$AN_CEC[{number},{index}]={value:z.6f}"
     yield f"$AN_CEC_INPUT_AXIS[{number}]=(AX{table.own + 1})"
@@ -120,7 +120,7 @@ _SETTING = re.compile(
 )
 
 
-def _settings(
+def _read_settings(
     files: Mapping[str, str], kind: str
 ) -> list[tuple[str, dict[str, str], dict[int, float]]]:
     """Return (table, settings, values by index) of every table of the files."""
@@ -145,46 +145,31 @@ def _settings(
     return [(table, names[table], values[table]) for table in values]
 
 
-class _Table:
-    """A table as the controller has it: corrects `out` by the position of `axis`."""
-
-    def __init__(
-        self, axis: str, out: int, settings: dict[str, str], values: dict[int, float]
-    ) -> None:
-        step, low = float(settings["_STEP"]), float(settings["_MIN"])
-        count = round((float(settings["_MAX"]) - low) / step) + 1
-        if sorted(values) != list(range(count)):
-            raise BadInput(f"the table of {axis} lacks points between MIN and MAX")
-        self.axis, self.out = axis, out
-        self.position_mm = low + step * np.arange(count)
-        self.value_mm = np.array([values[index] for index in range(count)])
-
-    @classmethod
-    def of_leadscrew(
-        cls, axis: str, settings: dict[str, str], values: dict[int, float]
-    ) -> _Table:
-        name = axis.rstrip("0123456789")
-        return cls(name, LINEAR.index(name), settings, values)
-
-    @classmethod
-    def of_cross(
-        cls, _number: str, settings: dict[str, str], values: dict[int, float]
-    ) -> _Table:
-        source, out = (
-            int(settings[word].removeprefix("AX")) - 1
-            for word in ("_INPUT_AXIS", "_OUTPUT_AXIS")
-        )
-        return cls(LINEAR[source], out, settings, values)
+def _read_leadscrew(
+    axis: str, settings: dict[str, str], values: dict[int, float]
+) -> InterpolatedTable:
+    name = axis.rstrip("0123456789")
+    return _make_table(name, LINEAR.index(name), settings, values)
 
 
-def _correction(tables: list[_Table], machine: Machine) -> Correction:
-    def correction(
-        position_mm: Float64[np.ndarray, "n a"], direction: float
-    ) -> Float64[np.ndarray, "n 3"]:
-        added = np.zeros((len(position_mm), 3))
-        for table in tables:
-            at = position_mm[:, machine.axis_names.index(table.axis)]
-            added[:, table.out] -= np.interp(at, table.position_mm, table.value_mm)
-        return added
+def _read_cross(
+    _number: str, settings: dict[str, str], values: dict[int, float]
+) -> InterpolatedTable:
+    axis, out = (
+        int(settings[word].removeprefix("AX")) - 1
+        for word in ("_INPUT_AXIS", "_OUTPUT_AXIS")
+    )
+    return _make_table(LINEAR[axis], out, settings, values)
 
-    return correction
+
+def _make_table(
+    axis: str, out: int, settings: dict[str, str], values: dict[int, float]
+) -> InterpolatedTable:
+    """Return a table with the sign of what is added: minus the error."""
+    step, low = float(settings["_STEP"]), float(settings["_MIN"])
+    count = round((float(settings["_MAX"]) - low) / step) + 1
+    if sorted(values) != list(range(count)):
+        raise BadInput(f"the table of {axis} lacks points between MIN and MAX")
+    added = -np.array([values[index] for index in range(count)])
+    at = low + step * np.arange(count)
+    return InterpolatedTable(axis, out, at, added, added)

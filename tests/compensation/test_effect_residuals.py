@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from app.compensation.error_map import map_errors
 from app.compensation.export import export_result
-from app.compensation.source import source_of
 from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
 from app.kinematics.effects.catalogue_effect import restore_effect
@@ -43,7 +43,7 @@ def source():
         for one in compute_half_differences(model, theta, covariance)
     }
     result = CalibrationResult(model, theta, covariance, half_difference_um=half)
-    return source_of(result)
+    return map_errors(result)
 
 
 def left(source, name) -> dict[str, tuple[float, float]]:

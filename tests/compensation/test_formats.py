@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from pyLSV2 import NCTable
 
+from app.compensation.error_map import map_errors
 from app.compensation.export import GROUP, export_result
 from app.compensation.fanuc import Fanuc
 from app.compensation.heidenhain import Heidenhain
 from app.compensation.isg_csv import IsgCsv
 from app.compensation.linuxcnc import LinuxCnc
 from app.compensation.siemens import SiemensCec, SiemensLec
-from app.compensation.source import source_of
 from app.errors import BadInput
 from app.plugins import installed
 
@@ -24,7 +24,7 @@ every_format = pytest.mark.parametrize("name", OURS)
 
 @pytest.fixture(scope="module")
 def source(loaded):
-    return source_of(loaded)
+    return map_errors(loaded)
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +32,12 @@ def with_backlash(source):
     """The same machine, 8 µm of lost motion in X: half of it each way."""
     axis = source.axes[0]
     half = np.array([axis.min_mm, axis.max_mm]), np.full(2, 0.004)
-    return replace(source, half={"X": half})
+    return replace(source, half_tables={"X": half})
 
 
 def along(source, axis, at):
     """Positions along the middle of the other axes."""
-    place = np.tile(source.middle_mm(), (len(at), 1))
+    place = np.tile(source.middle_mm, (len(at), 1))
     place[:, source.machine.axis_names.index(axis)] = at
     return place
 
@@ -140,7 +140,7 @@ def test_rows_fit_into_the_controller(source, name):
 def test_a_machine_without_errors_worth_a_table_gets_none(source):
     tiny = replace(source.result, theta=2e-3 * source.result.theta)
     with pytest.raises(BadInput, match="below what it resolves"):
-        export_result(source_of(tiny), "fanuc", "comp")
+        export_result(map_errors(tiny), "fanuc", "comp")
 
 
 def test_an_unknown_format_is_answered_with_those_that_are_installed(source):
@@ -250,7 +250,7 @@ def test_a_fanuc_table_rounds_the_sum_and_keeps_small_steps(source):
     ]
     assert max(map(abs, steps)) <= 7
     larger = replace(source.result, theta=60.0 * source.result.theta)
-    account = export_result(source_of(larger), "fanuc", "comp").account
+    account = export_result(map_errors(larger), "fanuc", "comp").account
     after = account["volumetric_error_um"]
     assert after["after"]["mean"] < after["before"]["mean"]
 

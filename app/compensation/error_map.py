@@ -1,4 +1,4 @@
-"""The result's volumetric error at any position, going up the axes or down."""
+"""The volumetric error of a result at any position, in + and in − direction."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, is_turn
 
-Half = dict[str, tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]]
+HalfTables = dict[str, tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]]
+"""Positions and half differences, mm, by axis."""
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """A result, its map without the rigid motion of the volume, and its backlash.
+class ErrorMap:
+    """A result, its map without rigid motion, and its backlash.
 
-    half : half difference of both directions of each axis' own positioning, as
-        (position mm, value mm), by axis; none where direction plays no part
+    half_tables : half the difference of + and − direction in the positioning of each
+        axis that has one
     """
 
     result: CalibrationResult
-    found: VolumetricMap
-    half: Half
+    volumetric_map: VolumetricMap
+    half_tables: HalfTables
 
     @property
     def machine(self) -> Machine:
@@ -47,28 +48,30 @@ class Source:
     ) -> Float64[np.ndarray, "n 3"]:
         """Return δ = actual − nominal.
 
-        direction : 1 where all axes came up, −1 where they came down, 0 for the mean
+        direction : 1 or −1 of all axes, 0 for the mean
         """
-        error = self.found.error_mm(
+        error = self.volumetric_map.error_mm(
             standstill(self.machine, position_mm), self.result.theta
         )
         for column, axis in enumerate(self.axes):
-            half = direction * self.half_mm(axis.name, position_mm[:, column])
+            half = direction * self.half_difference_mm(
+                axis.name, position_mm[:, column]
+            )
             error[:, DIRECTION[axis.name]] += half
         return error
 
-    def half_mm(
+    def half_difference_mm(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
-        """Return half the difference of both directions of an axis' positioning."""
-        if axis not in self.half:
+        """Return half the difference of both directions in an axis' positioning."""
+        if axis not in self.half_tables:
             return np.zeros(len(at_mm))
-        return np.interp(at_mm, *self.half[axis])
+        return np.interp(at_mm, *self.half_tables[axis])
 
-    def turn_rad(
+    def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return ω of an axis: the turns that the result tells, else 0."""
+        """Return ω of an axis, 0 where the result has no angular error motion."""
         omega = np.zeros((len(at_mm), 3))
         model = self.result.model
         for motion in model.error_motions:
@@ -78,15 +81,15 @@ class Source:
                 omega[:, DIRECTION[motion.symbol[1]]] = value
         return omega
 
-    def pairs(self) -> list[tuple[str, str]]:
-        """Return the pairs of axes that the model has effects of, a guide first."""
+    def list_pairs(self) -> list[tuple[str, str]]:
+        """Return the axis pairs of the model's effects, the guide first."""
         effects = self.result.model.effects
         return [effect.axis_pair for effect in effects if effect.axis_pair]
 
-    def bent_mm(
+    def pair_error_mm(
         self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return what the effects of a pair of axes do to the tool point."""
+        """Return the error at the tool point by the effects of a pair of axes."""
         at = standstill(self.machine, position_mm)
         model, theta = self.result.model, self.result.theta
         total = np.zeros((len(position_mm), 3))
@@ -95,8 +98,9 @@ class Source:
                 total += effect.displacement_mm(at, theta[model.slices[effect.name]])
         return total
 
+    @property
     def middle_mm(self) -> Float64[np.ndarray, " a"]:
-        """Return the middle of the travel; rotary axes at their zero."""
+        """Middle of the travel; rotary axes at their zero."""
         return np.array(
             [
                 0.5 * (axis.min_mm + axis.max_mm)
@@ -107,10 +111,10 @@ class Source:
         )
 
 
-def source_of(result: CalibrationResult) -> Source:
-    """Return what a result says."""
-    half = {
+def map_errors(result: CalibrationResult) -> ErrorMap:
+    """Return the error map of a result."""
+    half_tables = {
         axis: (position_mm, value_um / UM_PER_MM)
         for axis, (position_mm, value_um) in result.half_difference_um.items()
     }
-    return Source(result, build_volumetric_map(result.model), half)
+    return ErrorMap(result, build_volumetric_map(result.model), half_tables)

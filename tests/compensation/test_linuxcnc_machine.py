@@ -9,8 +9,8 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
+from app.compensation.error_map import map_errors
 from app.compensation.export import export_result
-from app.compensation.source import source_of
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.motion.nc_programs.programs import write_program
 from drivers.interfaces.records import Path
@@ -41,7 +41,7 @@ def source(loaded):
     """A result whose machine has 8 µm of lost motion in X."""
     axis = loaded.machine.linear_axes[0]
     half = {"X": (np.array([axis.min_mm, axis.max_mm]), np.full(2, 0.004))}
-    return replace(source_of(loaded), half=half)
+    return replace(map_errors(loaded), half_tables=half)
 
 
 @pytest.fixture(scope="module")
@@ -112,9 +112,9 @@ def test_the_motor_is_sent_against_the_error_in_the_direction_it_comes_from(
             if inside.any():
                 np.testing.assert_allclose(added[inside], trims[k][inside], atol=2e-5)
     # At the end X came up: the error there is taken away, lost motion included.
-    place = source.middle_mm()[None]
+    place = source.middle_mm[None]
     place[0, 0] = ROWS[-1][0]
-    reference = source.middle_mm()[None]
+    reference = source.middle_mm[None]
     reference[0, 0] = 0.0
     error = source.error_mm(place, 1.0) - source.error_mm(reference)
     assert (motor - commanded)[-1, 0] == pytest.approx(-error[0, 0], abs=2e-4)

@@ -1,4 +1,4 @@
-"""What a writer gets: tables of each axis at equal spacing, in mm and rad."""
+"""The tables of each axis at equal spacing, in mm and rad: the input of a writer."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.source import Source
+from app.compensation.error_map import ErrorMap
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import LINEAR
 
-_FEWEST, _FINEST = 2, 11  # positions of the axis that another one bends with
+_FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
 
 @dataclass(frozen=True, slots=True)
-class Bending:
-    """What an axis does beyond its own table, as another axis stands elsewhere.
+class PairTable:
+    """The error of an axis beyond its own table, at positions of another axis.
 
     by_mm : (m,) positions of the other axis, equidistant over its travel
-    more_mm : (m, n, 3) at the axis' own n positions; 0 where either axis is at its
+    error_mm : (m, n, 3) at the axis' own n positions; 0 where either axis is at its
         reference
     """
 
     by: LinearAxis
     by_mm: Float64[np.ndarray, " m"]
-    more_mm: Float64[np.ndarray, "m n 3"]
+    error_mm: Float64[np.ndarray, "m n 3"]
 
 
 @dataclass(frozen=True, slots=True)
 class AxisTable:
-    """What an axis does to the tool point as it moves.
+    """The error at the tool point as one axis moves.
 
     position_mm : (n,) equidistant, ascending, over the whole travel
     reference : index of the row nearest to the reference position, where tables are 0
     forward_mm, backward_mm : (n, 3) δ along the middle of the other axes' travel, less
         its mean over both directions at the reference
-    shift_mm, turn_rad : (n, 3) E and ω of the axis, for lever arms that count from the
-        zero of the later axes; the target's offset is in E
-    bending : with one other axis, where the model has such an effect
+    translation_mm, rotation_rad : (n, 3) E and ω of the axis, for lever arms that count
+        from the zero of the later axes; the target's offset is in E
+    pair : with one other axis, where the model has such an effect
     """
 
     axis: LinearAxis
@@ -48,9 +48,9 @@ class AxisTable:
     reference: int
     forward_mm: Float64[np.ndarray, "n 3"]
     backward_mm: Float64[np.ndarray, "n 3"]
-    shift_mm: Float64[np.ndarray, "n 3"]
-    turn_rad: Float64[np.ndarray, "n 3"]
-    bending: Bending | None = None
+    translation_mm: Float64[np.ndarray, "n 3"]
+    rotation_rad: Float64[np.ndarray, "n 3"]
+    pair: PairTable | None = None
 
     @property
     def mean_mm(self) -> Float64[np.ndarray, "n 3"]:
@@ -69,8 +69,8 @@ class AxisTable:
 
 
 @dataclass(frozen=True, slots=True)
-class CompensationOrder:
-    """Everything a writer may put down.
+class CompensationTables:
+    """The content of the files of a format.
 
     stem : of file names; stamp : lines for comments, in plain ASCII
     """
@@ -80,22 +80,18 @@ class CompensationOrder:
     tables: tuple[AxisTable, ...]
     stamp: tuple[str, ...]
 
-    def table(self, axis: str) -> AxisTable:
-        """Return the table of an axis."""
-        return next(t for t in self.tables if t.axis.name == axis)
 
-
-def axis_table(
-    source: Source, axis: LinearAxis, spacing_mm: float, most_points: int
+def tabulate_axis(
+    errors: ErrorMap, axis: LinearAxis, spacing_mm: float, most_points: int
 ) -> AxisTable:
     """Return the table of an axis, rows at most `spacing_mm` apart where they fit."""
     travel = axis.max_mm - axis.min_mm
-    wished = math.ceil(travel / spacing_mm - 1e-9) + 1
-    count = int(np.clip(wished, 2, most_points))
+    wanted = math.ceil(travel / spacing_mm - 1e-9) + 1
+    count = int(np.clip(wanted, 2, most_points))
     at_mm = np.linspace(axis.min_mm, axis.max_mm, count)
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
-    place = _along(source, axis, at_mm, source.middle_mm())
-    forward, backward = (source.error_mm(place, sign) for sign in (1.0, -1.0))
+    place = _move_axis(errors, axis, at_mm, errors.middle_mm)
+    forward, backward = (errors.error_mm(place, sign) for sign in (1.0, -1.0))
     zero = 0.5 * (forward + backward)[reference]
     return AxisTable(
         axis,
@@ -103,20 +99,20 @@ def axis_table(
         reference,
         forward - zero,
         backward - zero,
-        *_motions(source, axis, at_mm),
-        _bending(source, axis, at_mm, most_points // count),
+        *_tabulate_motions(errors, axis, at_mm),
+        _tabulate_pair(errors, axis, at_mm, most_points // count),
     )
 
 
-def _bending(
-    source: Source, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"], most: int
-) -> Bending | None:
-    """Return what the model's effects of two axes do; None without any.
+def _tabulate_pair(
+    errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"], most: int
+) -> PairTable | None:
+    """Return the error by effects of two axes; None without any.
 
     most : positions of the other axis that the controller has room for
     """
-    machine = source.machine
-    by = next((b for a, b in source.pairs() if a == axis.name), "")
+    machine = errors.machine
+    by = next((b for a, b in errors.list_pairs() if a == axis.name), "")
     if not by or most < _FEWEST:
         return None
     other = machine.linear(by)
@@ -129,34 +125,36 @@ def _bending(
         place = np.tile(rest, (len(grid), 1))
         for k in kept:
             place[:, columns[k]] = grid[:, k]
-        total += sign * source.bent_mm(place, axis.name, by)
-    return Bending(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
+        total += sign * errors.pair_error_mm(place, axis.name, by)
+    return PairTable(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
 
 
-def _along(
-    source: Source,
+def _move_axis(
+    errors: ErrorMap,
     axis: LinearAxis,
     at_mm: Float64[np.ndarray, " n"],
     others_mm: Float64[np.ndarray, " a"],
 ) -> Float64[np.ndarray, "n a"]:
     place = np.tile(others_mm, (len(at_mm), 1))
-    place[:, source.machine.axis_names.index(axis.name)] = at_mm
+    place[:, errors.machine.axis_names.index(axis.name)] = at_mm
     return place
 
 
-def _motions(
-    source: Source, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"]
+def _tabulate_motions(
+    errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     """Return E and ω of an axis, squareness and the target's offset in E.
 
-    With the others at their reference, where their turns are 0, δ changes along the
+    With the others at their reference, where their ω are 0, δ changes along the
     axis by E + ω × R, R the positions of the later axes there.
     """
-    machine = source.machine
+    machine = errors.machine
     rest = np.array([reference_position_mm(a) for a in machine.axes])
-    place = _along(source, axis, np.append(at_mm, reference_position_mm(axis)), rest)
-    error = source.error_mm(place)
-    omega = source.turn_rad(axis.name, at_mm)
+    place = _move_axis(
+        errors, axis, np.append(at_mm, reference_position_mm(axis)), rest
+    )
+    error = errors.error_mm(place)
+    omega = errors.rotation_rad(axis.name, at_mm)
     later = machine.order[machine.order.index(axis.name) + 1 :]
     lever = np.zeros(3)
     for name in later:
