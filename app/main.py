@@ -52,7 +52,7 @@ def serve(
 ) -> None:
     """Run the service until SIGTERM or Ctrl+C; both hold the feed before all else.
 
-    listening : told the service's address once it answers, in a thread of its own
+    listening : receives the service's address once it answers, in a thread of its own
 
     Raises BadInput for settings that cannot work, InUse if another instance runs on the
     same data folder.

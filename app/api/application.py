@@ -56,7 +56,7 @@ _TAGS = [
 class _Application(FastAPI):
     def openapi(self) -> dict[str, Any]:
         if self.openapi_schema is None:
-            self.openapi_schema = problems.described(super().openapi())
+            self.openapi_schema = problems.add_problems(super().openapi())
         return self.openapi_schema
 
 

@@ -13,7 +13,7 @@ from app.jobs.job import Job
 _TAG = re.compile(r'^(?:W/)?"?(\d{1,9})"?$')
 
 
-def etag(job: Job) -> str:
+def format_etag(job: Job) -> str:
     """Return the ETag of a job: its version."""
     return f'"{job.version}"'
 

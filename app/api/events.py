@@ -1,4 +1,4 @@
-"""Server-sent events: what is kept is caught up on, what is live is dropped when slow.
+"""Server-sent events: stored ones are never missed, live ones may be dropped.
 
 `job` events have identifiers of the catalogue; a client that comes back with
 Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
@@ -20,11 +20,11 @@ from fastapi import APIRouter, Depends, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
-from app.api.models.job import job_out
-from app.api.problems import answers
+from app.api.models.job import describe_job
+from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.jobs.event_bus import JobEvent
-from app.jobs.job import job_from_json, now_utc
+from app.jobs.job import decode_job, format_utc_now
 from app.jobs.rows import StoredEvent
 
 TICK_S = 1.0
@@ -44,12 +44,12 @@ _STREAM: dict[int | str, dict[str, Any]] = {
         "`live`, `estimate`, `tick`.",
         "content": {"text/event-stream": {"example": _EXAMPLE}},
     },
-    **answers(404, 429),
+    **declare_problems(404, 429),
 }
 
 
 class Subscription:
-    """Takes notices from any thread, makes one stream of them."""
+    """Accepts events from any thread and makes one stream of them."""
 
     def __init__(self, service: Service, job_id: str | None) -> None:
         self._service, self._job_id = service, job_id
@@ -59,45 +59,48 @@ class Subscription:
         self._changed = asyncio.Event()
         self._news = True
 
-    def put(self, notice: JobEvent) -> None:
-        """Take a notice. Never waits; the oldest live one makes room."""
-        if self._job_id not in (None, notice.job_id) and notice.job_id is not None:
+    def put(self, job_event: JobEvent) -> None:
+        """Accept an event. Never waits; the oldest live one is dropped if need be."""
+        if (
+            self._job_id not in (None, job_event.job_id)
+            and job_event.job_id is not None
+        ):
             return
         with self._lock:
-            if notice.id is not None:
+            if job_event.id is not None:
                 self._news = True
-            elif notice.type in ("progress", "live", "estimate", "plan"):
-                self._waiting.append(notice)
+            elif job_event.type in ("progress", "live", "estimate", "plan"):
+                self._waiting.append(job_event)
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)
 
     async def events(self, last_event_id: str) -> AsyncIterator[ServerSentEvent]:
-        """Yield what the client has missed, then what happens, until the service ends.
+        """Yield what the client has missed, then new events, until the service ends.
 
-        Whoever has seen nothing yet gets the present state first.
+        A client that has seen nothing yet gets the present state first.
         """
         service, job_id = self._service, self._job_id
-        newest = await run_sync(service.store.last_event_id)
-        known = _known(last_event_id, newest)
+        newest = await run_sync(service.store.read_last_event_id)
+        known = _parse_last_event_id(last_event_id, newest)
         if known is None:
             known = newest
-            for event in await run_sync(_present, service, job_id, newest):
+            for event in await run_sync(_read_present, service, job_id, newest):
                 yield event
         next_tick = time.monotonic()
         while not service.closing.is_set():
             news, live = self._take()
             while news:
-                missed = await run_sync(_missed, service, job_id, known)
+                missed = await run_sync(_read_missed, service, job_id, known)
                 for stored in missed:
                     known = stored.id
                     yield _job_event(stored)
                 news = bool(missed)
-            for notice in live:
-                body = {"job_id": notice.job_id, **notice.body}
-                yield ServerSentEvent(data=body, event=notice.type)
+            for job_event in live:
+                body = {"job_id": job_event.job_id, **job_event.body}
+                yield ServerSentEvent(data=body, event=job_event.type)
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + TICK_S
-                tick = {"time": now_utc(), "last_event_id": known}
+                tick = {"time": format_utc_now(), "last_event_id": known}
                 yield ServerSentEvent(data=tick, event="tick")
             await self._wait(next_tick - time.monotonic())
 
@@ -141,7 +144,7 @@ streams = Streams()
 
 
 async def _of_everything(service: ServiceDep) -> AsyncIterator[Subscription]:
-    with _subscribed(service, None) as subscription:
+    with _subscribe(service, None) as subscription:
         yield subscription
 
 
@@ -152,15 +155,15 @@ def _existing(job_id: str, service: ServiceDep) -> str:
 async def _of_one_job(
     job_id: Annotated[str, Depends(_existing)], service: ServiceDep
 ) -> AsyncIterator[Subscription]:
-    with _subscribed(service, job_id) as subscription:
+    with _subscribe(service, job_id) as subscription:
         yield subscription
 
 
 @contextmanager
-def _subscribed(service: Service, job_id: str | None) -> Iterator[Subscription]:
+def _subscribe(service: Service, job_id: str | None) -> Iterator[Subscription]:
     """Listen for one request. Ended by the request, not by the stream's generator.
 
-    A generator that waits for a slow client is not told when that client goes.
+    A generator that waits for a slow client does not notice when that client leaves.
     """
     if streams.count >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
@@ -208,7 +211,7 @@ async def stream_job_events(
         yield event
 
 
-def _known(last_event_id: str, newest: int) -> int | None:
+def _parse_last_event_id(last_event_id: str, newest: int) -> int | None:
     """Return what the client has seen; None if it is new or of another catalogue."""
     if not last_event_id.isdecimal() or len(last_event_id) > 18:
         return None
@@ -216,21 +219,22 @@ def _known(last_event_id: str, newest: int) -> int | None:
     return seen if seen <= newest else None
 
 
-def _present(
+def _read_present(
     service: Service, job_id: str | None, newest: int
 ) -> list[ServerSentEvent]:
     """Return where things stand, for a client that has seen nothing."""
     store = service.store
-    jobs = store.unfinished() if job_id is None else [store.get(job_id)]
+    jobs = store.list_unfinished() if job_id is None else [store.get(job_id)]
     return [
-        ServerSentEvent(data=job_out(job), event="job", id=str(newest)) for job in jobs
+        ServerSentEvent(data=describe_job(job), event="job", id=str(newest))
+        for job in jobs
     ]
 
 
-def _missed(service: Service, job_id: str | None, known: int) -> list[StoredEvent]:
-    return service.store.events_after(known, job_id=job_id)
+def _read_missed(service: Service, job_id: str | None, known: int) -> list[StoredEvent]:
+    return service.store.read_events_after(known, job_id=job_id)
 
 
 def _job_event(stored: StoredEvent) -> ServerSentEvent:
-    job = job_out(job_from_json(stored.body))
+    job = describe_job(decode_job(stored.body))
     return ServerSentEvent(data=job, event=stored.type, id=str(stored.id))

@@ -35,7 +35,7 @@ INTERNAL = ProblemKind(
     "Report the request identifier with the log of the service.",
 )
 
-KINDS: Mapping[type[Exception], ProblemKind] = {
+PROBLEM_KINDS: Mapping[type[Exception], ProblemKind] = {
     # What a user gave.
     app_errors.BundleError: ProblemKind(
         422,
@@ -211,7 +211,7 @@ KINDS: Mapping[type[Exception], ProblemKind] = {
         502, "device", "A device failed", "Look at the device, then connect again."
     ),
 }
-_BY_NAME = {family.__name__: kind for family, kind in KINDS.items()}
+_BY_NAME = {family.__name__: kind for family, kind in PROBLEM_KINDS.items()}
 
 # What the framework raises, by status.
 BY_STATUS: Mapping[int, ProblemKind] = {
@@ -272,8 +272,8 @@ BY_STATUS: Mapping[int, ProblemKind] = {
 def find_kind(error: Exception) -> ProblemKind:
     """Return the kind of a problem that an error is; the nearest family counts."""
     for family in type(error).__mro__:
-        if family in KINDS:
-            return KINDS[family]
+        if family in PROBLEM_KINDS:
+            return PROBLEM_KINDS[family]
     return INTERNAL
 
 

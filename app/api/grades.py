@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
-from app.api.problems import answers
+from app.api.problems import declare_problems
 from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.plans import commanded_from_plan
@@ -75,14 +75,14 @@ class GradeOut(BaseModel):
 @router.get(
     "/{job_id}/plan/grade",
     operation_id="get_plan_grade",
-    responses=answers(404, 422),
+    responses=declare_problems(404, 422),
 )
 def get_plan_grade(
     job_id: str, service: ServiceDep, tracker_mm: _Place = None
 ) -> GradeOut:
     """Grade what a measuring job commands, from geometry alone, before it is armed."""
     job = service.store.get(job_id)
-    plan = service.store.plan(job.id)
+    plan = service.store.read_plan(job.id)
     if plan is None:
         raise NotFound(f"job {job_id} ({job.kind}) commands nothing to be graded")
     if service.machine is None:

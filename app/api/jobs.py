@@ -6,17 +6,17 @@ from typing import Annotated
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Header, Query, Response
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
-from app.api.conditional import Version, etag
+from app.api.conditional import Version, format_etag
 from app.api.models.base import PREFIX
-from app.api.models.job import JobOut, JobPage, Stopped, job_out
+from app.api.models.job import JobOut, JobPage, Stopped, describe_job
 from app.api.models.job_request import JobRequest
 from app.api.models.plan import PlanOut
-from app.api.paging import After, Limit, cursor, link_next, place
-from app.api.problems import answers
+from app.api.paging import PagingDep
+from app.api.problems import declare_problems
 from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job
@@ -41,7 +41,7 @@ _STOPPING = CapacityLimiter(8)
     "",
     operation_id="create_job",
     status_code=202,
-    responses=answers(404, 409, 422),
+    responses=declare_problems(404, 409, 422),
 )
 def create_job(
     request: JobRequest,
@@ -57,23 +57,20 @@ def create_job(
     return _out(job, response)
 
 
-@router.get("", operation_id="list_jobs", responses=answers(422))
+@router.get("", operation_id="list_jobs", responses=declare_problems(422))
 def list_jobs(
-    request: Request,
-    response: Response,
+    paging: PagingDep,
     service: ServiceDep,
-    limit: Limit = 50,
-    after: After = None,
     state: Annotated[list[State], Query(description="Only in these states.")] = [],  # noqa: B006
 ) -> JobPage:
     """List jobs, the newest first."""
-    jobs = service.store.page(limit + 1, before_seq=place(after), states=state)
-    rest = cursor(jobs[limit - 1].seq) if len(jobs) > limit else None
-    link_next(request, response, rest)
-    return JobPage(items=[job_out(job) for job in jobs[:limit]], next=rest)
+    jobs, after = paging.read(
+        lambda limit, seq: service.store.list_page(limit, before_seq=seq, states=state)
+    )
+    return JobPage(items=[describe_job(job) for job in jobs], next=after)
 
 
-@router.get("/{job_id}", operation_id="get_job", responses=answers(404))
+@router.get("/{job_id}", operation_id="get_job", responses=declare_problems(404))
 def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Return a job; its version is the ETag."""
     return _out(service.store.get(job_id), response)
@@ -83,7 +80,7 @@ def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     "/{job_id}/arm",
     operation_id="arm_job",
     status_code=202,
-    responses=answers(404, 409, 412, 428),
+    responses=declare_problems(404, 409, 412, 428),
 )
 def arm_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
@@ -96,7 +93,7 @@ def arm_job(
     "/{job_id}/pause",
     operation_id="pause_job",
     status_code=202,
-    responses=answers(404, 409),
+    responses=declare_problems(404, 409),
 )
 def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Hold the feed; `paused` once the machine has confirmed. Twice is once."""
@@ -107,7 +104,7 @@ def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     "/{job_id}/resume",
     operation_id="resume_job",
     status_code=202,
-    responses=answers(404, 409, 412, 428),
+    responses=declare_problems(404, 409, 412, 428),
 )
 def resume_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
@@ -120,7 +117,7 @@ def resume_job(
     "/{job_id}/abort",
     operation_id="abort_job",
     status_code=202,
-    responses=answers(404),
+    responses=declare_problems(404),
 )
 async def abort_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""
@@ -132,14 +129,16 @@ async def abort_job(job_id: str, response: Response, service: ServiceDep) -> Job
 async def stop_motion(service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
-    return Stopped(jobs=[job_out(job) for job in jobs])
+    return Stopped(jobs=[describe_job(job) for job in jobs])
 
 
-@router.get("/{job_id}/plan", operation_id="get_job_plan", responses=answers(404))
+@router.get(
+    "/{job_id}/plan", operation_id="get_job_plan", responses=declare_problems(404)
+)
 def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
     """Return what the job commands, or what the Run it analyses was commanded."""
     job = service.store.get(job_id)
-    plan = service.store.plan(job_id)
+    plan = service.store.read_plan(job_id)
     if plan is None and job.run_id is None:
         raise NotFound(f"job {job_id} ({job.state}) has no plan")
     if plan is None:
@@ -148,5 +147,5 @@ def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
 
 
 def _out(job: Job, response: Response) -> JobOut:
-    response.headers["ETag"] = etag(job)
-    return job_out(job)
+    response.headers["ETag"] = format_etag(job)
+    return describe_job(job)

@@ -9,22 +9,22 @@ from app.api.models.machine import (
     Connection,
     MachineOut,
     MachineSummary,
-    connection_out,
+    describe_connection,
 )
 from app.api.models.system import Alive, CellOut, Ready, SystemOut
-from app.api.problems import answers
+from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from app.errors import NotFound
 from app.files.machine_file import machine_to_json
 from app.jobs.errors import NoMachine
-from app.jobs.job import now_utc
+from app.jobs.job import format_utc_now
 
 machines = APIRouter(prefix="/machines", tags=["machines"])
 system = APIRouter(prefix="/system", tags=["system"])
 probes = APIRouter(tags=["system"])
 
 
-@machines.get("/current", operation_id="get_machine", responses=answers(404))
+@machines.get("/current", operation_id="get_machine", responses=declare_problems(404))
 def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
     if service.machine is None:
@@ -33,26 +33,26 @@ def get_machine(service: ServiceDep) -> MachineOut:
     content = machine_to_json(service.machine)
     # `tracker` of the machine file is its noise; here the name is for who answers.
     content["tracker_noise"] = content.pop("tracker", None)
-    return MachineOut(**content, **connection_out(devices).model_dump())
+    return MachineOut(**content, **describe_connection(devices).model_dump())
 
 
 @machines.post(
     "/current:connect",
     operation_id="connect_machine",
-    responses=answers(409, 502, 503, 504),
+    responses=declare_problems(409, 502, 503, 504),
 )
 def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.cell is None:
         raise NoMachine
-    return connection_out(service.cell.connect())
+    return describe_connection(service.cell.connect())
 
 
 @system.get("", operation_id="get_system")
 def get_system(service: ServiceDep) -> SystemOut:
     """Return what the service is and what holds the machine."""
     machine = service.machine
-    measuring = [job for job in service.store.unfinished() if job.kind.measures]
+    measuring = [job for job in service.store.list_unfinished() if job.kind.measures]
     return SystemOut(
         version=service.version,
         simulated=service.simulated,
@@ -65,7 +65,7 @@ def get_system(service: ServiceDep) -> SystemOut:
         ),
         cell=_cell_out(service),
         current_job=measuring[0].id if measuring else None,
-        time=now_utc(),
+        time=format_utc_now(),
     )
 
 
@@ -75,7 +75,7 @@ def get_health() -> Alive:
     return Alive()
 
 
-@probes.get("/readyz", operation_id="get_readiness", responses=answers(503))
+@probes.get("/readyz", operation_id="get_readiness", responses=declare_problems(503))
 def get_readiness(service: ServiceDep) -> Ready:
     """Say whether catalogue and disk are there, and whether a cell process runs."""
     cell = service.cell

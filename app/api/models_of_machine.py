@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 from pydantic.json_schema import SkipJsonSchema
 
@@ -14,10 +14,10 @@ from app.api.models.machine_model import (
     ModelDifference,
     ModelOut,
     ModelPage,
-    model_out,
+    describe_model,
 )
-from app.api.paging import After, Limit, cursor, link_next, place
-from app.api.problems import answers
+from app.api.paging import PagingDep
+from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job, JobKind
@@ -34,35 +34,27 @@ router = APIRouter(prefix="/models", tags=["models"])
 _OBJECT = {"application/json": {"schema": {"type": "object"}}}
 
 
-@router.get("", operation_id="list_models", responses=answers(422))
-def list_models(
-    request: Request,
-    response: Response,
-    service: ServiceDep,
-    limit: Limit = 50,
-    after: After = None,
-) -> ModelPage:
+@router.get("", operation_id="list_models", responses=declare_problems(422))
+def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
     """List models, the newest first."""
-    jobs = service.store.page(
-        limit + 1,
-        before_seq=place(after),
-        states=[State.SUCCEEDED],
-        kinds=[kind for kind in JobKind if kind.discovers],
+    kinds = [kind for kind in JobKind if kind.discovers]
+    jobs, after = paging.read(
+        lambda limit, seq: service.store.list_page(
+            limit, before_seq=seq, states=[State.SUCCEEDED], kinds=kinds
+        )
     )
-    rest = cursor(jobs[limit - 1].seq) if len(jobs) > limit else None
-    link_next(request, response, rest)
-    return ModelPage(items=[_out(service, job) for job in jobs[:limit]], next=rest)
+    return ModelPage(items=[_describe(service, job) for job in jobs], next=after)
 
 
 @router.get(
     "/{model_id}",
     operation_id="get_model",
     response_class=FileResponse,
-    responses={**answers(404), 200: {"content": _OBJECT}},
+    responses={**declare_problems(404), 200: {"content": _OBJECT}},
 )
 def get_model(model_id: str, service: ServiceDep) -> FileResponse:
     """Return `model.json`; `truepath predict`, `export` and `discover` take it."""
-    job = _discovered(service, model_id)
+    job = _require_discovery(service, model_id)
     return FileResponse(
         find_model_file(service.results, job.id),
         media_type="application/json",
@@ -71,13 +63,15 @@ def get_model(model_id: str, service: ServiceDep) -> FileResponse:
 
 
 @router.get(
-    "/{model_id}/versions", operation_id="list_model_versions", responses=answers(404)
+    "/{model_id}/versions",
+    operation_id="list_model_versions",
+    responses=declare_problems(404),
 )
 def list_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
     """Return a model and those it came from, the newest first."""
-    job = _discovered(service, model_id)
+    job = _require_discovery(service, model_id)
     return [
-        model_out(service.store.get(one), growth)
+        describe_model(service.store.get(one), growth)
         for one, growth in read_versions(service.results, job.id)
     ]
 
@@ -85,7 +79,7 @@ def list_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
 @router.get(
     "/{model_id}/difference",
     operation_id="get_model_difference",
-    responses=answers(404, 422),
+    responses=declare_problems(404, 422),
 )
 def get_difference(
     model_id: str,
@@ -98,7 +92,7 @@ def get_difference(
     ] = None,
 ) -> ModelDifference:
     """Return what a model has that another has not, and which numbers differ."""
-    job = _discovered(service, model_id)
+    job = _require_discovery(service, model_id)
     if against is None:
         growth = read_growth(service.results, job.id)
         changes, before = growth["difference"], growth["parent"]["source"]
@@ -106,16 +100,19 @@ def get_difference(
         other = service.store.get(against)
         files = (find_model_file(service.results, i) for i in (other.id, job.id))
         changes, before = read_difference(*files), other.id
-    told = [ChangeOut(**change) for change in changes]
-    return ModelDifference(before=before, after=job.id, changes=told)
+    return ModelDifference(
+        before=before,
+        after=job.id,
+        changes=[ChangeOut(**change) for change in changes],
+    )
 
 
-def _discovered(service: Service, model_id: str) -> Job:
+def _require_discovery(service: Service, model_id: str) -> Job:
     job = service.store.get(model_id)
     if not job.has_discovery:
         raise NotFound(f"job {model_id} ({job.kind}, {job.state}) has no model")
     return job
 
 
-def _out(service: Service, job: Job) -> ModelOut:
-    return model_out(job, read_growth(service.results, job.id))
+def _describe(service: Service, job: Job) -> ModelOut:
+    return describe_model(job, read_growth(service.results, job.id))

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
 
-from app.api.problems import answers
+from app.api.problems import declare_problems
 from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.plans import commanded_from_plan
@@ -65,7 +65,7 @@ def list_nc_dialects() -> DialectList:
     "/{job_id}/nc-program",
     operation_id="download_nc_program",
     response_class=PlainTextResponse,
-    responses={**answers(404, 422), **PROGRAM},
+    responses={**declare_problems(404, 422), **PROGRAM},
 )
 def download_nc_program(
     job_id: str, dialect: Dialect, service: ServiceDep
@@ -77,7 +77,7 @@ def download_nc_program(
     at the control, record the tracker's stream, send both in as a bundle.
     """
     job = service.store.get(job_id)
-    plan = service.store.plan(job.id)
+    plan = service.store.read_plan(job.id)
     if plan is None:
         raise NotFound(f"job {job_id} ({job.kind}) commands no path of its own")
     if service.machine is None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import base64
 import binascii
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Protocol, TypeVar
 
-from fastapi import Query, Request, Response
+from fastapi import Depends, Query, Request, Response
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
@@ -20,31 +21,62 @@ After = Annotated[
 ]
 
 
-def cursor(seq: int) -> str:
-    """Return the cursor that stands after an entry."""
+class Numbered(Protocol):
+    """An entry of a list that is ordered by `seq`."""
+
+    @property
+    def seq(self) -> int: ...  # noqa: D102 (the class says it)
+
+
+T = TypeVar("T", bound=Numbered)
+
+
+class Paging:
+    """`limit` and `after` of a request for a list; sets the Link header."""
+
+    def __init__(
+        self,
+        request: Request,
+        response: Response,
+        limit: Limit = 50,
+        after: After = None,
+    ) -> None:
+        self._request, self._response, self._limit = request, response, limit
+        self._before_seq = None if after is None else _decode_cursor(after)
+
+    def read(
+        self, list_page: Callable[[int, int | None], list[T]]
+    ) -> tuple[list[T], str | None]:
+        """Return the entries of the page, and the cursor of the next one if any.
+
+        list_page : gives at most so many entries, older than a `seq`, newest first
+        """
+        entries = list_page(self._limit + 1, self._before_seq)
+        if len(entries) <= self._limit:
+            return entries, None
+        after = _encode_cursor(entries[self._limit - 1].seq)
+        url = self._request.url.include_query_params(after=after)
+        self._response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
+        return entries[: self._limit], after
+
+
+PagingDep = Annotated[Paging, Depends(Paging)]
+
+
+def _encode_cursor(seq: int) -> str:
     return base64.urlsafe_b64encode(f"s:{seq}".encode()).decode()
 
 
-def place(after: str | None) -> int | None:
-    """Return where a cursor stands. Raises BadInput if it is none of ours."""
-    if after is None:
-        return None
+def _decode_cursor(after: str) -> int:
+    """Return the `seq` of a cursor. Raises BadInput for any other text."""
     try:
-        kind, _, digits = (
-            base64.urlsafe_b64decode(after.encode()).decode().partition(":")
-        )
+        text = base64.urlsafe_b64decode(after.encode()).decode()
+        kind, _, digits = text.partition(":")
         seq = int(digits)
+        if kind != "s" or not 0 <= seq < 2**63:
+            raise ValueError(text)
     except (binascii.Error, UnicodeDecodeError, ValueError) as error:
         raise BadInput(
             f"after: {after!r} is no cursor; use `next` of a page"
         ) from error
-    if kind != "s" or not 0 <= seq < 2**63:
-        raise BadInput(f"after: {after!r} is no cursor; use `next` of a page")
     return seq
-
-
-def link_next(request: Request, response: Response, after: str | None) -> None:
-    """Point to the next page in the Link header, where there is one."""
-    if after is not None:
-        url = request.url.include_query_params(after=after)
-        response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'

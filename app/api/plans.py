@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
-from app.api.conditional import etag
+from app.api.conditional import format_etag
 from app.api.failures import describe_failure
 from app.api.jobs import IdempotencyKeyHeader
 from app.api.models.base import PREFIX
@@ -19,7 +19,7 @@ from app.api.models.planning import (
 )
 from app.api.models.problem import Problem
 from app.api.nc_programs import PROGRAM, Dialect, program_response
-from app.api.problems import answers
+from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
 from app.jobs.errors import NoMachine
@@ -37,7 +37,7 @@ checks = APIRouter(tags=["plans"])
     "",
     operation_id="create_plan",
     status_code=202,
-    responses=answers(404, 409, 422),
+    responses=declare_problems(404, 409, 422),
 )
 def create_plan(
     request: PlanRequest,
@@ -65,7 +65,9 @@ def create_plan(
 
 
 @checks.post(
-    "/plans:validate", operation_id="validate_plan", responses=answers(409, 422)
+    "/plans:validate",
+    operation_id="validate_plan",
+    responses=declare_problems(409, 422),
 )
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
@@ -79,7 +81,7 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))
 
 
-@router.get("/{plan_id}", operation_id="get_plan", responses=answers(404))
+@router.get("/{plan_id}", operation_id="get_plan", responses=declare_problems(404))
 def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
     """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
     return _out(_plan_job(plan_id, service), response, service)
@@ -89,14 +91,14 @@ def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResou
     "/{plan_id}/nc-program",
     operation_id="download_plan_nc_program",
     response_class=PlainTextResponse,
-    responses={**answers(404, 422), **PROGRAM},
+    responses={**declare_problems(404, 422), **PROGRAM},
 )
 def download_plan_nc_program(
     plan_id: str, dialect: Dialect, service: ServiceDep
 ) -> PlainTextResponse:
     """Return a plan as a program of a control, read back before it is given out."""
     job = _plan_job(plan_id, service)
-    plan = service.store.plan(job.id)
+    plan = service.store.read_plan(job.id)
     if plan is None or service.machine is None:
         raise NotFound(f"plan {plan_id} ({job.state}) has no rows")
     return program_response(commanded_from_plan(plan), service.machine, dialect)
@@ -110,8 +112,8 @@ def _plan_job(plan_id: str, service: Service) -> Job:
 
 
 def _out(job: Job, response: Response, service: Service) -> PlanResource:
-    response.headers["ETag"] = etag(job)
-    plan = service.store.plan(job.id)
+    response.headers["ETag"] = format_etag(job)
+    plan = service.store.read_plan(job.id)
     failure = job.failure
     commanded = None if plan is None else PlanOut(**plan, target_um=job.target_um)
     return PlanResource(
@@ -119,7 +121,7 @@ def _out(job: Job, response: Response, service: Service) -> PlanResource:
         state=str(job.state),
         created=job.created,
         progress=1.0 if plan is not None else job.progress.done,
-        request=dict(service.store.plan_request(job.id)),
+        request=dict(service.store.read_plan_request(job.id)),
         commanded=commanded,
         document=None if plan is None else dict(plan["document"]),
         error=Problem(**describe_failure(failure)) if failure else None,

@@ -12,18 +12,18 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from app.api import failures
-from app.api.failures import BY_STATUS, INTERNAL, KINDS, MEDIA_TYPE, ProblemKind
+from app.api.failures import BY_STATUS, INTERNAL, MEDIA_TYPE, PROBLEM_KINDS, ProblemKind
 from app.api.models.problem import Problem
 
 MAX_ERRORS = 20
 
 
-def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Name the refusals of a route for its documentation; `described` spells them."""
     return {status: {"model": Problem} for status in statuses}
 
 
-def described(document: dict[str, Any]) -> dict[str, Any]:
+def add_problems(document: dict[str, Any]) -> dict[str, Any]:
     """Return an OpenAPI document in which every refusal is a problem with an example.
 
     The framework knows neither the media type nor that its own 422 is replaced.
@@ -41,7 +41,7 @@ def described(document: dict[str, Any]) -> dict[str, Any]:
 
 def install(app: FastAPI) -> None:
     """Turn every error of the application's routes into a problem."""
-    for family in KINDS:
+    for family in PROBLEM_KINDS:
         app.add_exception_handler(family, _of_family)
     app.add_exception_handler(RequestValidationError, _of_validation)
     app.add_exception_handler(HTTPException, _of_framework)
@@ -124,6 +124,6 @@ def _refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
 
 def _kind_at(status: int) -> ProblemKind:
     """Return a kind of problem with that status, as an example."""
-    by_family = (kind for kind in KINDS.values() if kind.status == status)
+    by_family = (kind for kind in PROBLEM_KINDS.values() if kind.status == status)
     plain = BY_STATUS.get(status, INTERNAL)
     return plain if status == 422 else next(by_family, plain)

@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import APIRouter
 from fastapi.responses import FileResponse
 
-from app.api.problems import answers
+from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
 
@@ -24,10 +24,12 @@ _REPORT_POLICY = (
 
 def _file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
     content = {media_type: {"schema": {"type": kind}}}
-    return {200: {"content": content}, **answers(404)}
+    return {200: {"content": content}, **declare_problems(404)}
 
 
-@router.get("/{job_id}/estimate", operation_id="get_estimate", responses=answers(404))
+@router.get(
+    "/{job_id}/estimate", operation_id="get_estimate", responses=declare_problems(404)
+)
 def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
     """Return the latest estimate of a measurement under way, or of one just ended.
 
@@ -58,7 +60,7 @@ def get_result(job_id: str, service: ServiceDep) -> FileResponse:
 @router.get(
     "/{job_id}/result/error-tables.json",
     operation_id="get_error_tables",
-    responses=answers(404),
+    responses=declare_problems(404),
 )
 def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
     """Return the error tables and squarenesses alone."""

@@ -7,16 +7,16 @@ import shutil
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
-from fastapi import APIRouter, File, Request, Response, UploadFile
+from fastapi import APIRouter, File, Response, UploadFile
 from fastapi.responses import FileResponse
 
 from app.api.models.base import PREFIX
-from app.api.models.run import RunOut, RunPage, run_out
-from app.api.paging import After, Limit, cursor, link_next, place
-from app.api.problems import answers
+from app.api.models.run import RunOut, RunPage, describe_run
+from app.api.paging import PagingDep
+from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
+from app.files.bundle_archive import check_archive
 from app.jobs.errors import DiskFull
-from app.jobs.runs import check_archive
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 uploads = APIRouter(prefix="/runs", tags=["runs"])
@@ -27,37 +27,31 @@ _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 
 
-@router.get("", operation_id="list_runs", responses=answers(422))
-def list_runs(
-    request: Request,
-    response: Response,
-    service: ServiceDep,
-    limit: Limit = 50,
-    after: After = None,
-) -> RunPage:
+@router.get("", operation_id="list_runs", responses=declare_problems(422))
+def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
     """List Runs, the newest first."""
-    runs = service.runs.page(limit + 1, before_seq=place(after))
-    rest = cursor(runs[limit - 1].seq) if len(runs) > limit else None
-    link_next(request, response, rest)
-    return RunPage(items=[run_out(run) for run in runs[:limit]], next=rest)
+    runs, after = paging.read(
+        lambda limit, seq: service.runs.list_page(limit, before_seq=seq)
+    )
+    return RunPage(items=[describe_run(run) for run in runs], next=after)
 
 
-@router.get("/{run_id}", operation_id="get_run", responses=answers(404))
+@router.get("/{run_id}", operation_id="get_run", responses=declare_problems(404))
 def get_run(run_id: str, service: ServiceDep) -> RunOut:
     """Return a Run."""
-    return run_out(service.runs.get(run_id))
+    return describe_run(service.runs.get(run_id))
 
 
 @router.get(
     "/{run_id}/bundle",
     operation_id="download_bundle",
     response_class=FileResponse,
-    responses={**answers(404, 507), 200: {"content": _ZIP}},
+    responses={**declare_problems(404, 507), 200: {"content": _ZIP}},
 )
 def download_bundle(run_id: str, service: ServiceDep) -> FileResponse:
     """Return the Run as a zipped measurement bundle."""
     record = service.runs.get(run_id)
-    _need_space(service, record.bytes)
+    _require_space(service, record.bytes)
     return FileResponse(
         service.runs.bundle(run_id),
         media_type="application/zip",
@@ -69,7 +63,7 @@ def download_bundle(run_id: str, service: ServiceDep) -> FileResponse:
     "",
     operation_id="upload_bundle",
     status_code=201,
-    responses=answers(413, 422, 507),
+    responses=declare_problems(413, 422, 507),
 )
 def upload_bundle(
     bundle: Annotated[UploadFile, File(description="A zipped measurement bundle.")],
@@ -77,25 +71,25 @@ def upload_bundle(
     service: ServiceDep,
 ) -> RunOut:
     """Take in a bundle that was recorded elsewhere; analyse it with a job."""
-    _need_space(service, bundle.size or 0)
-    place = service.runs.upload_place()
+    _require_space(service, bundle.size or 0)
+    upload = service.runs.make_upload_file()
     try:
-        with place.open("wb") as target:
+        with upload.open("wb") as target:
             shutil.copyfileobj(bundle.file, target, 1 << 20)
-        check_archive(place, UNPACKED_SHARE * service.max_upload_bytes)
-        run = service.runs.add_uploaded(place, run_name(bundle.filename))
+        check_archive(upload, UNPACKED_SHARE * service.max_upload_bytes)
+        run = service.runs.add_uploaded(upload, clean_run_name(bundle.filename))
     finally:
-        place.unlink(missing_ok=True)
+        upload.unlink(missing_ok=True)
     response.headers["Location"] = f"{PREFIX}/runs/{run.id}"
-    return run_out(run)
+    return describe_run(run)
 
 
-def run_name(filename: str | None) -> str:
+def clean_run_name(filename: str | None) -> str:
     """Return a name for people out of a file's name; never used as a path."""
     plain = PurePosixPath((filename or "").replace("\\", "/")).name
     return _ODD.sub("_", Path(plain).stem).strip("_ .")[:100] or "bundle"
 
 
-def _need_space(service: Service, size: int) -> None:
+def _require_space(service: Service, size: int) -> None:
     if service.free_bytes() < 2 * size + LEAST_FREE_BYTES:
         raise DiskFull("too little room is left on the disk of the data folder")

@@ -17,7 +17,7 @@ from app.api.service import Service
 from app.errors import BadInput
 
 GRACE_S = 3
-"""How long an answer under way may take once the service is told to end."""
+"""How long an answer under way may take once the service has to end."""
 
 _OWN = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104 (of all hosts, this one)
 
@@ -31,7 +31,7 @@ class Server(uvicorn.Server):
     exit skips it.
 
     address : where it answers
-    listening : told the address once it answers, in a thread of its own
+    listening : receives the address once it answers, in a thread of its own
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Server(uvicorn.Server):
         self._service, self._address, self._listening = service, address, listening
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to answer, and tell who waits for that."""
+        """Begin to answer, and pass the address on."""
         await super().startup(sockets)
         if self.started and self._listening is not None:
             threading.Thread(
@@ -70,7 +70,7 @@ class Server(uvicorn.Server):
 
 @contextmanager
 def signals_end_quietly() -> Iterator[None]:
-    """Let uvicorn hand a signal back without the process dying of it half tidied."""
+    """Let uvicorn raise the signal again without ending the process too early."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -3,19 +3,18 @@
 Each command writes progress to standard error and results to files; `--json` prints
 the summary on standard output, one object. Exit status 0 is success, 2 bad input, 1
 anything else; a failure is one line on standard error that names file, row and column,
-what is wrong and what to do. A fault of the program itself keeps its traceback: a 1.
+what is wrong and what to do. A defect of the program keeps its traceback and gives 1.
 
 Commands import what they need when they run, so that `truepath --help` answers at once.
 
-    command      the commands and their options
-    failures     from an error to one line and an exit status
-    terminal     progress and tables for a person
-    summary      a result in a few numbers
-    science      analyse and predict, on files
-    demo         the main job on a simulated machine, against its truth
-    following    one measurement by a cell of our own
-    truth        a result against true errors
-    serving      the service, and its own first user
-    main_job     the main job over REST
-    client       the service as its REST clients see it
+    command             the list of commands
+    *_commands          the commands of a group: their options, and what they do
+    options, terminal   options, progress and tables that commands share
+    summary, effects    a result, and an effect, in a few lines
+    failures            from an error to one line and an exit status
+    demo, following     a measurement on simulated devices, without a service
+    truth               a result against the true errors of a simulated machine
+    recording           the tracker alone, beside a CNC without a link
+    serving, main_job   the service in this process, and a calibration through it
+    client              the service as its REST clients see it
 """

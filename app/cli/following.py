@@ -16,6 +16,7 @@ from app.jobs.live_process import LiveOrder
 from app.measurement.cell import Cell
 from app.measurement.messages import (
     BlockRecorded,
+    CellEvent,
     CellState,
     FaultReported,
     MeasurementOrder,
@@ -57,9 +58,8 @@ def follow_measurement(
                     live, order.commanded, cell.extend, cell.conclude, _say_part
                 )
             cell.begin(replace(order, live=live is not None))
-            return _follow_until_closed(
-                cell, on_progress, live, target_um or 0.0, growth
-            )
+            follower = _Follower(cell, on_progress, live, target_um or 0.0, growth)
+            return follower.follow()
     finally:
         cell.close()
 
@@ -71,8 +71,8 @@ def _live_estimation(
     if target_um is None and not order.grows:
         yield None
         return
-    asked = LiveOrder(order.machine, order.commanded, request=request)
-    live = LiveEstimation(asked, lambda _: None)
+    live_order = LiveOrder(order.machine, order.commanded, request=request)
+    live = LiveEstimation(live_order, lambda _: None)
     try:
         live.start()
         yield live
@@ -80,48 +80,66 @@ def _live_estimation(
         live.close()
 
 
-def _follow_until_closed(
-    cell: Cell,
-    on_progress: NotedProgress,
-    live: LiveEstimation | None,
-    target_um: float,
-    growth: Growth | None,
-) -> RunClosed:
-    concluded = False
-    said = MeasurementFailed("the measurement ended early")
-    has_ended_badly = False
-    heard_s = time.monotonic()
-    while time.monotonic() - heard_s < SILENCE_S:
-        for event in cell.poll(0.2):
-            heard_s = time.monotonic()
-            match event:
-                case BlockRecorded(samples) if live is not None:
-                    live.offer(samples)
-                case PartRequested() if growth is not None:
-                    growth.ask()
-                case MeasurementProgress():
-                    on_progress(*_describe_progress(event))
-                case FaultReported(text=text, action=action):
-                    said = MeasurementFailed("; ".join(filter(None, [text, action])))
-                case StateChanged(state) if state in _ENDED_BADLY:
-                    has_ended_badly = True
-                case RunClosed():
-                    if has_ended_badly:
-                        raise said
+class _Follower:
+    """Follows the events of a cell until its Run is closed."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        on_progress: NotedProgress,
+        live: LiveEstimation | None,
+        target_um: float,
+        growth: Growth | None,
+    ) -> None:
+        self._cell, self._on_progress, self._live = cell, on_progress, live
+        self._target_um, self._growth = target_um, growth
+        self._is_concluded = self._has_ended_badly = False
+        self._failure = MeasurementFailed("the measurement ended early")
+
+    def follow(self) -> RunClosed:
+        heard_s = time.monotonic()
+        while time.monotonic() - heard_s < SILENCE_S:
+            for event in self._cell.poll(0.2):
+                heard_s = time.monotonic()
+                self._handle(event)
+                if isinstance(event, RunClosed):
+                    if self._has_ended_badly:
+                        raise self._failure
                     return event
-        if not concluded and _has_reached(live, target_um):
-            cell.conclude()
-            concluded = True
-        if growth is not None and not concluded:
-            growth.look()
-        if not cell.alive:
-            raise MeasurementFailed("the cell process has died; its Run can be opened")
-    raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
+            self._conclude_or_extend()
+            if not self._cell.alive:
+                raise MeasurementFailed(
+                    "the cell process has died; its Run can be opened"
+                )
+        raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
+
+    def _handle(self, event: CellEvent) -> None:
+        match event:
+            case BlockRecorded(samples) if self._live is not None:
+                self._live.offer(samples)
+            case PartRequested() if self._growth is not None:
+                self._growth.ask()
+            case MeasurementProgress():
+                self._on_progress(*_describe_progress(event))
+            case FaultReported(text=text, action=action):
+                message = "; ".join(filter(None, [text, action]))
+                self._failure = MeasurementFailed(message)
+            case StateChanged(state) if state in _ENDED_BADLY:
+                self._has_ended_badly = True
+
+    def _conclude_or_extend(self) -> None:
+        if self._is_concluded:
+            return
+        if _has_reached(self._live, self._target_um):
+            self._cell.conclude()
+            self._is_concluded = True
+        elif self._growth is not None:
+            self._growth.look()
 
 
 def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:
     lines = f"part {part['part']}: {part['rows']} lines, {part['duration_s']:.0f} s"
-    say(f"{lines}; foretold to leave {2.0 * part['predicted_um']:.2f} µm (k = 2)")
+    say(f"{lines}; predicted to leave {2.0 * part['predicted_um']:.2f} µm (k = 2)")
 
 
 def _has_reached(live: LiveEstimation | None, target_um: float) -> bool:

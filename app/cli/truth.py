@@ -14,7 +14,7 @@ from app.numerics.rigid import cross_matrix
 from app.results.prediction import predict
 
 _POINTS = 500  # places in the volume at which errors are compared
-_SEED = 7  # of the points, which the measurement has not been told
+_SEED = 7  # of the points, which the measurement does not use
 
 
 @dataclass(frozen=True, slots=True)

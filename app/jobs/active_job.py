@@ -1,4 +1,4 @@
-"""One job under way, as its own thread and the threads of requests share it."""
+"""One job under way: state that its own thread and request threads share."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from app.jobs.job import (
     Json,
     Progress,
     Stage,
-    progress_json,
+    encode_progress,
 )
 from app.jobs.outcome import Outcome
 from app.jobs.store import Store
@@ -40,9 +40,10 @@ PUBLISH_EVERY_S = 0.1
 
 
 class ActiveJob:
-    """Wishes come in from requests: `obey`, `arm`, `abort`, `interrupt`.
+    """One job under way. Any thread may call it.
 
-    The job's thread reads them at its checkpoints and writes down how far it is.
+    Request threads call `apply_verb`, `arm`, `abort` and `interrupt`. The job's thread
+    reads what they asked for at its checkpoints, and stores state and progress.
     """
 
     def __init__(
@@ -69,12 +70,12 @@ class ActiveJob:
 
     @property
     def state(self) -> State:
-        """The state the job has last been put into."""
+        """The state that was stored last."""
         return self._state
 
     @property
     def wants_pause(self) -> bool:
-        """Whether a user wants the machine to stand."""
+        """Whether a user has asked for a pause and for nothing since."""
         return self._wants_pause
 
     @property
@@ -83,9 +84,9 @@ class ActiveJob:
         return self._clock() - self._since
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
-        """Put down what a user asks for. Raises IllegalTransition, StaleVersion.
+        """Store what a user asks for. Raises IllegalTransition, StaleVersion.
 
-        A job that stands by itself may still be told to: it then stays so.
+        A job that has paused by itself stays paused once a user asks for a pause.
         """
 
         def change(job: Job) -> Job:
@@ -97,13 +98,13 @@ class ActiveJob:
         return self._remember(self._store.change(self.job_id, change, version=version))
 
     def arm(self) -> None:
-        """Let a ready job go on."""
+        """Let a ready job begin to move."""
         with self._changed:
             self._armed = True
             self._changed.notify_all()
 
     def abort(self) -> None:
-        """End the job because somebody asked. Writes nothing down: that may wait."""
+        """End the job because a user asked. Does not wait for the catalogue."""
         self._cancel(interrupted=False)
 
     def interrupt(self) -> None:
@@ -125,7 +126,7 @@ class ActiveJob:
         self.checkpoint()
 
     def compute(self, computation: Computation) -> Any:
-        """Return what a computation gives; it ends when the job is called off."""
+        """Wait for a computation; it is cancelled when the job is."""
         with self._changed:
             self._computation = computation
         try:
@@ -139,10 +140,10 @@ class ActiveJob:
                 self._computation = None
 
     def enter(self, state: State, stage: Stage, *, unless_pausing: bool = False) -> Job:
-        """Go on to a state or a stage; what the table does not allow changes nothing.
+        """Enter a state or a stage; what the table does not allow changes nothing.
 
-        An abort under way is never left like this, nor with `unless_pausing` a pause
-        that a user has asked for and nobody has confirmed.
+        An abort under way is never left this way. With `unless_pausing` neither is a
+        pause that a user has asked for and the cell has not confirmed.
         """
 
         def change(job: Job) -> Job:
@@ -151,7 +152,7 @@ class ActiveJob:
             pausing = job.state is State.PAUSING and job.wants_pause
             if not allowed or unchanged or (unless_pausing and pausing):
                 return job
-            # However it came about: what moves is not wanted to stand any more.
+            # Once the machine moves, the request for a pause is over.
             moves = state is State.RUNNING and job.wants_pause
             return replace(
                 job,
@@ -167,9 +168,9 @@ class ActiveJob:
         return self._remember(self._store.change(self.job_id, change))
 
     def show_failure(self, failure: Failure | None) -> None:
-        """Show why the job stands, or that it does so no longer.
+        """Store why the machine stands; None when it moves again.
 
-        A complaint while resuming means that the machine is held still.
+        A failure while resuming means that the machine is still held.
         """
 
         def change(job: Job) -> Job:
@@ -211,20 +212,12 @@ class ActiveJob:
         return self._remember(self._store.change(self.job_id, change))
 
     def note_early_end(self, early_end: EarlyEnd) -> None:
-        """Note that the measurement leaves out the rest of its plan, and why."""
-
-        def change(job: Job) -> Job:
-            return job if job.is_final else replace(job, early_end=early_end)
-
-        self._store.change(self.job_id, change)
+        """Store why the measurement leaves out the rest of its plan."""
+        self._store_unless_final(early_end=early_end)
 
     def link_run(self, run_id: str) -> None:
-        """Note which Run the job has made."""
-
-        def change(job: Job) -> Job:
-            return job if job.is_final else replace(job, run_id=run_id)
-
-        self._store.change(self.job_id, change)
+        """Store which Run the job has made."""
+        self._store_unless_final(run_id=run_id)
 
     def report_progress(
         self,
@@ -233,7 +226,7 @@ class ActiveJob:
         stage: Stage | None = None,
         health: Health | None = None,
     ) -> None:
-        """Tell how far the job is, and keep it once a second."""
+        """Publish how far the job is, and store it once a second."""
         is_new_stage = stage is not None and stage is not self._stage
         self._stage = stage or self._stage
         self._progress, self._health = progress, health or self._health
@@ -246,20 +239,26 @@ class ActiveJob:
             self._store_progress()
 
     def set_sample_counts(self, samples: int, lost_samples: int) -> None:
-        """Note what the Run holds: progress may have stopped a little earlier."""
+        """Set what the Run holds: the last progress may be a little older."""
         self._health = replace(self._health, samples=samples, lost_samples=lost_samples)
 
     def publish_live(self, live: Json) -> None:
-        """Show where tracker and axes are, for the eye only."""
+        """Publish where tracker and axes are, for display only."""
         self._event_bus.publish(JobEvent("live", self.job_id, live))
 
     def publish_estimate(self, estimate: Json) -> None:
-        """Show the estimate so far."""
+        """Publish the estimate so far."""
         self._event_bus.publish(JobEvent("estimate", self.job_id, estimate))
 
     def publish_plan(self, part: Json) -> None:
-        """Show that the measurement goes on with a further part."""
+        """Publish that the measurement continues with a further part."""
         self._event_bus.publish(JobEvent("plan", self.job_id, part))
+
+    def _store_unless_final(self, **values: Any) -> None:
+        def change(job: Job) -> Job:
+            return job if job.is_final else replace(job, **values)
+
+        self._store.change(self.job_id, change)
 
     def _remember(self, job: Job) -> Job:
         with self._changed:
@@ -271,7 +270,7 @@ class ActiveJob:
     def _publish_progress(self) -> None:
         body = {
             "stage": str(self._stage),
-            "progress": progress_json(self._progress),
+            "progress": encode_progress(self._progress),
             "health": asdict(self._health),
         }
         self._event_bus.publish(JobEvent("progress", self.job_id, body))

@@ -1,7 +1,7 @@
 """One measurement by the cell, followed from its beginning to its closed Run.
 
-Every answer of the cell has a deadline: where it confirms neither a hold, nor going on,
-nor an abort, its process is ended and the machine's own watchdog holds the feed.
+Every answer of the cell has a deadline. If it does not confirm a hold, a resume or an
+abort in time, its process is killed, and the machine's own watchdog holds the feed.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ CONFIRM_S = {
     State.ABORTING: 10.0,
 }
 CLOSE_RUN_S = 60.0
-INSIST_S = 1.0
-_HEAR_S = 0.1
+REPEAT_S = 1.0
+_POLL_S = 0.1
 
 _STATES = {
     CellState.RUNNING: State.RUNNING,
@@ -54,14 +54,14 @@ _STATES = {
 _ENDS = frozenset(
     {CellState.FINISHED, CellState.ABORTED, CellState.FAILED, CellState.FAULTED}
 )
-_GO_AND_LOOK = (
+_INSPECT_MACHINE = (
     "Make sure that the machine stands, look at the log for the cause, then measure "
     "again; what was recorded is kept."
 )
 
 
 class CellMeasurement:
-    """The events of one measurement, taken in order by the job's thread."""
+    """One measurement, whose events the job's thread handles in order."""
 
     def __init__(
         self,
@@ -81,8 +81,8 @@ class CellMeasurement:
         self._fault: FaultReported | None = None
         self._outcome: CellState | None = None
         self._close_by = float("inf")
-        self._insist_at = time.monotonic() + INSIST_S
-        self._given_up = False
+        self._repeat_at = time.monotonic() + REPEAT_S
+        self._is_killed = False
 
     def run(self, order: MeasurementOrder) -> None:
         """Measure. Returns when the path has been driven and the Run is closed.
@@ -90,42 +90,42 @@ class CellMeasurement:
         Raises Aborted, Interrupted, MeasurementEnded, or MachineFault where somebody
         has to look. What was recorded is on disk in any case.
         """
-        if not self._cell.begin(order, self._events.put, self._is_called_off):
+        if not self._cell.begin(order, self._events.put, self._is_cancelled):
             self._job.checkpoint()
         try:
-            self._follow()
+            self._follow_events()
         except Exception:
             self._cell.abort()
-            self._wait_for_the_end()
+            self._wait_until_closed()
             raise
         finally:
             self._cell.ignore_events()
-        self._judge()
+        self._raise_outcome()
 
-    def _is_called_off(self) -> bool:
+    def _is_cancelled(self) -> bool:
         return self._job.is_cancelled
 
-    def _follow(self) -> None:
+    def _follow_events(self) -> None:
         while True:
-            self._insist()
+            self._repeat_command()
             self._conclude_at_target()
             if self._growth is not None and not self._is_concluded:
                 self._growth.look()
-            self._watch_the_clock()
+            self._check_deadlines()
             try:
-                event = self._events.get(timeout=_HEAR_S)
+                event = self._events.get(timeout=_POLL_S)
             except queue.Empty:
                 continue
             if event is None:
-                self._note_death()
+                self._record_cell_death()
                 return
             if isinstance(event, RunClosed):
                 self._job.set_sample_counts(event.samples, event.lost_samples)
                 return
-            self._take(event)
+            self._handle_event(event)
 
-    def _wait_for_the_end(self) -> None:
-        """Let the cell close its Run when nothing can be written down any more."""
+    def _wait_until_closed(self) -> None:
+        """Let the cell close its Run although the catalogue cannot be written."""
         deadline = time.monotonic() + CLOSE_RUN_S
         while (left_s := deadline - time.monotonic()) > 0:
             try:
@@ -136,11 +136,13 @@ class CellMeasurement:
                 return
         self._cell.kill()
 
-    def _take(self, event: CellEvent) -> None:
+    def _handle_event(self, event: CellEvent) -> None:
         match event:
             case MeasurementProgress():
                 self._job.report_progress(
-                    _progress(event), stage=Stage.MEASURING, health=_health(event)
+                    _convert_progress(event),
+                    stage=Stage.MEASURING,
+                    health=_convert_health(event),
                 )
             case LivePoints():
                 self._job.publish_live(asdict(event))
@@ -149,12 +151,12 @@ class CellMeasurement:
             case PartRequested() if self._growth is not None:
                 self._growth.ask()
             case FaultReported():
-                self._take_fault(event)
+                self._show_fault(event)
             case StateChanged(state):
                 self._follow_state(state)
 
-    def _take_fault(self, fault: FaultReported) -> None:
-        """Show what is wrong. The cell says by its state whether this is the end."""
+    def _show_fault(self, fault: FaultReported) -> None:
+        """Show a fault. Only the state of the cell says whether it ends the job."""
         log.error("fault", job_id=self._job.job_id, **asdict(fault))
         self._fault = fault
         self._job.show_failure(
@@ -169,30 +171,30 @@ class CellMeasurement:
         state = _STATES.get(reported)
         if state is None:
             return
-        # What the cell said before a pause reached it must not undo the pause.
+        # A `running` that the cell sent before a pause reached it must not undo it.
         late = state is State.RUNNING
         job = self._job.enter(state, Stage.MEASURING, unless_pausing=late)
         if job.state is State.RUNNING:
             self._fault = None
             self._job.show_failure(None)
 
-    def _insist(self) -> None:
-        """Repeat what has not been confirmed: it may have come before it could act.
+    def _repeat_command(self) -> None:
+        """Repeat a command that is not confirmed: it may have come too early to act.
 
-        A pause is repeated only where a user wants it: from a stop of its own the cell
-        goes on by itself, from one that it is told it does not.
+        A pause is repeated only if a user asked for it. From a pause of its own the
+        cell continues by itself; from a commanded one it does not.
         """
         now = time.monotonic()
-        if self._outcome or now < self._insist_at:
+        if self._outcome or now < self._repeat_at:
             return
-        self._insist_at = now + INSIST_S
+        self._repeat_at = now + REPEAT_S
         if self._job.is_cancelled:
             self._cell.abort()
         elif self._job.state is State.PAUSING and self._job.wants_pause:
             self._cell.pause()
 
     def _conclude_at_target(self) -> None:
-        """End in order as soon as the volumetric uncertainty is what was asked for."""
+        """Conclude as soon as the volumetric uncertainty has reached the target."""
         if self._is_concluded or self._target_um is None or self._live is None:
             return
         newest = self._live.newest
@@ -206,33 +208,35 @@ class CellMeasurement:
             early_end = EarlyEnd(reached_um, newest["done"], newest["total"])
             self._job.note_early_end(early_end)
 
-    def _watch_the_clock(self) -> None:
+    def _check_deadlines(self) -> None:
         state = self._job.state
         limit_s = float("inf") if self._outcome else self._confirm_s.get(state)
         overdue = limit_s is not None and self._job.state_lasts_s > limit_s
-        if overdue and not self._given_up:
-            self._give_up(f"not-{state}", f"the cell has not confirmed {state} in time")
+        if overdue and not self._is_killed:
+            self._kill_cell(
+                f"not-{state}", f"the cell has not confirmed {state} in time"
+            )
         if time.monotonic() > self._close_by:
             self._close_by = float("inf")
-            self._give_up("run-not-closed", "the cell has not closed its Run in time")
+            self._kill_cell("run-not-closed", "the cell has not closed its Run in time")
 
-    def _give_up(self, code: str, text: str) -> None:
+    def _kill_cell(self, code: str, text: str) -> None:
         log.error("cell given up", job_id=self._job.job_id, code=code)
-        self._given_up = True
+        self._is_killed = True
         ended = f"{text}; its process was ended and the machine's watchdog holds"
-        self._fault = FaultReported(code, ended, _GO_AND_LOOK)
+        self._fault = FaultReported(code, ended, _INSPECT_MACHINE)
         self._cell.kill()
 
-    def _note_death(self) -> None:
+    def _record_cell_death(self) -> None:
         self._outcome = CellState.FAULTED
         self._fault = self._fault or FaultReported(
             "cell-died",
             "the cell process has died; the machine's watchdog holds",
-            _GO_AND_LOOK,
+            _INSPECT_MACHINE,
         )
 
-    def _judge(self) -> None:
-        """Return if all is well, else raise what the outcome means."""
+    def _raise_outcome(self) -> None:
+        """Return if the measurement has finished, else raise what its end means."""
         fault = self._fault or FaultReported("", "", "")
         code, text, action = fault.code, fault.text, fault.action
         if self._outcome is CellState.FAULTED:
@@ -248,7 +252,7 @@ class CellMeasurement:
         raise MeasurementFailed("the cell closed its Run without saying why")
 
 
-def _progress(event: MeasurementProgress) -> Progress:
+def _convert_progress(event: MeasurementProgress) -> Progress:
     return Progress(
         done=float(event.done),
         total=float(event.total),
@@ -259,5 +263,5 @@ def _progress(event: MeasurementProgress) -> Progress:
     )
 
 
-def _health(event: MeasurementProgress) -> Health:
+def _convert_health(event: MeasurementProgress) -> Health:
     return Health(event.samples, event.lost_samples, event.crc_errors)

@@ -66,7 +66,7 @@ class Database:
         """
         deadline = time.monotonic() + self._patience_s
         with self._writer:
-            result = self._committed(change, deadline)
+            result = self._commit(change, deadline)
             if then is not None:
                 then(result)
             return result
@@ -104,7 +104,7 @@ class Database:
         """Release every connection."""
         self.engine.dispose()
 
-    def _committed(self, change: Callable[[Connection], T], deadline: float) -> T:
+    def _commit(self, change: Callable[[Connection], T], deadline: float) -> T:
         while True:
             try:
                 with self.engine.connect() as raw:

@@ -1,4 +1,4 @@
-"""Takes jobs and verbs from users. Waits for no motion; abort goes before all else."""
+"""Accepts jobs and verbs from users. Waits for no motion; abort comes first."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Dispatcher:
         self._closing = False
 
     def interrupt_unfinished_jobs(self) -> None:
-        """Put down what a service that ended before had left. Moves nothing."""
-        for job in self._context.store.unfinished():
+        """Mark jobs that an earlier service left unfinished. Moves nothing."""
+        for job in self._context.store.list_unfinished():
             self._interrupt(job)
         self._context.runs.remove_uploads()
         self._context.store.prune()
@@ -55,7 +55,7 @@ class Dispatcher:
         Raises BadInput for a plan that must not be driven, NotFound for an unknown Run,
         CellBusy, KeyReused, NoMachine.
         """
-        earlier = self._context.store.by_key(key) if key is not None else None
+        earlier = self._context.store.find_by_key(key) if key is not None else None
         if earlier is not None:
             return earlier, False
         new = check_requested_job(request, self._context)
@@ -78,20 +78,20 @@ class Dispatcher:
     def pause(self, job_id: str) -> Job:
         """Hold the feed. Raises IllegalTransition where nothing can move.
 
-        The cell is told even if it stands: it might go on by itself.
+        The cell gets the command even if it has paused: it might continue by itself.
         """
         active = self._find_active(job_id, Verb.PAUSE)
         self._refuse_computing(self._context.store.get(job_id))
         job = active.apply_verb(Verb.PAUSE)
         if job.state in PAUSE_STATES:
-            self._cell_verb(Verb.PAUSE)
+            self._command_cell(Verb.PAUSE)
         return job
 
     def resume(self, job_id: str, version: int) -> Job:
         """Go on after a hold. Raises StaleVersion, IllegalTransition."""
         job = self._find_active(job_id, Verb.RESUME).apply_verb(Verb.RESUME, version)
         if job.state is State.RESUMING:
-            self._cell_verb(Verb.RESUME)
+            self._command_cell(Verb.RESUME)
         return job
 
     def abort(self, job_id: str) -> Job:
@@ -99,15 +99,15 @@ class Dispatcher:
         active = self._active.get(job_id)
         if active is None:
             return self._context.store.get(job_id)
-        # First the machine, then the books: the catalogue may keep us waiting.
+        # First the machine, then the catalogue, which may make this thread wait.
         active.abort()
         if active.kind.measures:
-            self._cell_verb(Verb.ABORT)
+            self._command_cell(Verb.ABORT)
         return active.apply_verb(Verb.ABORT)
 
     def stop(self) -> list[Job]:
         """Stop all motion, whichever job it belongs to, and those jobs with it."""
-        self._cell_verb(Verb.ABORT)
+        self._command_cell(Verb.ABORT)
         under_way = list(self._active.values())
         return [self.abort(c.job_id) for c in under_way if c.kind.measures]
 
@@ -118,7 +118,7 @@ class Dispatcher:
             under_way, threads = list(self._active.values()), list(self._threads)
         for active in under_way:
             active.interrupt()
-        stopped = self._cell_verb(Verb.ABORT)
+        stopped = self._command_cell(Verb.ABORT)
         deadline = time.monotonic() + timeout_s
         if stopped is not None:
             with suppress(CellDown, TimeoutError):
@@ -132,7 +132,7 @@ class Dispatcher:
         thread = threading.Thread(target=self._work, args=(job, active), name=name)
         with self._lock:
             if self._closing:
-                return  # the next start finds it queued and puts it down as interrupted
+                return  # the next start finds it queued and marks it as interrupted
             self._active[job.id] = active
             self._threads = [t for t in self._threads if t.is_alive()] + [thread]
             thread.start()
@@ -175,7 +175,7 @@ class Dispatcher:
                 f"cannot pause a job that is {job.stage}: nothing moves any more"
             )
 
-    def _cell_verb(self, verb: Verb) -> Future[None] | None:
+    def _command_cell(self, verb: Verb) -> Future[None] | None:
         cell = self._context.cell
         if cell is None:
             return None

@@ -8,8 +8,11 @@ from app.errors import Busy, JobError, MeasurementFailed, TruepathError
 class StaleVersion(JobError):
     """Somebody else changed the job since its version was read."""
 
-    def __init__(self, text: str, current: int) -> None:
-        super().__init__(text)
+    def __init__(self, version: int, current: int, state: str) -> None:
+        super().__init__(
+            f"version {version} of the job is not the current one, {current} "
+            f"({state}); read the job again"
+        )
         self.current = current
 
 
@@ -60,7 +63,7 @@ class MachineFault(MeasurementEnded):
 
 
 class Aborted(TruepathError):
-    """The job was told to stop. Not a failure."""
+    """A user ended the job. Not a failure."""
 
 
 class Interrupted(TruepathError):

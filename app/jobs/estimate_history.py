@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 JOBS = 16
-"""So many jobs are remembered, those whose estimates are the newest."""
+"""Number of jobs whose estimates are kept: those with the newest ones."""
 COURSE = ("elapsed_s", "done", "volumetric_uncertainty_um")
 
 
@@ -20,14 +20,14 @@ class _Remembered:
 
 
 class EstimateHistory:
-    """Keeps what `estimate` notices say. Any thread may call it."""
+    """Estimates of `estimate` events by job. Any thread may call it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._jobs: OrderedDict[str, _Remembered] = OrderedDict()
 
     def add(self, job_id: str, body: Mapping[str, Any]) -> None:
-        """Keep an estimate; one that is only told again adds nothing to the course."""
+        """Add an estimate; a repeated one adds no step to the course."""
         step = tuple(body[name] for name in COURSE)
         with self._lock:
             job = self._jobs.setdefault(job_id, _Remembered(body))

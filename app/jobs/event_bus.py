@@ -1,4 +1,4 @@
-"""Tells whoever listens what happens: kept events and those that are only for now."""
+"""Publishes events of jobs to listeners: stored events and momentary ones."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from app.jobs.rows import StoredEvent
 
 @dataclass(frozen=True, slots=True)
 class JobEvent:
-    """One event: `job` is kept, with its identifier.
+    """One event of a job.
 
-    `progress`, `live`, `estimate` and `plan` are not.
+    type : `job` is stored in the catalogue and has its `id`; `progress`, `live`,
+        `estimate` and `plan` are not
     """
 
     type: str
@@ -28,11 +29,11 @@ Listener = Callable[[JobEvent], None]
 
 
 class EventBus:
-    """Fans notices out.
+    """Passes events to every listener.
 
-    Listeners are called by the thread that tells: they return at once.
+    Listeners are called by the thread that publishes, so they must return at once.
 
-    estimates : what the notices `estimate` have said
+    estimates : history of the `estimate` events
     """
 
     def __init__(self) -> None:
@@ -45,18 +46,18 @@ class EventBus:
         with self._lock:
             self._listeners += (listener,)
 
-        def forget() -> None:
+        def unsubscribe() -> None:
             with self._lock:
                 self._listeners = tuple(x for x in self._listeners if x is not listener)
 
-        return forget
+        return unsubscribe
 
-    def publish(self, notice: JobEvent) -> None:
-        """Pass a notice to every listener."""
-        if notice.type == "estimate" and notice.job_id is not None:
-            self.estimates.add(notice.job_id, notice.body)
+    def publish(self, event: JobEvent) -> None:
+        """Pass an event to every listener."""
+        if event.type == "estimate" and event.job_id is not None:
+            self.estimates.add(event.job_id, event.body)
         for listener in self._listeners:
-            listener(notice)
+            listener(event)
 
     def publish_stored(self, event: StoredEvent) -> None:
         """Pass on an event that the catalogue has kept."""

@@ -187,15 +187,15 @@ class NewJob:
     further_run_ids: tuple[str, ...] = ()
 
 
-def job_json(job: Job) -> dict[str, Any]:
+def encode_job(job: Job) -> dict[str, Any]:
     """Return the record as events keep it."""
     content = asdict(job)
-    content["progress"] = progress_json(job.progress)
+    content["progress"] = encode_progress(job.progress)
     content["further_run_ids"] = list(job.further_run_ids)
     return content
 
 
-def job_from_json(content: Json) -> Job:
+def decode_job(content: Json) -> Job:
     """Return the record that `job_json` wrote."""
     failure, early_end = content["failure"], content.get("early_end")
     monte_carlo = content.get("monte_carlo")
@@ -205,7 +205,7 @@ def job_from_json(content: Json) -> Job:
             "kind": JobKind(content["kind"]),
             "state": State(content["state"]),
             "stage": Stage(content["stage"]),
-            "progress": progress_from_json(content["progress"]),
+            "progress": decode_progress(content["progress"]),
             "health": Health(**content["health"]),
             "further_run_ids": tuple(content.get("further_run_ids") or ()),
             "failure": Failure(**failure) if failure else None,
@@ -215,24 +215,24 @@ def job_from_json(content: Json) -> Job:
     )
 
 
-def progress_json(progress: Progress) -> dict[str, Any]:
+def encode_progress(progress: Progress) -> dict[str, Any]:
     """Return the progress as a JSON column keeps it."""
     return {**asdict(progress), "position": list(progress.position)}
 
 
-def progress_from_json(content: Json) -> Progress:
+def decode_progress(content: Json) -> Progress:
     """Return the progress that a JSON column holds."""
     return Progress(**{**content, "position": tuple(content["position"])})
 
 
-def new_id() -> str:
+def make_id() -> str:
     """Return an identifier that sorts by time: a UUID of version 7."""
     stamp = (time.time_ns() // 1_000_000) << 80
     noise = int.from_bytes(os.urandom(10)) & ~(0xF << 76) & ~(0x3 << 62)
     return str(uuid.UUID(int=stamp | 0x7 << 76 | 0x2 << 62 | noise))
 
 
-def now_utc() -> str:
+def format_utc_now() -> str:
     """Return the time in UTC as people and JSON read it, to the millisecond."""
     text = datetime.now(UTC).isoformat(timespec="milliseconds")
     return text.replace("+00:00", "Z")

@@ -98,7 +98,8 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
         if kind is JobKind.MEASURE_STANDSTILL:
             return plan_json(default_points(machine))
         return {}  # the default path takes a worker process seconds
-    job, plan = context.store.get(request.plan_id), context.store.plan(request.plan_id)
+    job = context.store.get(request.plan_id)
+    plan = context.store.read_plan(job.id)
     if job.kind is not JobKind.PLAN:
         raise NotFound(f"there is no plan {request.plan_id}")
     if plan is None:
@@ -115,7 +116,7 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> NewJob:
     job = context.store.get(request.discovery_id or "")
     if not job.has_discovery:
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
-    model_id = context.store.plan_request(job.id).get("model_id")
+    model_id = context.store.read_plan_request(job.id).get("model_id")
     rows = extra_lines(machine, context.results / job.id, job.id)
     plan = {**rows, "request": {"model_id": model_id}}
     return NewJob(JobKind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)

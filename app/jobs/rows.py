@@ -16,21 +16,16 @@ from sqlalchemy import Connection, RowMapping, insert, select, update
 from app.errors import NotFound
 from app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from app.jobs.job import (
-    EarlyEnd,
-    Failure,
-    Health,
     Job,
-    JobKind,
     NewJob,
     Stage,
-    job_json,
-    new_id,
-    now_utc,
-    progress_from_json,
+    decode_job,
+    encode_job,
+    format_utc_now,
+    make_id,
 )
 from app.jobs.schema import events, idempotency_keys, jobs
 from app.jobs.transitions import FINAL, State
-from app.numerics.adaptive_trials import TrialPlan
 
 JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
 _OPEN = tuple(str(state) for state in State if state not in FINAL)
@@ -59,33 +54,24 @@ class IdempotencyKey:
         return hashlib.sha256(self.body).hexdigest()
 
 
-def stale(job: Job, version: int) -> StaleVersion:
-    """Return the error of a version that has been overtaken."""
-    return StaleVersion(
-        f"version {version} of the job is not the current one, {job.version} "
-        f"({job.state}); read the job again",
-        job.version,
-    )
-
-
-def job_of(connection: Connection, job_id: str) -> Job:
+def read_job(connection: Connection, job_id: str) -> Job:
     """Return a job. Raises NotFound."""
     query = JOBS.where(jobs.c.id == job_id)
     row = connection.execute(query).mappings().first()
     if row is None:
         raise NotFound(f"there is no job {job_id}")
-    return job_from(row)
+    return decode_job({**row})
 
 
-def unfinished_jobs(connection: Connection) -> list[Job]:
+def read_unfinished_jobs(connection: Connection) -> list[Job]:
     """Return the jobs that have not ended, oldest first."""
     query = JOBS.where(jobs.c.state.in_(_OPEN)).order_by(jobs.c.seq)
-    return [job_from(row) for row in connection.execute(query).mappings()]
+    return [decode_job({**row}) for row in connection.execute(query).mappings()]
 
 
-def refuse_second(connection: Connection) -> None:
+def refuse_second_measurement(connection: Connection) -> None:
     """Raise CellBusy if another job measures."""
-    for job in unfinished_jobs(connection):
+    for job in read_unfinished_jobs(connection):
         if job.kind.measures:
             raise CellBusy(job.id, job.state)
 
@@ -94,13 +80,13 @@ def insert_job(connection: Connection, new: NewJob) -> Job:
     """Write a new job and return it with its number."""
     job = Job(
         seq=0,
-        id=new_id(),
+        id=make_id(),
         kind=new.kind,
         state=State.QUEUED,
         desired_state=str(State.READY if new.kind.measures else State.SUCCEEDED),
         version=1,
         stage=Stage.WAITING,
-        created=now_utc(),
+        created=format_utc_now(),
         run_id=new.run_id,
         further_run_ids=new.further_run_ids,
         perpendicular_only=new.perpendicular_only,
@@ -119,50 +105,31 @@ def update_job(connection: Connection, before: Job, after: Job) -> None:
     values = _columns(after)
     done = connection.execute(update(jobs).where(same).values(**values))
     if done.rowcount != 1:
-        raise stale(job_of(connection, before.id), before.version)
+        now = read_job(connection, before.id)
+        raise StaleVersion(before.version, now.version, now.state)
 
 
 def _columns(job: Job) -> dict[str, Any]:
-    content = job_json(job)
+    content = encode_job(job)
     del content["seq"]
     return content
 
 
-def job_from(row: RowMapping) -> Job:
-    """Return the job of a row."""
-    failure, early_end = row["failure"], row["early_end"]
-    monte_carlo = row["monte_carlo"]
-    return Job(
-        **{
-            **row,
-            "kind": JobKind(row["kind"]),
-            "state": State(row["state"]),
-            "stage": Stage(row["stage"]),
-            "progress": progress_from_json(row["progress"]),
-            "health": Health(**row["health"]),
-            "further_run_ids": tuple(row["further_run_ids"] or ()),
-            "failure": Failure(**failure) if failure else None,
-            "early_end": EarlyEnd(**early_end) if early_end else None,
-            "monte_carlo": TrialPlan(**monte_carlo) if monte_carlo else None,
-        }
-    )
-
-
 def insert_event(connection: Connection, job: Job) -> StoredEvent:
     """Write that a job has changed."""
-    body = job_json(job)
-    row = {"job_id": job.id, "type": "job", "body": body, "created": now_utc()}
+    body = encode_job(job)
+    row = {"job_id": job.id, "type": "job", "body": body, "created": format_utc_now()}
     done = connection.execute(insert(events).values(**row))
     assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
     return StoredEvent(done.inserted_primary_key[0], job.id, "job", body)
 
 
-def event_from(row: RowMapping) -> StoredEvent:
+def decode_event(row: RowMapping) -> StoredEvent:
     """Return the event of a row."""
     return StoredEvent(row["id"], row["job_id"], row["type"], row["body"])
 
 
-def job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
+def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
     """Return the job that a key has made. Raises KeyReused."""
     query = select(idempotency_keys).where(idempotency_keys.c.key == key.value)
     row = connection.execute(query).mappings().first()
@@ -173,7 +140,7 @@ def job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
             f"Idempotency-Key {key.value!r} has made job {row['job_id']} from another "
             "body; use a new key for a new job"
         )
-    return job_of(connection, row["job_id"])
+    return read_job(connection, row["job_id"])
 
 
 def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import tempfile
 import threading
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,12 +19,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import RowMapping, insert, select
 
-from app.errors import BundleError, NotFound
+from app.errors import NotFound
 from app.files.bundle import read_bundle, zip_bundle
 from app.files.run import Run
 from app.files.whole_files import replace_file, sync_folder
 from app.jobs.database import Database
-from app.jobs.job import new_id, now_utc
+from app.jobs.job import format_utc_now, make_id
 from app.jobs.plans import plan_json
 from app.jobs.schema import runs
 from app.measurement.recording import open_run, repair_run
@@ -68,7 +66,7 @@ class RunCatalogue:
         self._packing = threading.Lock()
         folder.mkdir(parents=True, exist_ok=True)
 
-    def measured_file(self, run_id: str) -> Path:
+    def name_run_file(self, run_id: str) -> Path:
         """Return where the cell records the Run."""
         return self._folder / f"{run_id}.sqlite"
 
@@ -78,7 +76,7 @@ class RunCatalogue:
         A file whose writer was killed is settled first: nobody may be writing to it.
         Twice is once.
         """
-        file = self.measured_file(run_id)
+        file = self.name_run_file(run_id)
         if not file.is_file():
             return None
         try:
@@ -94,7 +92,7 @@ class RunCatalogue:
 
         bundle : a file of ours in the folder of runs; it is moved
         """
-        run_id = new_id()
+        run_id = make_id()
         run = read_bundle(bundle)
         file = self._folder / f"{run_id}.zip"
         os.replace(bundle, file)
@@ -110,7 +108,9 @@ class RunCatalogue:
             raise NotFound(f"there is no run {run_id}")
         return _record(row)
 
-    def page(self, limit: int, *, before_seq: int | None = None) -> list[RunRecord]:
+    def list_page(
+        self, limit: int, *, before_seq: int | None = None
+    ) -> list[RunRecord]:
         """Return Runs, the newest first, older than `before_seq`."""
         query = select(runs).order_by(runs.c.seq.desc()).limit(limit)
         if before_seq is not None:
@@ -137,7 +137,7 @@ class RunCatalogue:
                 replace_file(packed, zip_bundle(open_run(file)))
         return packed
 
-    def upload_place(self) -> Path:
+    def make_upload_file(self) -> Path:
         """Return a new empty file in the folder of runs, for an upload to fill."""
         handle, name = tempfile.mkstemp(".upload", dir=self._folder)
         os.close(handle)
@@ -172,7 +172,7 @@ class RunCatalogue:
             lost_samples=_lost(run),
             complete=complete,
             plan=plan_json(run.commanded),
-            created=now_utc(),
+            created=format_utc_now(),
         )
         values = asdict(record)
         del values["seq"]
@@ -187,25 +187,6 @@ def open_recorded(file: Path) -> Run:
     return read_bundle(file) if file.suffix == ".zip" else open_run(file)
 
 
-def check_archive(file: Path, limit_bytes: int) -> None:
-    """Refuse an archive that would unpack to more than a limit. Raises BundleError."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            total = sum(info.file_size for info in archive.infolist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise BundleError(
-            "is truncated or not a zip archive",
-            file="bundle",
-            remedy="send the .zip of a measurement bundle",
-        ) from error
-    if total > limit_bytes:
-        raise BundleError(
-            f"unpacks to {total >> 20} MiB, more than {limit_bytes >> 20} MiB",
-            file="bundle",
-            remedy="use tracker.parquet, or raise max_upload_mb",
-        )
-
-
 def _record(row: RowMapping) -> RunRecord:
     return RunRecord(**row)
 
@@ -217,8 +198,3 @@ def _lost(run: Run) -> int:
 def _sha256(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the room left on the disk of a folder."""
-    return shutil.disk_usage(folder).free

@@ -64,7 +64,7 @@ class JobSteps:
 
     def read_commanded(self) -> Commanded:
         """Return what the machine will drive, checked against its travel."""
-        commanded = commanded_from_plan(self.context.store.plan(self.job.id) or {})
+        commanded = commanded_from_plan(self.context.store.read_plan(self.job.id) or {})
         check_travel(self.context.require_machine(), commanded)
         return commanded
 
@@ -109,7 +109,7 @@ class JobSteps:
         machine = self.context.require_machine()
         order = MeasurementOrder(
             run_name=f"{machine.name} {self.job.created}",
-            run_file=str(self.context.runs.measured_file(self.job.id)),
+            run_file=str(self.context.runs.name_run_file(self.job.id)),
             machine=machine,
             commanded=commanded,
             rate_hz=machine.tracker.rate_hz,
@@ -184,7 +184,7 @@ class JobSteps:
 
     def _find_model(self) -> tuple[str | None, str | None]:
         """Return file and identifier of the model that the job builds on, if any."""
-        model_id = self.context.store.plan_request(self.job.id).get("model_id")
+        model_id = self.context.store.read_plan_request(self.job.id).get("model_id")
         if model_id is None:
             return None, None
         return str(find_model_file(self.context.results, model_id)), model_id
@@ -192,7 +192,7 @@ class JobSteps:
     def _plan_order(self) -> Json:
         """Return what is asked of a plan, with the file of the model it builds on."""
         file, _ = self._find_model()
-        request = self.context.store.plan_request(self.job.id)
+        request = self.context.store.read_plan_request(self.job.id)
         return {**request, "model_file": file}
 
     def _compute(

@@ -15,6 +15,7 @@ from typing import Any
 from sqlalchemy import Connection, delete, func, select, update
 
 from app.jobs.database import Database
+from app.jobs.errors import StaleVersion
 from app.jobs.job import (
     Health,
     Job,
@@ -22,23 +23,22 @@ from app.jobs.job import (
     NewJob,
     Progress,
     Stage,
-    now_utc,
-    progress_json,
+    decode_job,
+    encode_progress,
+    format_utc_now,
 )
 from app.jobs.rows import (
     JOBS,
     IdempotencyKey,
     StoredEvent,
-    event_from,
+    decode_event,
+    find_job_by_key,
     insert_event,
     insert_job,
     insert_key,
-    job_by_key,
-    job_from,
-    job_of,
-    refuse_second,
-    stale,
-    unfinished_jobs,
+    read_job,
+    read_unfinished_jobs,
+    refuse_second_measurement,
     update_job,
 )
 from app.jobs.schema import events, idempotency_keys, jobs
@@ -55,7 +55,7 @@ Listener = Callable[[StoredEvent], None]
 class Store:
     """The catalogue of jobs. Any thread may call it.
 
-    listener : told of every event after its commit, in the order of their identifiers
+    listener : receives every event after its commit, in the order of identifiers
     """
 
     def __init__(self, database: Database, listener: Listener) -> None:
@@ -71,48 +71,48 @@ class Store:
         """
 
         def change(connection: Connection) -> tuple[Job, StoredEvent | None]:
-            earlier = job_by_key(connection, key) if key else None
+            earlier = find_job_by_key(connection, key) if key else None
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
-                refuse_second(connection)
+                refuse_second_measurement(connection)
             job = insert_job(connection, new)
             if key is not None:
                 insert_key(connection, key, job.id)
             return job, insert_event(connection, job)
 
-        job, event = self._database.write(change, self._tell)
+        job, event = self._database.write(change, self._publish)
         return job, event is not None
 
-    def by_key(self, key: IdempotencyKey) -> Job | None:
+    def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:
-            return job_by_key(connection, key)
+            return find_job_by_key(connection, key)
 
     def get(self, job_id: str) -> Job:
         """Return a job. Raises NotFound."""
         with self._database.read() as connection:
-            return job_of(connection, job_id)
+            return read_job(connection, job_id)
 
-    def plan(self, job_id: str) -> Mapping[str, Any] | None:
+    def read_plan(self, job_id: str) -> Mapping[str, Any] | None:
         """Return what a job commands or has planned; None if it does not, or not yet.
 
         Beside the rows stand `request` and `document` of what has been planned.
         """
-        content = self._plan_content(job_id)
+        content = self._read_plan_content(job_id)
         return content if "kind" in content else None
 
-    def plan_request(self, job_id: str) -> Mapping[str, Any]:
+    def read_plan_request(self, job_id: str) -> Mapping[str, Any]:
         """Return what is asked of the plan of a job, nothing if nothing is."""
-        return self._plan_content(job_id).get("request") or {}
+        return self._read_plan_content(job_id).get("request") or {}
 
     def keep_plan(self, job_id: str, plan: Mapping[str, Any]) -> None:
         """Keep what has been planned beside what was asked."""
-        content = {"request": self.plan_request(job_id), **plan}
+        content = {"request": self.read_plan_request(job_id), **plan}
         query = update(jobs).where(jobs.c.id == job_id).values(plan=content)
         self._database.write(lambda connection: connection.execute(query).rowcount)
 
-    def page(
+    def list_page(
         self,
         limit: int,
         *,
@@ -129,12 +129,12 @@ class Store:
         if kinds:
             query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
         with self._database.read() as connection:
-            return [job_from(row) for row in connection.execute(query).mappings()]
+            return [decode_job({**row}) for row in connection.execute(query).mappings()]
 
-    def unfinished(self) -> list[Job]:
+    def list_unfinished(self) -> list[Job]:
         """Return the jobs that have not ended, the oldest first."""
         with self._database.read() as connection:
-            return unfinished_jobs(connection)
+            return read_unfinished_jobs(connection)
 
     def change(
         self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
@@ -147,19 +147,19 @@ class Store:
         """
 
         def apply(connection: Connection) -> tuple[Job, StoredEvent | None]:
-            before = job_of(connection, job_id)
+            before = read_job(connection, job_id)
             if version is not None and before.version != version:
-                raise stale(before, version)
+                raise StaleVersion(version, before.version, before.state)
             after = change(before)
             if after is before:
                 return before, None
             if after.state is not before.state:
                 check_transition(before.state, after.state)
-            after = _stamped(before, replace(after, version=before.version + 1))
+            after = _stamp_times(before, replace(after, version=before.version + 1))
             update_job(connection, before, after)
             return after, insert_event(connection, after)
 
-        return self._database.write(apply, self._tell)[0]
+        return self._database.write(apply, self._publish)[0]
 
     def keep_progress(
         self, job_id: str, stage: Stage, progress: Progress, health: Health
@@ -167,13 +167,13 @@ class Store:
         """Keep how far a job is, without a new version."""
         values = {
             "stage": str(stage),
-            "progress": progress_json(progress),
+            "progress": encode_progress(progress),
             "health": asdict(health),
         }
         query = update(jobs).where(jobs.c.id == job_id).values(**values)
         self._database.write(lambda connection: connection.execute(query).rowcount)
 
-    def events_after(
+    def read_events_after(
         self, event_id: int, *, job_id: str | None = None
     ) -> list[StoredEvent]:
         """Return kept events in order, at most 500 after `event_id`."""
@@ -182,9 +182,9 @@ class Store:
             query = query.where(events.c.job_id == job_id)
         with self._database.read() as connection:
             rows = connection.execute(query.limit(_MOST_EVENTS)).mappings()
-            return [event_from(row) for row in rows]
+            return [decode_event(row) for row in rows]
 
-    def last_event_id(self) -> int:
+    def read_last_event_id(self) -> int:
         """Return the identifier of the newest event, 0 if there is none."""
         with self._database.read() as connection:
             return connection.execute(select(func.max(events.c.id))).scalar() or 0
@@ -192,7 +192,7 @@ class Store:
     def prune(self, *, keep_events: int = KEEP_EVENTS) -> None:
         """Forget events and idempotency keys that nobody can still ask for."""
         oldest_s = int(time.time()) - KEEP_KEYS_S
-        last = self.last_event_id()
+        last = self.read_last_event_id()
 
         def change(connection: Connection) -> None:
             connection.execute(delete(events).where(events.c.id <= last - keep_events))
@@ -201,20 +201,20 @@ class Store:
 
         self._database.write(change)
 
-    def _plan_content(self, job_id: str) -> Mapping[str, Any]:
+    def _read_plan_content(self, job_id: str) -> Mapping[str, Any]:
         query = select(jobs.c.plan).where(jobs.c.id == job_id)
         with self._database.read() as connection:
             return connection.execute(query).scalar() or {}
 
-    def _tell(self, outcome: tuple[Job, StoredEvent | None]) -> None:
+    def _publish(self, outcome: tuple[Job, StoredEvent | None]) -> None:
         event = outcome[1]
         if event is not None:
             self._listener(event)
 
 
-def _stamped(before: Job, after: Job) -> Job:
+def _stamp_times(before: Job, after: Job) -> Job:
     if after.started is None and after.state is State.RUNNING:
-        after = replace(after, started=now_utc())
+        after = replace(after, started=format_utc_now())
     if after.is_final and not before.is_final:
-        after = replace(after, ended=now_utc())
+        after = replace(after, ended=format_utc_now())
     return after

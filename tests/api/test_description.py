@@ -155,13 +155,22 @@ NO_ANSWER = {
 )
 def test_every_family_of_errors_is_a_kind_of_problem(family):
     kind = next(
-        (failures.KINDS[f] for f in family.__mro__ if f in failures.KINDS), None
+        (
+            failures.PROBLEM_KINDS[f]
+            for f in family.__mro__
+            if f in failures.PROBLEM_KINDS
+        ),
+        None,
     )
     assert (kind is None) == (family.__name__ in NO_ANSWER)
 
 
 def test_codes_and_titles_read_well():
-    kinds = [*failures.KINDS.values(), *failures.BY_STATUS.values(), failures.INTERNAL]
+    kinds = [
+        *failures.PROBLEM_KINDS.values(),
+        *failures.BY_STATUS.values(),
+        failures.INTERNAL,
+    ]
     for kind in kinds:
         assert re.fullmatch(r"[a-z]+(-[a-z]+)*", kind.code)
         assert not kind.title.endswith(".")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.api.models.job import job_out
-from app.jobs.job import job_from_json
+from app.api.models.job import describe_job
+from app.jobs.job import decode_job
 
 
 @pytest.fixture
@@ -56,8 +56,8 @@ def test_a_job_says_that_and_why_it_ended_early(client, armed, estimates, until)
 def test_the_event_of_an_early_end_says_why(client, armed, estimates, until, service):
     estimates[-1].publish(1.75, done=6)
     until(armed, "succeeded")
-    *_, last = service.store.events_after(0, job_id=armed["id"])
-    end = job_out(job_from_json(last.body)).early_end
+    *_, last = service.store.read_events_after(0, job_id=armed["id"])
+    end = describe_job(decode_job(last.body)).early_end
     assert end is not None
     assert (end.reached_um, end.done) == (1.75, 6)
 

@@ -89,7 +89,7 @@ def test_a_measurement_keeps_the_model_for_its_analysis(client, model, service, 
     answer = client.post(JOBS, json={**order, "model_id": model})
     assert answer.status_code == 202, answer.text
     job = answer.json()["id"]
-    assert service.store.plan_request(job)["model_id"] == model
+    assert service.store.read_plan_request(job)["model_id"] == model
     client.post(f"{JOBS}/{job}/abort")
 
 

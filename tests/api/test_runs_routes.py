@@ -151,7 +151,7 @@ def test_members_that_point_out_of_the_archive_are_refused(client, bundle, is_pr
     ],
 )
 def test_the_name_of_a_file_is_for_people_only(filename, name):
-    assert run_routes.run_name(filename) == name
+    assert run_routes.clean_run_name(filename) == name
 
 
 def test_an_analysis_says_which_trials_it_is_held_against(client, bundle, until):

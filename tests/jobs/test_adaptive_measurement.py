@@ -55,7 +55,7 @@ class Followed:
         )
         job, _ = self.dispatcher.create(request)
         ready = wait_until(lambda: self._in(job.id, State.READY), "the first part")
-        self.first = self.context.store.plan(job.id)
+        self.first = self.context.store.read_plan(job.id)
         self.dispatcher.arm(job.id, ready.version)
         return wait_until(lambda: self._ended(job.id), "the end")
 

@@ -130,7 +130,7 @@ def test_a_model_that_is_not_there_is_refused_before_the_job_is_made(
     ended(context, analysed)
     found = find_model_file(context.results, analysed.id)
     assert found.name == "result.json"
-    assert len(context.store.page(10)) == 1
+    assert len(context.store.list_page(10)) == 1
 
 
 def test_the_task_writes_what_the_contract_asks_and_models_compare(small_run, tmp_path):

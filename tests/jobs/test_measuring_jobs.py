@@ -19,7 +19,7 @@ from app.jobs.errors import (
     StaleVersion,
     StorageUnavailable,
 )
-from app.jobs.job import EarlyEnd, JobKind, NewJob, job_from_json
+from app.jobs.job import EarlyEnd, JobKind, NewJob, decode_job
 from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
 from app.jobs.requested_job import RequestedJob
 from app.jobs.rows import IdempotencyKey
@@ -99,9 +99,9 @@ def test_an_early_end_is_told_as_an_event_that_is_kept(followed, context, until)
     job, live = followed(replace(OTF, target_um=2.0))
     live.publish(1.5, done=3)
     until(job, "succeeded")
-    bodies = [event.body for event in context.store.events_after(0, job_id=job.id)]
+    bodies = [event.body for event in context.store.read_events_after(0, job_id=job.id)]
     assert bodies[0]["early_end"] is None
-    assert job_from_json(bodies[-1]).early_end == EarlyEnd(1.5, 3, 10)
+    assert decode_job(bodies[-1]).early_end == EarlyEnd(1.5, 3, 10)
 
 
 def test_a_job_is_planned_armed_measured_and_analysed(
@@ -195,7 +195,7 @@ def test_a_hold_at_the_machines_panel_is_a_pause(running, make_cell, until):
 def test_a_stop_of_the_cells_own_never_becomes_a_users_pause(
     running, make_cell, until, monkeypatch, confirmed
 ):
-    monkeypatch.setattr(cell_measurement, "INSIST_S", 0.0)
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.0)
     cell = make_cell.cell
     cell.fault("tracker-silent", "no sample", "nothing")
     cell.say_state("pausing")
@@ -226,7 +226,7 @@ def test_a_users_pause_outlasts_a_stop_of_the_cells_own(
 def test_what_moves_again_is_not_wanted_to_stand(
     dispatcher, running, make_cell, until, monkeypatch
 ):
-    monkeypatch.setattr(cell_measurement, "INSIST_S", 0.0)
+    monkeypatch.setattr(cell_measurement, "REPEAT_S", 0.0)
     dispatcher.pause(running.id)
     until(running, "paused")
     cell = make_cell.cell
@@ -248,7 +248,7 @@ def test_what_the_cell_said_before_a_pause_does_not_undo_it(
     make_cell.cell.say_state("running")
     make_cell.cell.say_state("paused")
     until(running, "paused")
-    states = [event.body["state"] for event in context.store.events_after(0)]
+    states = [event.body["state"] for event in context.store.read_events_after(0)]
     after = states[states.index("pausing") :]
     assert "running" not in after
 
@@ -353,7 +353,7 @@ def test_abort_in_preparation_never_gets_ready(dispatcher, until, make_cell, con
     dispatcher.abort(job.id)
     hold.set()
     until(job, "aborted")
-    states = [event.body["state"] for event in context.store.events_after(0)]
+    states = [event.body["state"] for event in context.store.read_events_after(0)]
     assert "ready" not in states
 
 
@@ -496,7 +496,7 @@ def test_a_run_that_cannot_be_read_is_kept_and_fails_the_analysis(
     running, make_cell, until, context
 ):
     make_cell.cell.end(spoil=b"no database at all")
-    file = context.runs.measured_file(running.id)
+    file = context.runs.name_run_file(running.id)
     job = until(running, "failed")
     assert job.run_id is None
     assert job.failure.family == "NotFound"
@@ -528,20 +528,20 @@ def test_a_path_that_cannot_be_driven_is_refused_before_there_is_a_job(
 ):
     with pytest.raises(PlanningError, match=problem):
         dispatcher.create(replace(OTF, rows=rows))
-    assert context.store.page(10) == []
+    assert context.store.list_page(10) == []
 
 
 def test_a_path_out_of_travel_is_refused_before_there_is_a_job(dispatcher, context):
     rows = [ROWS[0], {**ROWS[1], "x_mm": 9999.0}]
     with pytest.raises(OutOfTravel, match="row 2: X = 9999 mm exceeds 500 mm"):
         dispatcher.create(replace(OTF, rows=rows))
-    assert context.store.page(10) == []
+    assert context.store.list_page(10) == []
 
 
 def test_without_rows_the_default_path_is_driven(dispatcher, context, until):
     job, _ = dispatcher.create(RequestedJob(JobKind.MEASURE_OTF, feed_mm_min=1234.0))
     until(job, "ready")
-    plan = context.store.plan(job.id)
+    plan = context.store.read_plan(job.id)
     assert plan["kind"] == "path"
     assert len(plan["position"]) > 10
     assert set(plan["feed_mm_min"]) == {1234.0}
@@ -619,7 +619,7 @@ def test_progress_and_live_views_are_told_but_not_kept(
     assert {n.type for n in heard} == {"progress", "live"}
     assert notice.job_id == running.id
     assert notice.body["progress"]["position"] == [1.0, 2.0, 3.0]
-    assert {e.type for e in context.store.events_after(0)} == {"job"}
+    assert {e.type for e in context.store.read_events_after(0)} == {"job"}
     count = len(heard)
     make_cell.cell.end()
     assert until(running, "succeeded").health.samples > 50
@@ -742,7 +742,7 @@ def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
 
 def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):
     job, _ = context.store.create(NewJob(JobKind.MEASURE_OTF, plan={}))
-    context.runs.measured_file(job.id).write_bytes(b"no database at all")
+    context.runs.name_run_file(job.id).write_bytes(b"no database at all")
     dispatcher.interrupt_unfinished_jobs()
     job = context.store.get(job.id)
     assert (job.state, job.run_id) == ("interrupted", None)
@@ -768,7 +768,7 @@ def test_a_standstill_job_without_rows_measures_the_default_points(
     dispatcher, context, until
 ):
     job, _ = dispatcher.create(STANDSTILL)
-    assert context.store.plan(job.id)["kind"] == "points"
+    assert context.store.read_plan(job.id)["kind"] == "points"
     until(job, "ready")
 
 

@@ -16,9 +16,9 @@ from app.jobs.job import (
     NewJob,
     Progress,
     Stage,
-    job_from_json,
-    job_json,
-    new_id,
+    decode_job,
+    encode_job,
+    make_id,
 )
 from app.jobs.rows import IdempotencyKey
 from app.jobs.schema import events, idempotency_keys
@@ -42,14 +42,14 @@ def test_a_new_job_is_queued_at_version_one(store):
 
 def test_a_measuring_job_keeps_its_plan(store):
     job, _ = store.create(MEASURE)
-    assert store.plan(job.id) == MEASURE.plan
+    assert store.read_plan(job.id) == MEASURE.plan
     assert store.get(job.id).desired_state == "ready"
 
 
 def test_an_unknown_job_is_not_found(store):
     with pytest.raises(NotFound, match="no job nowhere"):
         store.get("nowhere")
-    assert store.plan("nowhere") is None
+    assert store.read_plan("nowhere") is None
 
 
 def test_a_second_measuring_job_is_refused_while_the_first_lasts(store):
@@ -69,11 +69,11 @@ def test_each_change_counts_the_version_and_keeps_an_event(store, told):
     assert job.ended is None
     job = store.change(job.id, to(State.SUCCEEDED))
     assert job.ended is not None
-    kept = store.events_after(0)
+    kept = store.read_events_after(0)
     assert kept == told
     assert [event.body["state"] for event in kept] == ["queued", "running", "succeeded"]
     assert [event.body["version"] for event in kept] == [1, 2, 3]
-    assert job_from_json(kept[-1].body) == replace(job, seq=job.seq)
+    assert decode_job(kept[-1].body) == replace(job, seq=job.seq)
 
 
 def test_a_change_that_changes_nothing_makes_no_version(store, told):
@@ -138,8 +138,8 @@ def test_the_same_key_and_body_make_one_job(store):
     again, is_new_again = store.create(ANALYSE, key)
     assert (is_new, is_new_again) == (True, False)
     assert again.id == job.id
-    assert store.by_key(key) == job
-    assert store.by_key(IdempotencyKey("k-2", b"")) is None
+    assert store.find_by_key(key) == job
+    assert store.find_by_key(IdempotencyKey("k-2", b"")) is None
 
 
 def test_the_same_key_with_another_body_is_refused(store):
@@ -147,7 +147,7 @@ def test_the_same_key_with_another_body_is_refused(store):
     with pytest.raises(KeyReused, match="'k-1' has made job"):
         store.create(ANALYSE, IdempotencyKey("k-1", b"two"))
     with pytest.raises(KeyReused):
-        store.by_key(IdempotencyKey("k-1", b"two"))
+        store.find_by_key(IdempotencyKey("k-1", b"two"))
 
 
 def test_a_job_that_is_refused_leaves_no_key(store):
@@ -155,7 +155,7 @@ def test_a_job_that_is_refused_leaves_no_key(store):
     key = IdempotencyKey("k-1", b"body")
     with pytest.raises(CellBusy):
         store.create(MEASURE, key)
-    assert store.by_key(key) is None
+    assert store.find_by_key(key) is None
 
 
 def test_old_keys_and_events_are_forgotten(store, database):
@@ -167,9 +167,9 @@ def test_old_keys_and_events_are_forgotten(store, database):
     for _ in range(3):
         store.change(job.id, lambda job: replace(job, perpendicular_only=True))
     store.prune(keep_events=2)
-    assert store.by_key(IdempotencyKey("old", b"")) is None
-    assert store.by_key(IdempotencyKey("young", b"")) is not None
-    assert len(store.events_after(0)) == 2
+    assert store.find_by_key(IdempotencyKey("old", b"")) is None
+    assert store.find_by_key(IdempotencyKey("young", b"")) is not None
+    assert len(store.read_events_after(0)) == 2
 
 
 def test_progress_is_kept_without_a_new_version(store, told):
@@ -185,27 +185,27 @@ def test_progress_is_kept_without_a_new_version(store, told):
 
 def test_jobs_come_newest_first_in_pages(store):
     made = [store.create(ANALYSE)[0] for _ in range(5)]
-    first = store.page(3)
-    rest = store.page(3, before_seq=first[-1].seq)
+    first = store.list_page(3)
+    rest = store.list_page(3, before_seq=first[-1].seq)
     assert [job.id for job in first + rest] == [job.id for job in reversed(made)]
 
 
 def test_jobs_can_be_asked_for_by_state(store):
     jobs = [store.create(ANALYSE)[0] for _ in range(3)]
     store.change(jobs[1].id, to(State.RUNNING))
-    found = store.page(10, states=[State.RUNNING])
+    found = store.list_page(10, states=[State.RUNNING])
     assert [job.id for job in found] == [jobs[1].id]
-    assert [job.id for job in store.unfinished()] == [job.id for job in jobs]
+    assert [job.id for job in store.list_unfinished()] == [job.id for job in jobs]
 
 
 def test_events_can_be_caught_up_on_by_job(store):
     one, other = store.create(ANALYSE)[0], store.create(ANALYSE)[0]
     store.change(one.id, to(State.RUNNING))
-    mine = store.events_after(0, job_id=one.id)
+    mine = store.read_events_after(0, job_id=one.id)
     assert [event.body["state"] for event in mine] == ["queued", "running"]
-    assert store.events_after(mine[0].id, job_id=one.id) == mine[1:]
-    assert [e.job_id for e in store.events_after(0)] == [one.id, other.id, one.id]
-    assert store.last_event_id() == mine[-1].id
+    assert store.read_events_after(mine[0].id, job_id=one.id) == mine[1:]
+    assert [e.job_id for e in store.read_events_after(0)] == [one.id, other.id, one.id]
+    assert store.read_last_event_id() == mine[-1].id
 
 
 def test_event_identifiers_rise_in_the_order_they_are_told(store, told):
@@ -220,8 +220,8 @@ def test_event_identifiers_rise_in_the_order_they_are_told(store, told):
 
 
 def test_an_empty_catalogue_has_no_events(store):
-    assert store.last_event_id() == 0
-    assert store.events_after(0) == []
+    assert store.read_last_event_id() == 0
+    assert store.read_events_after(0) == []
 
 
 def test_a_failure_survives_the_store_and_its_json(store):
@@ -231,7 +231,7 @@ def test_a_failure_survives_the_store_and_its_json(store):
         job.id, lambda job: replace(job, state=State.FAILED, failure=failure)
     )
     assert store.get(job.id).failure == failure
-    assert job_from_json(job_json(job)) == job
+    assert decode_job(encode_job(job)) == job
 
 
 def test_events_belong_to_a_job_that_exists(store, database):
@@ -245,11 +245,11 @@ def test_events_belong_to_a_job_that_exists(store, database):
 def test_identifiers_sort_by_time_and_differ():
     ids = []
     for _ in range(3):
-        ids.append(new_id())
+        ids.append(make_id())
         time.sleep(0.002)
     assert ids == sorted(ids)
-    assert len({new_id() for _ in range(1000)}) == 1000
-    assert new_id()[14] == "7"
+    assert len({make_id() for _ in range(1000)}) == 1000
+    assert make_id()[14] == "7"
 
 
 def test_a_store_keeps_what_it_had_when_it_is_opened_again(store, database, told):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Literal
 
 from pydantic import BaseModel, Field
 
 from app.api.failures import describe_failure
 from app.api.models.base import JOB_ID, PREFIX
-from app.api.models.monte_carlo import MonteCarloOut, monte_carlo_out
+from app.api.models.monte_carlo import MonteCarloOut
 from app.api.models.problem import Problem
-from app.jobs.job import EarlyEnd, Health, Job, Progress
+from app.jobs.job import EarlyEnd, Job
 from app.jobs.transitions import State
 
 
@@ -121,65 +122,26 @@ class Stopped(BaseModel):
     jobs: list[JobOut]
 
 
-def job_out(job: Job) -> JobOut:
+def describe_job(job: Job) -> JobOut:
     """Return a job as clients see it."""
-    failure = job.failure
-    return JobOut(
-        id=job.id,
-        kind=str(job.kind),
-        state=str(job.state),
-        desired_state=job.desired_state,
-        version=job.version,
-        stage=str(job.stage),
-        progress=progress_out(str(job.stage), job.progress),
-        health=health_out(job.health),
-        perpendicular_only=job.perpendicular_only,
-        monte_carlo=monte_carlo_out(job.monte_carlo),
-        target_um=job.target_um,
-        early_end=_early_end_out(job.early_end),
-        created=job.created,
-        started=job.started,
-        ended=job.ended,
-        run_id=job.run_id,
-        run_ids=list(job.run_ids),
-        result=_result_links(job.id) if job.has_result else None,
-        discovery=_discovery_links(job.id) if job.has_discovery else None,
-        error=Problem(**describe_failure(failure)) if failure else None,
-        links=_job_links(job),
-    )
+    end, trials, failure = job.early_end, job.monte_carlo, job.failure
+    progress = JobProgress(stage=str(job.stage), **asdict(job.progress))
+    more = {
+        "progress": progress,
+        "health": JobHealth(**asdict(job.health)),
+        "monte_carlo": MonteCarloOut(**asdict(trials)) if trials else None,
+        "early_end": _describe_early_end(end) if end else None,
+        "run_ids": list(job.run_ids),
+        "result": _result_links(job.id) if job.has_result else None,
+        "discovery": _discovery_links(job.id) if job.has_discovery else None,
+        "error": Problem(**describe_failure(failure)) if failure else None,
+        "links": _job_links(job),
+    }
+    return JobOut(**{**asdict(job), **more})
 
 
-def progress_out(stage: str, progress: Progress) -> JobProgress:
-    """Return the progress as clients see it."""
-    return JobProgress(
-        done=progress.done,
-        total=progress.total,
-        unit=progress.unit,
-        eta_s=progress.eta_s,
-        stage=stage,
-        elapsed_s=progress.elapsed_s,
-        position=list(progress.position),
-    )
-
-
-def health_out(health: Health) -> JobHealth:
-    """Return the health of the stream as clients see it."""
-    return JobHealth(
-        samples=health.samples,
-        lost_samples=health.lost_samples,
-        crc_errors=health.crc_errors,
-    )
-
-
-def _early_end_out(end: EarlyEnd | None) -> EarlyEndOut | None:
-    if end is None:
-        return None
-    return EarlyEndOut(
-        reason="target-reached",
-        reached_um=end.reached_um,
-        done=end.done,
-        total=end.total,
-    )
+def _describe_early_end(end: EarlyEnd) -> EarlyEndOut:
+    return EarlyEndOut(reason="target-reached", **asdict(end))
 
 
 def _result_links(job_id: str) -> ResultLinks:

@@ -46,7 +46,7 @@ class MachineSummary(BaseModel):
     axes: list[str]
 
 
-def connection_out(devices: Mapping[str, Mapping[str, str]]) -> Connection:
+def describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
     """Return who answers, as clients see it."""
     known = {
         name: DeviceIdentity(**devices[name])

@@ -67,7 +67,7 @@ class ModelDifference(BaseModel):
     changes: list[ChangeOut]
 
 
-def model_out(job: Job, growth: Mapping[str, Any]) -> ModelOut:
+def describe_model(job: Job, growth: Mapping[str, Any]) -> ModelOut:
     """Return a model as clients see it."""
     at = f"{PREFIX}/models/{job.id}"
     return ModelOut(

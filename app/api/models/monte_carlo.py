@@ -28,10 +28,3 @@ class MonteCarloOut(BaseModel):
 
     seed: int
     interval: str = Field(examples=["symmetric"])
-
-
-def monte_carlo_out(plan: TrialPlan | None) -> MonteCarloOut | None:
-    """Return the trials as clients see them."""
-    if plan is None:
-        return None
-    return MonteCarloOut(seed=plan.seed, interval=plan.interval)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from pydantic import BaseModel, Field
 
 from app.api.models.base import PREFIX
@@ -39,20 +41,8 @@ class RunPage(BaseModel):
     next: str | None = Field(description="`after` of the next page.")
 
 
-def run_out(run: RunRecord) -> RunOut:
+def describe_run(run: RunRecord) -> RunOut:
     """Return a Run as clients see it."""
     at = f"{PREFIX}/runs/{run.id}"
-    return RunOut(
-        id=run.id,
-        name=run.name,
-        origin=run.origin,
-        mode=run.mode,
-        machine=run.machine,
-        samples=run.samples,
-        lost_samples=run.lost_samples,
-        complete=run.complete,
-        bytes=run.bytes,
-        sha256=run.sha256,
-        created=run.created,
-        links=RunLinks(self=at, bundle=f"{at}/bundle"),
-    )
+    links = RunLinks(self=at, bundle=f"{at}/bundle")
+    return RunOut(**asdict(run), links=links)
