@@ -80,7 +80,7 @@ class Settings(BaseSettings):
     log_format: Literal["console", "json"] = "console"
 
     @model_validator(mode="after")
-    def _stay_at_home(self) -> Self:
+    def _require_loopback(self) -> Self:
         if not self.is_loopback and not self.allow_plain_http:
             raise ValueError(
                 f"host {self.host} can be reached from other computers, without "
@@ -106,7 +106,7 @@ class Settings(BaseSettings):
             return f"sqlite:///{self.data_dir / 'catalogue.sqlite'}"
         if self.database_password_file is None:
             return self.database_url
-        return _with_password(self.database_url, self.database_password_file)
+        return _insert_password(self.database_url, self.database_password_file)
 
     @classmethod
     def settings_customise_sources(
@@ -117,8 +117,8 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Order of precedence; `_stored` adds the file below."""
-        return init_settings, env_settings
+        """Return the sources in order of precedence: given, environment, file."""
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
 
 
 def load_settings(config: Path | None = None, **given: Any) -> Settings:
@@ -126,17 +126,17 @@ def load_settings(config: Path | None = None, **given: Any) -> Settings:
 
     A given value of None counts as not given. Raises BadInput naming the setting.
     """
-    file = config or _default_file()
+    file = config or _find_default_file()
     wanted = {key: value for key, value in given.items() if value is not None}
     try:
-        return _stored(file)(**wanted)
+        return _read_file_below(file)(**wanted)
     except ValidationError as error:
-        raise BadInput(_text(error)) from error
+        raise BadInput(_describe_error(error)) from error
     except ValueError as error:  # a table in the environment that is not JSON, bad TOML
         raise BadInput(f"settings{f' ({file})' if file else ''}: {error}") from error
 
 
-def _default_file() -> Path | None:
+def _find_default_file() -> Path | None:
     named = os.environ.get("TRUEPATH_CONFIG")
     if named:
         return Path(named)
@@ -144,7 +144,7 @@ def _default_file() -> Path | None:
     return usual if usual.is_file() else None
 
 
-def _stored(file: Path | None) -> type[Settings]:
+def _read_file_below(file: Path | None) -> type[Settings]:
     """Return Settings that read this file below the environment."""
     if file is None:
         return Settings
@@ -154,23 +154,12 @@ def _stored(file: Path | None) -> type[Settings]:
     class Stored(Settings):
         model_config = SettingsConfigDict(toml_file=file)
 
-        @classmethod
-        def settings_customise_sources(
-            cls,
-            settings_cls: type[BaseSettings],
-            init_settings: PydanticBaseSettingsSource,
-            env_settings: PydanticBaseSettingsSource,
-            dotenv_settings: PydanticBaseSettingsSource,
-            file_secret_settings: PydanticBaseSettingsSource,
-        ) -> tuple[PydanticBaseSettingsSource, ...]:
-            return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
-
     return Stored
 
 
-def _with_password(url: str, file: Path) -> str:
+def _insert_password(url: str, file: Path) -> str:
     try:
-        password = file.read_text(encoding="utf-8").strip()
+        password = file.read_describe_error(encoding="utf-8").strip()
         address = make_url(url).set(password=password)
     except (OSError, ArgumentError) as error:
         raise BadInput(
@@ -179,7 +168,7 @@ def _with_password(url: str, file: Path) -> str:
     return address.render_as_string(hide_password=False)
 
 
-def _text(error: ValidationError) -> str:
+def _describe_error(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     name = ".".join(str(part) for part in first["loc"])
     text = str(first["msg"]).removeprefix("Value error, ")

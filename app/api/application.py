@@ -81,6 +81,7 @@ def create_application(
         openapi_tags=_TAGS,
         docs_url=None,
         redoc_url=None,
+        generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)

@@ -181,12 +181,7 @@ LastEventId = Annotated[
 ]
 
 
-@router.get(
-    "/events",
-    operation_id="stream_events",
-    response_class=EventSourceResponse,
-    responses=_STREAM,
-)
+@router.get("/events", response_class=EventSourceResponse, responses=_STREAM)
 async def stream_events(
     subscription: Annotated[Subscription, Depends(_of_everything)],
     last_event_id: LastEventId = "",
@@ -197,10 +192,7 @@ async def stream_events(
 
 
 @router.get(
-    "/jobs/{job_id}/events",
-    operation_id="stream_job_events",
-    response_class=EventSourceResponse,
-    responses=_STREAM,
+    "/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_STREAM
 )
 async def stream_job_events(
     subscription: Annotated[Subscription, Depends(_of_one_job)],

@@ -72,11 +72,7 @@ class GradeOut(BaseModel):
     unobservable: list[str]
 
 
-@router.get(
-    "/{job_id}/plan/grade",
-    operation_id="get_plan_grade",
-    responses=declare_problems(404, 422),
-)
+@router.get("/{job_id}/plan/grade", responses=declare_problems(404, 422))
 def get_plan_grade(
     job_id: str, service: ServiceDep, tracker_mm: _Place = None
 ) -> GradeOut:

@@ -37,12 +37,7 @@ IdempotencyKeyHeader = Annotated[
 _STOPPING = CapacityLimiter(8)
 
 
-@router.post(
-    "",
-    operation_id="create_job",
-    status_code=202,
-    responses=declare_problems(404, 409, 422),
-)
+@router.post("", status_code=202, responses=declare_problems(404, 409, 422))
 def create_job(
     request: JobRequest,
     response: Response,
@@ -57,7 +52,7 @@ def create_job(
     return _out(job, response)
 
 
-@router.get("", operation_id="list_jobs", responses=declare_problems(422))
+@router.get("", responses=declare_problems(422))
 def list_jobs(
     paging: PagingDep,
     service: ServiceDep,
@@ -70,17 +65,14 @@ def list_jobs(
     return JobPage(items=[describe_job(job) for job in jobs], next=after)
 
 
-@router.get("/{job_id}", operation_id="get_job", responses=declare_problems(404))
+@router.get("/{job_id}", responses=declare_problems(404))
 def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Return a job; its version is the ETag."""
     return _out(service.store.get(job_id), response)
 
 
 @router.post(
-    "/{job_id}/arm",
-    operation_id="arm_job",
-    status_code=202,
-    responses=declare_problems(404, 409, 412, 428),
+    "/{job_id}/arm", status_code=202, responses=declare_problems(404, 409, 412, 428)
 )
 def arm_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
@@ -89,22 +81,14 @@ def arm_job(
     return _out(service.dispatcher.arm(job_id, version), response)
 
 
-@router.post(
-    "/{job_id}/pause",
-    operation_id="pause_job",
-    status_code=202,
-    responses=declare_problems(404, 409),
-)
+@router.post("/{job_id}/pause", status_code=202, responses=declare_problems(404, 409))
 def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Hold the feed; `paused` once the machine has confirmed. Twice is once."""
     return _out(service.dispatcher.pause(job_id), response)
 
 
 @router.post(
-    "/{job_id}/resume",
-    operation_id="resume_job",
-    status_code=202,
-    responses=declare_problems(404, 409, 412, 428),
+    "/{job_id}/resume", status_code=202, responses=declare_problems(404, 409, 412, 428)
 )
 def resume_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
@@ -113,29 +97,22 @@ def resume_job(
     return _out(service.dispatcher.resume(job_id, version), response)
 
 
-@router.post(
-    "/{job_id}/abort",
-    operation_id="abort_job",
-    status_code=202,
-    responses=declare_problems(404),
-)
+@router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))
 async def abort_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""
     job = await run_sync(service.dispatcher.abort, job_id, limiter=_STOPPING)
     return _out(job, response)
 
 
-@stop.post("/stop", operation_id="stop_motion", status_code=202)
+@stop.post("/stop", status_code=202)
 async def stop_motion(service: ServiceDep) -> Stopped:
     """Stop all motion and end the jobs behind it. Needs nothing, is never refused."""
     jobs = await run_sync(service.dispatcher.stop, limiter=_STOPPING)
     return Stopped(jobs=[describe_job(job) for job in jobs])
 
 
-@router.get(
-    "/{job_id}/plan", operation_id="get_job_plan", responses=declare_problems(404)
-)
-def get_plan(job_id: str, service: ServiceDep) -> PlanOut:
+@router.get("/{job_id}/plan", responses=declare_problems(404))
+def get_job_plan(job_id: str, service: ServiceDep) -> PlanOut:
     """Return what the job commands, or what the Run it analyses was commanded."""
     job = service.store.get(job_id)
     plan = service.store.read_plan(job_id)

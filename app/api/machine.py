@@ -24,7 +24,7 @@ system = APIRouter(prefix="/system", tags=["system"])
 probes = APIRouter(tags=["system"])
 
 
-@machines.get("/current", operation_id="get_machine", responses=declare_problems(404))
+@machines.get("/current", responses=declare_problems(404))
 def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
     if service.machine is None:
@@ -36,11 +36,7 @@ def get_machine(service: ServiceDep) -> MachineOut:
     return MachineOut(**content, **describe_connection(devices).model_dump())
 
 
-@machines.post(
-    "/current:connect",
-    operation_id="connect_machine",
-    responses=declare_problems(409, 502, 503, 504),
-)
+@machines.post("/current:connect", responses=declare_problems(409, 502, 503, 504))
 def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.cell is None:
@@ -48,7 +44,7 @@ def connect_machine(service: ServiceDep) -> Connection:
     return describe_connection(service.cell.connect())
 
 
-@system.get("", operation_id="get_system")
+@system.get("")
 def get_system(service: ServiceDep) -> SystemOut:
     """Return what the service is and what holds the machine."""
     machine = service.machine
@@ -69,13 +65,13 @@ def get_system(service: ServiceDep) -> SystemOut:
     )
 
 
-@probes.get("/healthz", operation_id="get_health")
+@probes.get("/healthz")
 def get_health() -> Alive:
     """Say that the process answers."""
     return Alive()
 
 
-@probes.get("/readyz", operation_id="get_readiness", responses=declare_problems(503))
+@probes.get("/readyz", responses=declare_problems(503))
 def get_readiness(service: ServiceDep) -> Ready:
     """Say whether catalogue and disk are there, and whether a cell process runs."""
     cell = service.cell

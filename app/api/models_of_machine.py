@@ -34,7 +34,7 @@ router = APIRouter(prefix="/models", tags=["models"])
 _OBJECT = {"application/json": {"schema": {"type": "object"}}}
 
 
-@router.get("", operation_id="list_models", responses=declare_problems(422))
+@router.get("", responses=declare_problems(422))
 def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
     """List models, the newest first."""
     kinds = [kind for kind in JobKind if kind.discovers]
@@ -48,7 +48,6 @@ def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
 
 @router.get(
     "/{model_id}",
-    operation_id="get_model",
     response_class=FileResponse,
     responses={**declare_problems(404), 200: {"content": _OBJECT}},
 )
@@ -62,12 +61,8 @@ def get_model(model_id: str, service: ServiceDep) -> FileResponse:
     )
 
 
-@router.get(
-    "/{model_id}/versions",
-    operation_id="list_model_versions",
-    responses=declare_problems(404),
-)
-def list_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
+@router.get("/{model_id}/versions", responses=declare_problems(404))
+def list_model_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
     """Return a model and those it came from, the newest first."""
     job = _require_discovery(service, model_id)
     return [
@@ -76,12 +71,8 @@ def list_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
     ]
 
 
-@router.get(
-    "/{model_id}/difference",
-    operation_id="get_model_difference",
-    responses=declare_problems(404, 422),
-)
-def get_difference(
+@router.get("/{model_id}/difference", responses=declare_problems(404, 422))
+def get_model_difference(
     model_id: str,
     service: ServiceDep,
     against: Annotated[

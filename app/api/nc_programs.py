@@ -50,7 +50,7 @@ class DialectList(BaseModel):
     items: list[DialectOut]
 
 
-@dialects.get("/nc-dialects", operation_id="list_nc_dialects")
+@dialects.get("/nc-dialects")
 def list_nc_dialects() -> DialectList:
     """List the controls that NC programs can be written for."""
     return DialectList(
@@ -63,7 +63,6 @@ def list_nc_dialects() -> DialectList:
 
 @router.get(
     "/{job_id}/nc-program",
-    operation_id="download_nc_program",
     response_class=PlainTextResponse,
     responses={**declare_problems(404, 422), **PROGRAM},
 )

@@ -33,12 +33,7 @@ router = APIRouter(prefix="/plans", tags=["plans"])
 checks = APIRouter(tags=["plans"])
 
 
-@router.post(
-    "",
-    operation_id="create_plan",
-    status_code=202,
-    responses=declare_problems(404, 409, 422),
-)
+@router.post("", status_code=202, responses=declare_problems(404, 409, 422))
 def create_plan(
     request: PlanRequest,
     response: Response,
@@ -64,11 +59,7 @@ def create_plan(
     return _out(job, response, service)
 
 
-@checks.post(
-    "/plans:validate",
-    operation_id="validate_plan",
-    responses=declare_problems(409, 422),
-)
+@checks.post("/plans:validate", responses=declare_problems(409, 422))
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
     if service.machine is None:
@@ -81,7 +72,7 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))
 
 
-@router.get("/{plan_id}", operation_id="get_plan", responses=declare_problems(404))
+@router.get("/{plan_id}", responses=declare_problems(404))
 def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
     """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
     return _out(_plan_job(plan_id, service), response, service)
@@ -89,7 +80,6 @@ def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResou
 
 @router.get(
     "/{plan_id}/nc-program",
-    operation_id="download_plan_nc_program",
     response_class=PlainTextResponse,
     responses={**declare_problems(404, 422), **PROGRAM},
 )

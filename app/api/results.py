@@ -27,9 +27,7 @@ def _file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"content": content}, **declare_problems(404)}
 
 
-@router.get(
-    "/{job_id}/estimate", operation_id="get_estimate", responses=declare_problems(404)
-)
+@router.get("/{job_id}/estimate", responses=declare_problems(404))
 def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
     """Return the latest estimate of a measurement under way, or of one just ended.
 
@@ -48,7 +46,6 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
 
 @router.get(
     "/{job_id}/result",
-    operation_id="get_result",
     response_class=FileResponse,
     responses=_file("application/json", "object"),
 )
@@ -57,11 +54,7 @@ def get_result(job_id: str, service: ServiceDep) -> FileResponse:
     return FileResponse(_file_of(service, job_id, "result.json"))
 
 
-@router.get(
-    "/{job_id}/result/error-tables.json",
-    operation_id="get_error_tables",
-    responses=declare_problems(404),
-)
+@router.get("/{job_id}/result/error-tables.json", responses=declare_problems(404))
 def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
     """Return the error tables and squarenesses alone."""
     file = _file_of(service, job_id, "result.json")
@@ -76,7 +69,6 @@ def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
 
 @router.get(
     "/{job_id}/result/error-tables.csv",
-    operation_id="download_error_tables",
     response_class=FileResponse,
     responses=_file("text/csv", "string"),
 )
@@ -88,7 +80,6 @@ def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
 
 @router.get(
     "/{job_id}/result/report.html",
-    operation_id="get_report",
     response_class=FileResponse,
     responses=_file("text/html", "string"),
 )
@@ -99,7 +90,6 @@ def get_report(job_id: str, service: ServiceDep) -> FileResponse:
 
 @router.get(
     "/{job_id}/discovery",
-    operation_id="get_discovery",
     response_class=FileResponse,
     responses=_file("application/json", "object"),
 )
@@ -110,7 +100,6 @@ def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
 
 @router.get(
     "/{job_id}/discovery/report.html",
-    operation_id="get_discovery_report",
     response_class=FileResponse,
     responses=_file("text/html", "string"),
 )

@@ -27,7 +27,7 @@ _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 
 
-@router.get("", operation_id="list_runs", responses=declare_problems(422))
+@router.get("", responses=declare_problems(422))
 def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
     """List Runs, the newest first."""
     runs, after = paging.read(
@@ -36,7 +36,7 @@ def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
     return RunPage(items=[describe_run(run) for run in runs], next=after)
 
 
-@router.get("/{run_id}", operation_id="get_run", responses=declare_problems(404))
+@router.get("/{run_id}", responses=declare_problems(404))
 def get_run(run_id: str, service: ServiceDep) -> RunOut:
     """Return a Run."""
     return describe_run(service.runs.get(run_id))
@@ -44,7 +44,6 @@ def get_run(run_id: str, service: ServiceDep) -> RunOut:
 
 @router.get(
     "/{run_id}/bundle",
-    operation_id="download_bundle",
     response_class=FileResponse,
     responses={**declare_problems(404, 507), 200: {"content": _ZIP}},
 )
@@ -59,12 +58,7 @@ def download_bundle(run_id: str, service: ServiceDep) -> FileResponse:
     )
 
 
-@uploads.post(
-    "",
-    operation_id="upload_bundle",
-    status_code=201,
-    responses=declare_problems(413, 422, 507),
-)
+@uploads.post("", status_code=201, responses=declare_problems(413, 422, 507))
 def upload_bundle(
     bundle: Annotated[UploadFile, File(description="A zipped measurement bundle.")],
     response: Response,

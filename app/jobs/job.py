@@ -6,10 +6,12 @@ import os
 import time
 import uuid
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
+
+from pydantic import TypeAdapter
 
 from app.jobs.transitions import FINAL, State
 from app.numerics.adaptive_trials import TrialPlan
@@ -187,42 +189,22 @@ class NewJob:
     further_run_ids: tuple[str, ...] = ()
 
 
+_JOB, _PROGRESS = TypeAdapter(Job), TypeAdapter(Progress)
+
+
 def encode_job(job: Job) -> dict[str, Any]:
-    """Return the record as events keep it."""
-    content = asdict(job)
-    content["progress"] = encode_progress(job.progress)
-    content["further_run_ids"] = list(job.further_run_ids)
-    return content
+    """Return the record as rows and events keep it."""
+    return _JOB.dump_python(job, mode="json")
 
 
 def decode_job(content: Json) -> Job:
-    """Return the record that `job_json` wrote."""
-    failure, early_end = content["failure"], content.get("early_end")
-    monte_carlo = content.get("monte_carlo")
-    return Job(
-        **{
-            **content,
-            "kind": JobKind(content["kind"]),
-            "state": State(content["state"]),
-            "stage": Stage(content["stage"]),
-            "progress": decode_progress(content["progress"]),
-            "health": Health(**content["health"]),
-            "further_run_ids": tuple(content.get("further_run_ids") or ()),
-            "failure": Failure(**failure) if failure else None,
-            "early_end": EarlyEnd(**early_end) if early_end else None,
-            "monte_carlo": TrialPlan(**monte_carlo) if monte_carlo else None,
-        }
-    )
+    """Return the record that `encode_job` wrote."""
+    return _JOB.validate_python({k: v for k, v in content.items() if v is not None})
 
 
 def encode_progress(progress: Progress) -> dict[str, Any]:
     """Return the progress as a JSON column keeps it."""
-    return {**asdict(progress), "position": list(progress.position)}
-
-
-def decode_progress(content: Json) -> Progress:
-    """Return the progress that a JSON column holds."""
-    return Progress(**{**content, "position": tuple(content["position"])})
+    return _PROGRESS.dump_python(progress, mode="json")
 
 
 def make_id() -> str:
