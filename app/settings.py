@@ -159,7 +159,7 @@ def _read_file_below(file: Path | None) -> type[Settings]:
 
 def _insert_password(url: str, file: Path) -> str:
     try:
-        password = file.read_describe_error(encoding="utf-8").strip()
+        password = file.read_text(encoding="utf-8").strip()
         address = make_url(url).set(password=password)
     except (OSError, ArgumentError) as error:
         raise BadInput(

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
@@ -90,10 +91,12 @@ class Subscription:
         while not service.closing.is_set():
             news, live = self._take()
             while news:
-                missed = await run_sync(_read_missed, service, job_id, known)
+                missed = await run_sync(
+                    partial(service.store.read_events_after, known, job_id=job_id)
+                )
                 for stored in missed:
                     known = stored.id
-                    yield _job_event(stored)
+                    yield _describe_event(stored)
                 news = bool(missed)
             for job_event in live:
                 body = {"job_id": job_event.job_id, **job_event.body}
@@ -105,7 +108,7 @@ class Subscription:
             await self._wait(next_tick - time.monotonic())
 
     def _take(self) -> tuple[bool, list[JobEvent]]:
-        """Return whether the catalogue has news, and the live notices."""
+        """Return whether the catalogue has news, and the live events."""
         with self._lock:
             news, self._news = self._news, False
             waiting = list(self._waiting)
@@ -119,41 +122,21 @@ class Subscription:
             await asyncio.wait_for(self._changed.wait(), timeout_s)
 
 
-class Streams:
-    """Counts the open streams: each browser tab holds one."""
-
-    def __init__(self) -> None:
-        self._open = 0
-
-    @property
-    def count(self) -> int:
-        """How many are open."""
-        return self._open
-
-    @contextmanager
-    def one_more(self) -> Iterator[None]:
-        """Count one while the block runs. On the event loop only."""
-        self._open += 1
-        try:
-            yield
-        finally:
-            self._open -= 1
+open_streams: set[Subscription] = set()
+"""Each browser tab holds one. Changed on the event loop only."""
 
 
-streams = Streams()
-
-
-async def _of_everything(service: ServiceDep) -> AsyncIterator[Subscription]:
+async def _subscribe_to_all(service: ServiceDep) -> AsyncIterator[Subscription]:
     with _subscribe(service, None) as subscription:
         yield subscription
 
 
-def _existing(job_id: str, service: ServiceDep) -> str:
+def _require_job(job_id: str, service: ServiceDep) -> str:
     return service.store.get(job_id).id
 
 
-async def _of_one_job(
-    job_id: Annotated[str, Depends(_existing)], service: ServiceDep
+async def _subscribe_to_job(
+    job_id: Annotated[str, Depends(_require_job)], service: ServiceDep
 ) -> AsyncIterator[Subscription]:
     with _subscribe(service, job_id) as subscription:
         yield subscription
@@ -165,15 +148,16 @@ def _subscribe(service: Service, job_id: str | None) -> Iterator[Subscription]:
 
     A generator that waits for a slow client does not notice when that client leaves.
     """
-    if streams.count >= service.max_streams:
+    if len(open_streams) >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
     subscription = Subscription(service, job_id)
-    forget = service.event_bus.subscribe(subscription.put)
+    unsubscribe = service.event_bus.subscribe(subscription.put)
+    open_streams.add(subscription)
     try:
-        with streams.one_more():
-            yield subscription
+        yield subscription
     finally:
-        forget()
+        open_streams.remove(subscription)
+        unsubscribe()
 
 
 LastEventId = Annotated[
@@ -183,7 +167,7 @@ LastEventId = Annotated[
 
 @router.get("/events", response_class=EventSourceResponse, responses=_STREAM)
 async def stream_events(
-    subscription: Annotated[Subscription, Depends(_of_everything)],
+    subscription: Annotated[Subscription, Depends(_subscribe_to_all)],
     last_event_id: LastEventId = "",
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow everything. One stream a page; the browser reconnects by itself."""
@@ -195,7 +179,7 @@ async def stream_events(
     "/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_STREAM
 )
 async def stream_job_events(
-    subscription: Annotated[Subscription, Depends(_of_one_job)],
+    subscription: Annotated[Subscription, Depends(_subscribe_to_job)],
     last_event_id: LastEventId = "",
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow one job."""
@@ -223,10 +207,6 @@ def _read_present(
     ]
 
 
-def _read_missed(service: Service, job_id: str | None, known: int) -> list[StoredEvent]:
-    return service.store.read_events_after(known, job_id=job_id)
-
-
-def _job_event(stored: StoredEvent) -> ServerSentEvent:
+def _describe_event(stored: StoredEvent) -> ServerSentEvent:
     job = describe_job(decode_job(stored.body))
     return ServerSentEvent(data=job, event=stored.type, id=str(stored.id))

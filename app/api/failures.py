@@ -61,11 +61,6 @@ def find_kind(error: Exception) -> ProblemKind:
     return INTERNAL
 
 
-def is_known(error: Exception) -> bool:
-    """Say whether the table has the error's family."""
-    return find_kind(error) is not INTERNAL
-
-
 def describe_error(error: Exception) -> dict[str, Any]:
     """Return the problem that an error is, without what only the request knows."""
     kind = find_kind(error)

@@ -182,8 +182,7 @@ def test_an_error_nobody_foresaw_is_internal_and_tells_nothing():
     content = failures.describe_error(KeyError("secret"))
     assert (content["status"], content["code"]) == (500, "internal-error")
     assert "secret" not in str(content)
-    assert not failures.is_known(KeyError())
-    assert failures.is_known(app_errors.NotFound())
+    assert failures.find_kind(KeyError()) is failures.INTERNAL
 
 
 def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():

@@ -199,7 +199,7 @@ def test_a_slow_client_keeps_the_newest_live_events_and_every_kept_one(
 def test_more_streams_than_allowed_are_refused_until_one_ends(live, is_problem):
     with stream(live), stream(live):
         is_problem(live.get(EVENTS), 429, "too-many-streams")
-    wait_until(lambda: events.streams.count == 0, "the streams' end")
+    wait_until(lambda: not events.open_streams, "the streams' end")
     with stream(live) as found:
         assert read(found, 1, ("tick",))
 
