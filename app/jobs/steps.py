@@ -48,7 +48,7 @@ class JobSteps:
         """Whether what to drive has yet to be chosen."""
         kind, store = self.job.kind, self.context.store
         chooses = kind.measures or kind is JobKind.PLAN
-        return chooses and store.plan(self.job.id) is None
+        return chooses and store.read_plan(self.job.id) is None
 
     def plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
