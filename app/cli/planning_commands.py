@@ -69,7 +69,7 @@ def plan(
         Path | None,
         typer.Option(
             metavar="MODEL.json",
-            help="Model whose effects are to be told apart as well.",
+            help="Model whose effects the plan has to separate as well.",
         ),
     ] = None,
     feed: Annotated[
@@ -166,7 +166,7 @@ def _print_plan(document: Mapping[str, Any]) -> None:
     predicted = document["predicted"]
     _print_predicted(document["machine"]["name"], predicted)
     for effect in predicted["effects"]:
-        print(f"foretold: {describe_effect(effect)}")
+        print(f"predicted: {describe_effect(effect)}")
     for statement in document["unobservable"]:
         print(f"will not be seen: {statement}")
     if document["tracker"]["assumed"]:

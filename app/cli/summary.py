@@ -59,7 +59,7 @@ def print_result(result: Result, folder: Path) -> None:
     for statement in result["observability"]["unobservable"]:
         print(f"not seen by this measurement: {statement}")
     for statement in result["observability"]["weak"]:
-        print(f"told only weakly: {statement}")
+        print(f"poorly observable: {statement}")
     if result["grade"] is not None:
         print(f"grade of the set-up: {result['grade']['text']}")
     print(f"residuals {result['residuals']['rms_um']:.2f} µm rms")

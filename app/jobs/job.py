@@ -90,7 +90,7 @@ class EarlyEnd:
     """Why the rest of the plan was left out: the target uncertainty was reached.
 
     reached_um : volumetric uncertainty (k = 1) at that moment
-    done, total : finished lines or points that told it, and those of the plan
+    done, total : finished lines or points behind it, and those of the plan
     """
 
     reached_um: float

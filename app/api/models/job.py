@@ -68,7 +68,7 @@ class EarlyEndOut(BaseModel):
     reached_um: float = Field(
         description="`volumetric_uncertainty_um` (k = 1) at that moment."
     )
-    done: int = Field(description="Finished lines or points that told it.")
+    done: int = Field(description="Finished lines or points behind that number.")
     total: int = Field(description="Lines or points of the plan.")
 
 

@@ -47,8 +47,8 @@ class PlanOut(BaseModel):
     )
     predicted_um: float | None = Field(
         None,
-        description="Where it was planned: the volumetric uncertainty (k = 1) that it "
-        "is foretold to leave.",
+        description="Where it was planned: the predicted volumetric uncertainty "
+        "(k = 1).",
     )
     discovery_id: str | None = Field(
         None, description="Of extra lines: the job whose discovery asks for them."

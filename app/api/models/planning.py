@@ -119,8 +119,8 @@ class PlanRequest(RequestBody):
     seed: int = Field(0, ge=0, le=2**31 - 1)
     model_id: Identifier | None = Field(
         None,
-        description="Job whose model, or result, tells effects of the machine: they "
-        "are to be told apart as well.",
+        description="Job whose model, or result, has effects of the machine that the "
+        "plan has to separate as well.",
     )
 
     @model_validator(mode="after")
