@@ -20,7 +20,7 @@ import structlog
 from fastapi import FastAPI
 
 from app.api.application import create_application
-from app.api.server import Server, address_of, bound_socket, signals_end_quietly
+from app.api.server import Server, bind_socket, format_address, ignore_raised_signals
 from app.api.service import Service
 from app.errors import BadInput
 from app.files.machine_file import machine_from_json, read_machine
@@ -60,12 +60,14 @@ def serve(
     configure_log(settings.log_level, settings.log_format)
     with (
         open_service(settings) as service,
-        bound_socket(settings.host, settings.port) as listener,
+        bind_socket(settings.host, settings.port) as listener,
     ):
-        address = address_of(listener)
-        _say_where(settings, address)
-        server = Server(_application(settings, service), service, address, listening)
-        with signals_end_quietly():
+        address = format_address(listener)
+        _print_addresses(settings, address)
+        server = Server(
+            _make_application(settings, service), service, address, listening
+        )
+        with ignore_raised_signals():
             server.run(sockets=[listener])
     log.info("service ended")
 
@@ -74,14 +76,14 @@ def serve(
 def open_service(settings: Settings) -> Iterator[Service]:
     """Construct everything behind the routes; undone in reverse at the end."""
     with ExitStack() as stack:
-        folder = _folder(settings.data_dir)
-        stack.enter_context(_only_instance(folder))
-        stack.enter_context(_temporary_files(folder / "tmp"))
+        folder = _make_folder(settings.data_dir)
+        stack.enter_context(_lock_folder(folder))
+        stack.enter_context(_redirect_temporary_files(folder / "tmp"))
         database = Database(settings.database)
         stack.callback(database.close)
         database.migrate()
-        machine, config = _machine_and_devices(settings, stack)
-        context, event_bus = _job_context(
+        machine, config = _load_machine(settings, stack)
+        context, event_bus = _make_context(
             settings, folder, database, machine, config, stack
         )
         dispatcher = Dispatcher(context, event_bus)
@@ -107,7 +109,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
         yield service
 
 
-def _job_context(
+def _make_context(
     settings: Settings,
     folder: Path,
     database: Database,
@@ -141,12 +143,12 @@ def _job_context(
     return context, event_bus
 
 
-def _machine_and_devices(
+def _load_machine(
     settings: Settings, stack: ExitStack
 ) -> tuple[Machine | None, CellConfig | None]:
     """Return the machine and how its devices are reached; nothing where none is set."""
     if settings.simulated:
-        return _simulated(settings, stack)
+        return _start_simulators(settings, stack)
     if settings.machine_file is None:
         log.warning("no machine_file: analyses only")
         return None, None
@@ -159,7 +161,9 @@ def _machine_and_devices(
     return read_machine(settings.machine_file), config
 
 
-def _simulated(settings: Settings, stack: ExitStack) -> tuple[Machine, CellConfig]:
+def _start_simulators(
+    settings: Settings, stack: ExitStack
+) -> tuple[Machine, CellConfig]:
     content: Mapping[str, Any] | None = None
     if settings.machine_file is not None:
         read_machine(settings.machine_file)  # names what is wrong with it
@@ -186,7 +190,7 @@ def _simulated(settings: Settings, stack: ExitStack) -> tuple[Machine, CellConfi
     return machine_from_json(bench.machine), config
 
 
-def _application(settings: Settings, service: Service) -> FastAPI:
+def _make_application(settings: Settings, service: Service) -> FastAPI:
     app = create_application(
         service, trusted_hosts=settings.trusted_hosts, pages=pages.router
     )
@@ -194,7 +198,7 @@ def _application(settings: Settings, service: Service) -> FastAPI:
     return app
 
 
-def _folder(folder: Path) -> Path:
+def _make_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -203,7 +207,7 @@ def _folder(folder: Path) -> Path:
 
 
 @contextmanager
-def _only_instance(folder: Path) -> Iterator[None]:
+def _lock_folder(folder: Path) -> Iterator[None]:
     """Hold the data folder for this process alone."""
     try:
         lock = (folder / ".lock").open("w")
@@ -220,7 +224,7 @@ def _only_instance(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _temporary_files(folder: Path) -> Iterator[None]:
+def _redirect_temporary_files(folder: Path) -> Iterator[None]:
     """Spool uploads on the disk of the data: the system's place may be memory."""
     folder.mkdir(exist_ok=True)
     before, tempfile.tempdir = tempfile.tempdir, str(folder)
@@ -230,7 +234,7 @@ def _temporary_files(folder: Path) -> Iterator[None]:
         tempfile.tempdir = before
 
 
-def _say_where(settings: Settings, address: str) -> None:
+def _print_addresses(settings: Settings, address: str) -> None:
     devices = "simulated" if settings.simulated else "as set up"
     print(f"Truepath {version('truepath')}, devices {devices}", flush=True)
     print(f"  page       {address}/", flush=True)

@@ -85,7 +85,7 @@ def create_application(
     )
     app.state.service = service
     app.add_middleware(Guard, trusted_hosts=trusted_hosts)
-    problems.install(app)
+    problems.install_handlers(app)
     app.include_router(_api(), max_body_size=MAX_BODY_BYTES)
     app.include_router(
         runs.uploads, prefix=PREFIX, max_body_size=max_upload_bytes + _FORM_BYTES

@@ -49,7 +49,7 @@ def create_job(
     key = IdempotencyKey(idempotency_key, body) if idempotency_key else None
     job, _ = service.dispatcher.create(request.to_requested_job(), key)
     response.headers["Location"] = f"{PREFIX}/jobs/{job.id}"
-    return _out(job, response)
+    return _describe(job, response)
 
 
 @router.get("", responses=declare_problems(422))
@@ -68,7 +68,7 @@ def list_jobs(
 @router.get("/{job_id}", responses=declare_problems(404))
 def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Return a job; its version is the ETag."""
-    return _out(service.store.get(job_id), response)
+    return _describe(service.store.get(job_id), response)
 
 
 @router.post(
@@ -78,13 +78,13 @@ def arm_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
 ) -> JobOut:
     """Let a ready job move the machine. From here on it moves."""
-    return _out(service.dispatcher.arm(job_id, version), response)
+    return _describe(service.dispatcher.arm(job_id, version), response)
 
 
 @router.post("/{job_id}/pause", status_code=202, responses=declare_problems(404, 409))
 def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """Hold the feed; `paused` once the machine has confirmed. Twice is once."""
-    return _out(service.dispatcher.pause(job_id), response)
+    return _describe(service.dispatcher.pause(job_id), response)
 
 
 @router.post(
@@ -94,14 +94,14 @@ def resume_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
 ) -> JobOut:
     """Go on after a hold. The machine moves again."""
-    return _out(service.dispatcher.resume(job_id, version), response)
+    return _describe(service.dispatcher.resume(job_id, version), response)
 
 
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))
 async def abort_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     """End a job now, in any state. A job that has ended stays as it is."""
     job = await run_sync(service.dispatcher.abort, job_id, limiter=_STOPPING)
-    return _out(job, response)
+    return _describe(job, response)
 
 
 @stop.post("/stop", status_code=202)
@@ -123,6 +123,6 @@ def get_job_plan(job_id: str, service: ServiceDep) -> PlanOut:
     return PlanOut(**{**plan, "target_um": job.target_um})
 
 
-def _out(job: Job, response: Response) -> JobOut:
+def _describe(job: Job, response: Response) -> JobOut:
     response.headers["ETag"] = format_etag(job)
     return describe_job(job)

@@ -59,7 +59,7 @@ def get_system(service: ServiceDep) -> SystemOut:
             kinematic_chain=machine.chain,
             axes=list(machine.axis_names),
         ),
-        cell=_cell_out(service),
+        cell=_describe_cell(service),
         current_job=measuring[0].id if measuring else None,
         time=format_utc_now(),
     )
@@ -86,7 +86,7 @@ def get_readiness(service: ServiceDep) -> Ready:
     return Ready(status="ready", checks={**needed, "cell": running})
 
 
-def _cell_out(service: Service) -> CellOut:
+def _describe_cell(service: Service) -> CellOut:
     if service.cell is None:
         return CellOut(state="none", text="", connected=False, restarts=0)
     status = service.cell.status

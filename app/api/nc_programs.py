@@ -81,10 +81,10 @@ def download_nc_program(
         raise NotFound(f"job {job_id} ({job.kind}) commands no path of its own")
     if service.machine is None:
         raise NotFound("the service has no machine file to check the path against")
-    return program_response(commanded_from_plan(plan), service.machine, dialect)
+    return make_program_response(commanded_from_plan(plan), service.machine, dialect)
 
 
-def program_response(
+def make_program_response(
     commanded: Commanded, machine: Machine, dialect: str
 ) -> PlainTextResponse:
     """Return a program as a download, under the name its control wants."""

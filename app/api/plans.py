@@ -18,7 +18,7 @@ from app.api.models.planning import (
     plan_links,
 )
 from app.api.models.problem import Problem
-from app.api.nc_programs import PROGRAM, Dialect, program_response
+from app.api.nc_programs import PROGRAM, Dialect, make_program_response
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
@@ -56,7 +56,7 @@ def create_plan(
     )
     job, _ = service.dispatcher.create(requested, key)
     response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
-    return _out(job, response, service)
+    return _describe(job, response, service)
 
 
 @checks.post("/plans:validate", responses=declare_problems(409, 422))
@@ -75,7 +75,7 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
 @router.get("/{plan_id}", responses=declare_problems(404))
 def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
     """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
-    return _out(_plan_job(plan_id, service), response, service)
+    return _describe(_require_plan_job(plan_id, service), response, service)
 
 
 @router.get(
@@ -87,21 +87,21 @@ def download_plan_nc_program(
     plan_id: str, dialect: Dialect, service: ServiceDep
 ) -> PlainTextResponse:
     """Return a plan as a program of a control, read back before it is given out."""
-    job = _plan_job(plan_id, service)
+    job = _require_plan_job(plan_id, service)
     plan = service.store.read_plan(job.id)
     if plan is None or service.machine is None:
         raise NotFound(f"plan {plan_id} ({job.state}) has no rows")
-    return program_response(commanded_from_plan(plan), service.machine, dialect)
+    return make_program_response(commanded_from_plan(plan), service.machine, dialect)
 
 
-def _plan_job(plan_id: str, service: Service) -> Job:
+def _require_plan_job(plan_id: str, service: Service) -> Job:
     job = service.store.get(plan_id)
     if job.kind is not JobKind.PLAN:
         raise NotFound(f"job {plan_id} is no plan; its kind is {job.kind}")
     return job
 
 
-def _out(job: Job, response: Response, service: Service) -> PlanResource:
+def _describe(job: Job, response: Response, service: Service) -> PlanResource:
     response.headers["ETag"] = format_etag(job)
     plan = service.store.read_plan(job.id)
     failure = job.failure

@@ -32,22 +32,24 @@ def add_problems(document: dict[str, Any]) -> dict[str, Any]:
         for operation in operations.values():
             responses = operation["responses"]
             for status in [s for s in responses if s >= "400"]:
-                responses[status] = _refusal(_kind_at(int(status)), path)
-            responses["default"] = _refusal(INTERNAL, path)
+                responses[status] = _describe_refusal(
+                    _find_example_kind(int(status)), path
+                )
+            responses["default"] = _describe_refusal(INTERNAL, path)
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
     return document
 
 
-def install(app: FastAPI) -> None:
+def install_handlers(app: FastAPI) -> None:
     """Turn every error of the application's routes into a problem."""
     for family in PROBLEM_KINDS:
-        app.add_exception_handler(family, _of_family)
-    app.add_exception_handler(RequestValidationError, _of_validation)
-    app.add_exception_handler(HTTPException, _of_framework)
+        app.add_exception_handler(family, _handle_family)
+    app.add_exception_handler(RequestValidationError, _handle_validation)
+    app.add_exception_handler(HTTPException, _handle_http)
 
 
-def problem_response(
+def make_problem_response(
     content: Mapping[str, Any],
     instance: str,
     request_id: str,
@@ -69,11 +71,11 @@ def find_kind_of_status(status: int) -> ProblemKind:
     return ProblemKind(status, known.code, known.title, known.action)
 
 
-def _of_family(request: Request, error: Exception) -> Response:
+def _handle_family(request: Request, error: Exception) -> Response:
     return _respond(request, failures.describe_error(error))
 
 
-def _of_validation(request: Request, error: Exception) -> Response:
+def _handle_validation(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)  # noqa: S101 (by registration)
     # `input` and `ctx` stay out: they echo what was sent and may not be JSON.
     found = [
@@ -91,14 +93,18 @@ def _of_validation(request: Request, error: Exception) -> Response:
     )
 
 
-def _of_framework(request: Request, error: Exception) -> Response:
+def _handle_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 (by registration)
     kind = find_kind_of_status(error.status_code)
-    detail = "" if error.detail == _phrase(error.status_code) else str(error.detail)
+    detail = (
+        ""
+        if error.detail == _find_default_phrase(error.status_code)
+        else str(error.detail)
+    )
     return _respond(request, failures.problem(kind, detail), error.headers)
 
 
-def _phrase(status: int) -> str:
+def _find_default_phrase(status: int) -> str:
     return HTTPException(status).detail
 
 
@@ -108,10 +114,10 @@ def _respond(
     headers: Mapping[str, str] | None = None,
 ) -> Response:
     request_id = request.scope.get("state", {}).get("request_id", "")
-    return problem_response(content, request.url.path, request_id, headers)
+    return make_problem_response(content, request.url.path, request_id, headers)
 
 
-def _refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
+def _describe_refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
     example = {
         **failures.problem(kind),
         "instance": path,
@@ -122,7 +128,7 @@ def _refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
     return {"description": kind.title, "content": content}
 
 
-def _kind_at(status: int) -> ProblemKind:
+def _find_example_kind(status: int) -> ProblemKind:
     """Return a kind of problem with that status, as an example."""
     by_family = (kind for kind in PROBLEM_KINDS.values() if kind.status == status)
     plain = BY_STATUS.get(status, INTERNAL)

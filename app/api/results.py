@@ -22,7 +22,7 @@ _REPORT_POLICY = (
 )
 
 
-def _file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
+def _declare_file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
     content = {media_type: {"schema": {"type": kind}}}
     return {200: {"content": content}, **declare_problems(404)}
 
@@ -47,17 +47,17 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
 @router.get(
     "/{job_id}/result",
     response_class=FileResponse,
-    responses=_file("application/json", "object"),
+    responses=_declare_file("application/json", "object"),
 )
 def get_result(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `result.json`: error tables, squareness, uncertainty, observability."""
-    return FileResponse(_file_of(service, job_id, "result.json"))
+    return FileResponse(_find_file(service, job_id, "result.json"))
 
 
 @router.get("/{job_id}/result/error-tables.json", responses=declare_problems(404))
 def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
     """Return the error tables and squarenesses alone."""
-    file = _file_of(service, job_id, "result.json")
+    file = _find_file(service, job_id, "result.json")
     result = json.loads(file.read_text(encoding="utf-8"))
     return {
         "schema": "error-tables/1",
@@ -70,49 +70,49 @@ def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
 @router.get(
     "/{job_id}/result/error-tables.csv",
     response_class=FileResponse,
-    responses=_file("text/csv", "string"),
+    responses=_declare_file("text/csv", "string"),
 )
 def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the error tables as `error_tables.csv`."""
-    file = _file_of(service, job_id, "error_tables.csv")
+    file = _find_file(service, job_id, "error_tables.csv")
     return FileResponse(file, filename=file.name)
 
 
 @router.get(
     "/{job_id}/result/report.html",
     response_class=FileResponse,
-    responses=_file("text/html", "string"),
+    responses=_declare_file("text/html", "string"),
 )
 def get_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
-    return _page(_file_of(service, job_id, "report.html"))
+    return _send_page(_find_file(service, job_id, "report.html"))
 
 
 @router.get(
     "/{job_id}/discovery",
     response_class=FileResponse,
-    responses=_file("application/json", "object"),
+    responses=_declare_file("application/json", "object"),
 )
 def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `discovery.json`: the missing effects, the gap, where they disagree."""
-    return FileResponse(_file_of(service, job_id, "discovery.json", discovers=True))
+    return FileResponse(_find_file(service, job_id, "discovery.json", discovers=True))
 
 
 @router.get(
     "/{job_id}/discovery/report.html",
     response_class=FileResponse,
-    responses=_file("text/html", "string"),
+    responses=_declare_file("text/html", "string"),
 )
 def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
-    return _page(_file_of(service, job_id, "report.html", discovers=True))
+    return _send_page(_find_file(service, job_id, "report.html", discovers=True))
 
 
-def _page(report: Path) -> FileResponse:
+def _send_page(report: Path) -> FileResponse:
     return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
 
 
-def _file_of(
+def _find_file(
     service: Service, job_id: str, name: str, *, discovers: bool = False
 ) -> Path:
     job = service.store.get(job_id)

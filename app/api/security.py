@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.api import failures
 from app.api.failures import BY_STATUS, INTERNAL, ProblemKind
-from app.api.problems import find_kind_of_status, problem_response
+from app.api.problems import find_kind_of_status, make_problem_response
 
 log = structlog.get_logger(__name__)
 
@@ -90,7 +90,7 @@ class Guard:
 
     def _is_ours(self, host: str) -> bool:
         """A name that is not known may be one that somebody points at this computer."""
-        name = _hostname(host)
+        name = _parse_hostname(host)
         if name in self._trusted:
             return True
         try:
@@ -118,22 +118,22 @@ class _Answer:
             self._status = message["status"]
             self._is_bare = _is_bare_refusal(message)
         if not self._is_bare:
-            await self._send(self._with_headers(message))
+            await self._send(self._add_headers(message))
         elif not message.get("more_body", False) and "body" in message:
             self._is_bare = False
-            await self._problem(find_kind_of_status(self._status))
+            await self._send_problem(find_kind_of_status(self._status))
 
     async def refuse(self, kind: ProblemKind, detail: str = "") -> None:
         """Send a problem, unless the answer has begun."""
         if not self._status:
-            await self._problem(kind, detail)
+            await self._send_problem(kind, detail)
 
-    async def _problem(self, kind: ProblemKind, detail: str = "") -> None:
+    async def _send_problem(self, kind: ProblemKind, detail: str = "") -> None:
         content = failures.problem(kind, detail)
-        response = problem_response(content, self._scope["path"], self._request_id)
-        await response(self._scope, _nothing_more, self.send)
+        response = make_problem_response(content, self._scope["path"], self._request_id)
+        await response(self._scope, _receive_disconnect, self.send)
 
-    def _with_headers(self, message: Message) -> Message:
+    def _add_headers(self, message: Message) -> Message:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in _HEADERS.items():
@@ -153,7 +153,7 @@ class _Answer:
         )
 
 
-async def _nothing_more() -> Message:
+async def _receive_disconnect() -> Message:
     return {"type": "http.disconnect"}
 
 
@@ -167,7 +167,7 @@ def _request_id(headers: Headers) -> str:
     return given if _REQUEST_ID.match(given) else secrets.token_hex(8)
 
 
-def _hostname(host: str) -> str:
+def _parse_hostname(host: str) -> str:
     try:
         return (urlsplit(f"//{host}").hostname or "").rstrip(".")
     except ValueError:

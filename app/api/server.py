@@ -69,7 +69,7 @@ class Server(uvicorn.Server):
 
 
 @contextmanager
-def signals_end_quietly() -> Iterator[None]:
+def ignore_raised_signals() -> Iterator[None]:
     """Let uvicorn raise the signal again without ending the process too early."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -84,7 +84,7 @@ def signals_end_quietly() -> Iterator[None]:
 
 
 @contextmanager
-def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
+def bind_socket(host: str, port: int) -> Iterator[socket.socket]:
     """Listen there, port 0 on a free one; raise BadInput where that cannot be."""
     try:
         family, _, _, _, place = socket.getaddrinfo(
@@ -100,7 +100,7 @@ def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
         yield listener
 
 
-def address_of(listener: socket.socket) -> str:
+def format_address(listener: socket.socket) -> str:
     """Return where a program on this computer reaches it."""
     bound, port = listener.getsockname()[:2]
     host = _OWN.get(bound, str(bound))

@@ -93,7 +93,7 @@ def insert_job(connection: Connection, new: NewJob) -> Job:
         monte_carlo=new.monte_carlo,
         target_um=new.target_um,
     )
-    values = {**_columns(job), "plan": new.plan}
+    values = {**_encode_columns(job), "plan": new.plan}
     done = connection.execute(insert(jobs).values(**values))
     assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
     return replace(job, seq=done.inserted_primary_key[0])
@@ -102,14 +102,14 @@ def insert_job(connection: Connection, new: NewJob) -> Job:
 def update_job(connection: Connection, before: Job, after: Job) -> None:
     """Write a job over its version before. Raises StaleVersion."""
     same = (jobs.c.id == before.id) & (jobs.c.version == before.version)
-    values = _columns(after)
+    values = _encode_columns(after)
     done = connection.execute(update(jobs).where(same).values(**values))
     if done.rowcount != 1:
         now = read_job(connection, before.id)
         raise StaleVersion(before.version, now.version, now.state)
 
 
-def _columns(job: Job) -> dict[str, Any]:
+def _encode_columns(job: Job) -> dict[str, Any]:
     content = encode_job(job)
     del content["seq"]
     return content

@@ -106,7 +106,7 @@ class RunCatalogue:
             row = connection.execute(query).mappings().first()
         if row is None:
             raise NotFound(f"there is no run {run_id}")
-        return _record(row)
+        return _decode_row(row)
 
     def list_page(
         self, limit: int, *, before_seq: int | None = None
@@ -116,7 +116,7 @@ class RunCatalogue:
         if before_seq is not None:
             query = query.where(runs.c.seq < before_seq)
         with self._database.read() as connection:
-            return [_record(row) for row in connection.execute(query).mappings()]
+            return [_decode_row(row) for row in connection.execute(query).mappings()]
 
     def file(self, run_id: str) -> Path:
         """Return the file of a Run. Raises NotFound, also if somebody removed it."""
@@ -164,12 +164,12 @@ class RunCatalogue:
             name=(name or run.name)[:_NAME_LENGTH],
             origin=origin,
             file=file.name,
-            sha256=_sha256(file),
+            sha256=_hash_file(file),
             bytes=file.stat().st_size,
             mode=run.mode,
             machine=run.machine.name[:_NAME_LENGTH],
             samples=len(run.tracker),
-            lost_samples=_lost(run),
+            lost_samples=_count_lost(run),
             complete=complete,
             plan=plan_json(run.commanded),
             created=format_utc_now(),
@@ -187,14 +187,14 @@ def open_recorded(file: Path) -> Run:
     return read_bundle(file) if file.suffix == ".zip" else open_run(file)
 
 
-def _record(row: RowMapping) -> RunRecord:
+def _decode_row(row: RowMapping) -> RunRecord:
     return RunRecord(**row)
 
 
-def _lost(run: Run) -> int:
+def _count_lost(run: Run) -> int:
     return int(np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum())
 
 
-def _sha256(file: Path) -> str:
+def _hash_file(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

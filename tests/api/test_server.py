@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.api.server import address_of, bound_socket
+from app.api.server import bind_socket, format_address
 from app.errors import BadInput
 
 
@@ -19,18 +19,18 @@ from app.errors import BadInput
     ],
 )
 def test_the_address_is_one_that_this_computer_can_open(host, shown):
-    with bound_socket(host, 0) as listener:
+    with bind_socket(host, 0) as listener:
         port = listener.getsockname()[1]
-        assert address_of(listener) == f"{shown}{port}"
-        place = urlsplit(address_of(listener))
+        assert format_address(listener) == f"{shown}{port}"
+        place = urlsplit(format_address(listener))
         socket.create_connection((place.hostname, place.port), timeout=5.0).close()
 
 
 def test_a_port_that_is_taken_is_bad_input_that_names_it():
-    with bound_socket("127.0.0.1", 0) as listener:
+    with bind_socket("127.0.0.1", 0) as listener:
         port = listener.getsockname()[1]
         with (
             pytest.raises(BadInput, match=f"port {port}: .*; stop what listens there"),
-            bound_socket("127.0.0.1", port),
+            bind_socket("127.0.0.1", port),
         ):
             pass
