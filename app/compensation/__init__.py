@@ -1,20 +1,25 @@
-"""A result as the tables of a controller, and what they leave behind.
+"""A result as the tables of a controller, and the error that remains with them.
 
-A file is written from one model: the volumetric error δ of the result, along the middle
-of the travel for controllers that correct an axis by a table, and as error motions for
-those that compute the volume. Compensation is −δ; which sign the file has is the rule
-of its controller.
+All files are written from one map: the volumetric error δ of the result. Controllers
+that correct an axis by a table get δ along the middle of the travel; those that compute
+the volume get the error motions. Compensation is −δ; the sign in a file follows the
+rule of its controller.
 
-What is written is read back by a simulator of the controller, which shares nothing with
-the writer: it interpolates, rounds and adds as the controller does. What δ and the
-correction leave together, on a grid and between the rows of the tables, is stated with
-the file; a file that makes the error larger is refused.
+A simulator of the controller, which shares nothing with the writer, reads the files
+back: it interpolates, rounds and adds as the controller does. The sum of δ and
+correction, on a grid and between the rows of the tables, is stated with the files;
+files that make the error larger are refused.
 
-    source       the result's error at any position, both directions
-    order        what a writer gets: tables of each axis, mm and rad
-    format       what a controller's format promises; found by entry point
-    export       spacing, writing, reading back, the account that goes with the files
-    linuxcnc, siemens_lec, siemens_cec, heidenhain, fanuc, isg_csv    one format a file
+    error_map             δ of the result at any position, in + and − direction
+    axis_tables           δ and the error motions of each axis at equal spacing, mm, rad
+    format                the interface of a controller's format
+    interpolated_table    what simulated controllers share: tables with straight lines
+    sample_positions      where the remaining error is computed
+    effect_residuals      how much of each effect of a model remains
+    export, export_files  spacing, writing, reading back, the account of the files
+    linuxcnc, siemens, heidenhain, fanuc, isg_csv    one maker a file
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.
+
+References: the manuals named in each format's file; ISO 230-1 for symbols and signs.
 """

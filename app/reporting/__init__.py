@@ -1,25 +1,25 @@
-"""An estimate to tables, maps and reports: the border, where mm become µm and rad µrad.
+"""How results are shown: the pages of results, plans, comparisons and discoveries.
 
-Everything here returns records, dictionaries or texts; writing them to disk is the work
-of `jobs`. From one estimate come
+Nothing is computed here that a file does not state as well. Python modules turn records
+into views: plain dictionaries of texts, numbers and figures. Jinja2 templates turn
+views into pages; markup stands in templates only, and every text from outside is
+escaped. A page is one file with its style sheet and its figures inside, right on
+screens light and dark and on paper.
 
-- `error_tables`: each error motion on an equidistant grid, in the gauge of the file
-  formats, which the parameters already hold: positioning and angular errors are 0 at
-  the axis zero (else at the lowest position); straightness is 0 at both ends of the
-  travel and its slopes are squareness. What the measured targets cannot tell has no
-  table, never a column of zeros: it is named among the unobservable.
-- `result_json`: the whole result, with the parameters and their covariance
-  (`model_json`), so that `prediction` gives the same map from the file as from the
-  estimate.
-- `volumetric_error`: what they do at the tool point, before and after compensation.
-- `report_html`: the report for people, in the order of ISO/TR 16907: machine and
-  measurement, error motions, volumetric error, validation, documentation.
+    calibration_report    the report of a result, a section a template
+    discovery_report      which effects a model lacks, and the lines that would decide
+    comparison_report     a result against a direct measurement
+    plan_report           a plan: what it determines, and in what time
+    error_sections, measurement_sections, run_views    views of the calibration report
+    templating            the environment of the templates
+    svg, chart, axis_panels    shapes, scales and frames of figures
+    *_figures, volume_figure   one kind of report a file
 
-Uncertainties follow the GUM: variances are propagated through Jacobians from the one
-covariance of the estimate. Files state standard uncertainties (k = 1); what people read
-states expanded ones (k = 2) and says so. The volumetric error is that after its
-best-fit rigid motion over the travel is removed, and so is its uncertainty: where the
-tracker stands is not the machine's error (`estimation.volumetric_map`).
+The calibration report follows the order of ISO/TR 16907: machine and measurement, error
+motions, volumetric error, residuals, limits, validation, documentation. Files state
+standard uncertainties (k = 1); pages state expanded ones (k = 2) and say so. The
+volumetric error is that after its best-fit rigid motion over the travel is removed: the
+position of the tracker is not an error of the machine.
 
 References: ISO 230-1 (symbols), ISO/TR 16907:2015 clauses 9 to 12 (representation,
 validation and documentation of numerical compensation), JCGM 100 (GUM) and 101.

@@ -48,17 +48,17 @@ def choose_language(remembered: str | None, accepted: str | None) -> str:
 
     accepted : an Accept-Language header
     """
-    wanted = [remembered or "", *_by_preference(accepted or "")]
+    wanted = [remembered or "", *_sort_by_preference(accepted or "")]
     known = (tag.split("-")[0].lower() for tag in wanted)
     return next((tag for tag in known if tag in LANGUAGES), DEFAULT_LANGUAGE)
 
 
-def _by_preference(header: str) -> Iterable[str]:
-    weighted = [_weighted(part) for part in header.split(",") if part.strip()]
-    return (tag for _, tag in sorted(weighted, key=lambda pair: -pair[0]))
+def _sort_by_preference(header: str) -> Iterable[str]:
+    tags = [_parse_weight(part) for part in header.split(",") if part.strip()]
+    return (tag for _, tag in sorted(tags, key=lambda pair: -pair[0]))
 
 
-def _weighted(part: str) -> tuple[float, str]:
+def _parse_weight(part: str) -> tuple[float, str]:
     tag, _, parameter = part.strip().partition(";")
     weight = parameter.strip().removeprefix("q=")
     try:

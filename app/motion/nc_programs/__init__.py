@@ -1,25 +1,27 @@
 """A measuring path as a program that an operator loads into a control by hand.
 
-A calibration needs nothing of the control but that it drives the path: straight lines
-at a steady feed, an exact stop and a dwell at each row, all in machine coordinates. So
-every control that reads a program can be measured, with no link to it at all; the
-tracker's stream alone tells what was driven when.
+A calibration needs a control only to drive the path: straight lines at a steady feed,
+an exact stop and a dwell at each row, in machine coordinates. Every control that reads
+a program can therefore be measured without a link to it: the tracker's stream alone
+shows when each line was driven.
 
-Three things make a path and its program the same motion:
+Three rules make a path and its program the same motion:
 
 - positions are coordinates of the machine, never of a workpiece: frames are suppressed
-  in each block (`SUPA`, `M91`, `G53`), or their being zero is checked by the control
-  itself (Fanuc), and tool length and radius are out of the way;
+  in each block (`SUPA`, `M91`, `G53`), or the control itself checks that they are zero
+  (Fanuc), and tool length and radius are not applied;
 - each row is an exact stop. `G61` of LinuxCNC and a Heidenhain block without a dwell
   run through collinear rows, so they are not used for that;
-- what is written is read back by a reader of its own, which knows the rules of that
-  control and shares nothing with the writer, and is held against path and travel.
+- each program is read back by a reader of its own, which knows the rules of the control
+  and shares nothing with the writer, and is compared with path and travel.
 
-    programs     a path or points to a text and back; the checks
-    order        what is to be commanded, as it will be printed; the header
-    dialect      what a control's file promises; found by entry point
-    control      a reader's memory: where the axes are, what was seen
-    iso_words    words and modal groups of G-code, for readers
+    programs              a path or points to a text and back; the checks
+    program_content       header and rows of a program, rounded as they are printed
+    programmed_motion     the motion of a program, row by row
+    dialect               the interface of a control's format; found by entry point
+    blocks                the order of rows, stops and dwells in every program
+    simulated_control     a control that runs a program: axes, feed, dwells
+    gcode                 words, modal groups and motions of G-code, for readers
     siemens, heidenhain, fanuc, linuxcnc     one control a file
 
 Third parties add controls in the entry-point group `truepath.nc_dialects`.
