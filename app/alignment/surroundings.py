@@ -14,7 +14,6 @@ from jaxtyping import Float64, Int64
 from app.alignment.observations import Observations
 from app.kinematics.conditions import RecordedState
 from app.motion.configurations import Configurations
-from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path, TemperatureSamples
 
 
@@ -96,11 +95,3 @@ def _temperatures(
     for k in range(len(told.names)):
         celsius[:, k] = np.interp(time_s, told.time_s, told.celsius[:, k])
     return told.names, celsius
-
-
-def with_pose(seen: Observations, pose: RigidTransform) -> Observations:
-    """Return observations with surroundings with another pose of the tracker."""
-    recorded = seen.at.recorded
-    if recorded is not None:
-        recorded = replace(recorded, rotation=pose.rotation)
-    return replace(seen, pose=pose, at=replace(seen.at, recorded=recorded))

@@ -5,27 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app.alignment.surroundings import with_pose
 from app.discovery.aligned_run import AlignedRun, align_runs
 from app.discovery.findings import Finding, state_findings
 from app.discovery.gap import Gap, measure_gap
 from app.discovery.residual_location import RunResidual, locate_residuals
-from app.discovery.run_data import RunData
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import TermSearch
-from app.discovery.within import within_cells
 from app.estimation.baseline import (
     Baseline,
     ReferenceModel,
     fit_baseline,
     refit_noise,
 )
-from app.estimation.design_matrix import Linearisation, middle_of
+from app.estimation.run_data import place_run
+from app.estimation.term_equations import Lines
 from app.files.one_machine import one_machine
 from app.files.run import Run
+from app.kinematics.coarse_model import build_baseline_models
+from app.kinematics.effects.candidate_term import propose_terms
 from app.kinematics.effects.installed import list_families
-from app.kinematics.effects.tracker_pose import TrackerPose
 from app.progress import ShareProgress, ignore_progress
+
+_FOLDS = 8  # of lines, each held out once
 
 
 @dataclass(frozen=True)
@@ -72,52 +73,34 @@ def discover(
     Raises AlignmentError, EstimationError if the Runs cannot be fitted at all,
     BundleError if they are not of one machine.
     """
-    machine = one_machine([run.machine for run in runs], [run.name for run in runs])
     aligned = align_runs(runs)
     on_progress(0.05)
-    baseline = fit_baseline(machine, [a.coarse for a in aligned], reference)
+    machine = one_machine([run.machine for run in runs], [run.name for run in runs])
+    families = [f for f in list_families() if reference or not f.is_rigid_body]
+    terms = tuple(propose_terms(families, [one.at for one in aligned]))
+    coarse = [one.coarse for one in aligned]
+    model, noise_model = build_baseline_models(
+        machine, [one.at for one in coarse], reference and reference.model
+    )
+    baseline = fit_baseline(model, noise_model, coarse, reference)
     on_progress(0.35)
-    # A fitted baseline has every squareness already.
-    families = [
-        family
-        for family in list_families()
-        if reference is not None or not family.is_rigid_body
-    ]
-    fitter = TermFitter(_run_data(aligned, baseline), baseline.prior, families)
+    lines = _collect_lines(aligned, baseline)
+    fitter = TermFitter(lines, baseline.prior, terms)
     best = TermSearch(fitter).add_terms()
     on_progress(0.6)
     if best.terms:
         # What the effects caused is no longer counted as noise.
         baseline = refit_noise(baseline, [t.effect for t in best.terms])
-        fitter = TermFitter(_run_data(aligned, baseline), baseline.prior, families)
+        lines = _collect_lines(aligned, baseline)
+        fitter = TermFitter(lines, baseline.prior, terms)
         best = TermSearch(fitter).select_terms(best.terms)
     on_progress(0.8)
-    return _state(_place(aligned, baseline), baseline, fitter, best)
+    return _state(aligned, baseline, fitter, best)
 
 
-def _place(aligned: Sequence[AlignedRun], baseline: Baseline) -> tuple[AlignedRun, ...]:
-    """Return the Runs where the baseline places their trackers."""
-    return tuple(
-        replace(a, observations=with_pose(a.observations, run.pose))
-        for a, run in zip(aligned, baseline.runs, strict=True)
-    )
-
-
-def _run_data(aligned: Sequence[AlignedRun], baseline: Baseline) -> list[RunData]:
-    """Return the data of each Run with its pose and noise in the baseline."""
-    run_data: list[RunData] = []
-    for one, fitted in zip(_place(aligned, baseline), baseline.runs, strict=True):
-        base = Linearisation(
-            baseline.model,
-            TrackerPose(middle_of(fitted.observations)),
-            fitted.pose,
-            fitted.noise,
-            baseline.theta,
-            len(baseline.runs),
-        )
-        within = within_cells(one.run, one.observations, base)
-        run_data.append(RunData(one.observations, base, within))
-    return run_data
+def _collect_lines(aligned: Sequence[AlignedRun], baseline: Baseline) -> Lines:
+    """Return the lines of all Runs with their pose and noise in the baseline."""
+    return Lines([place_run(a.run, a.observations, baseline) for a in aligned], _FOLDS)
 
 
 def _state(
@@ -129,9 +112,13 @@ def _state(
     without = fitter.fit([]) if best.terms else best
     findings = state_findings(fitter, without, best)
     residuals = locate_residuals(
-        [a.observations for a in aligned],
+        [run.observations for run in fitter.run_data],
         fitter.residuals(without),
         fitter.residuals(best),
     )
     gap = measure_gap(fitter.run_data, without, best)
+    aligned = tuple(
+        replace(one, observations=run.observations)
+        for one, run in zip(aligned, fitter.run_data, strict=True)
+    )
     return Discovery(aligned, baseline, fitter, without, best, findings, gap, residuals)

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
-from app.discovery.candidate_term import CandidateTerm
-from app.discovery.sums import FoldedSums, Offered
 from app.estimation.information import Information, compute_posterior
+from app.estimation.term_equations import FoldedSums, Offered
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 _FREE = 100.0  # times the usual size: a fitted term has hardly a prior
 

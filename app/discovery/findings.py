@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.candidate_term import CandidateTerm
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
 from app.kinematics.effects.catalogue import (

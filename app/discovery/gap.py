@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.alignment.reduction import beam_frame
-from app.discovery.run_data import RunData
 from app.discovery.term_fitter import TermFit
 from app.estimation.noise import floor_mm
+from app.estimation.run_data import RunData
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
-from app.discovery.residual import Residual
 from app.estimation.design_matrix import find_lines
+from app.estimation.residual import Residual
 
 _BINS, _SIDE = 8, 4
 

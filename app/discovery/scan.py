@@ -14,10 +14,10 @@ from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from app.discovery.candidate_term import CandidateTerm
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.discovery.evidence import log_bayes
-from app.discovery.residual import Residual
-from app.discovery.spectrum import transform
+from app.estimation.residual import Residual
+from app.numerics.spectrum import transform
 from app.kinematics.effects.catalogue import Scan, Wave, attenuation
 
 _RATES = 8  # groups of cells of similar rate

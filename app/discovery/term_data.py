@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.evidence import Remainder, integrate_out, prior_precision
-from app.discovery.sums import Lines
+from app.estimation.term_equations import Lines
 from app.kinematics.conditions import Conditions
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 
 @dataclass(frozen=True)

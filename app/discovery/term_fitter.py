@@ -8,25 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.candidate_term import CandidateTerm, propose_terms
 from app.discovery.event_time import locate_event
 from app.discovery.evidence import HeldOutMisfit, predict_held_out, prior_precision
-from app.discovery.residual import Residual, weight_residual
-from app.discovery.run_data import RunData
 from app.discovery.scan import scan_term
-from app.discovery.sums import Lines
 from app.discovery.term_data import TermData
 from app.discovery.value_refinement import refine_values
 from app.estimation.baseline import MachinePrior
 from app.estimation.information import Posterior
-from app.estimation.prior import diagonal_precision
-from app.kinematics.effects.catalogue import Family
+from app.estimation.residual import Residual, weight_residual
+from app.estimation.term_equations import Lines
+from app.kinematics.effects.candidate_term import CandidateTerm
 
-FOLDS = 8
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
-# Prior of a tracker's place around the one that alignment found: a millimetre, a
-# milliradian. It keeps the place known where one of a Run's few lines is held out.
-_POSE = {"mm": 1.0, "rad": 1e-3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,20 +69,13 @@ class TermFitter:
     """Fits terms to Runs of one machine, and ranks a catalogue of terms."""
 
     def __init__(
-        self,
-        run_data: Sequence[RunData],
-        prior: MachinePrior,
-        families: Sequence[Family],
+        self, lines: Lines, prior: MachinePrior, catalogue: Sequence[CandidateTerm]
     ) -> None:
-        self.run_data = tuple(run_data)
-        self._at = tuple(run.observations.at for run in run_data)
-        base = run_data[0].base
-        self._size = base.size
-        poses = diagonal_precision(base.pose_parameters, _POSE)
-        self._poses = np.pad(poses, (base.machine_model.size, 0))
-        self._prior = prior
-        self._lines = Lines(run_data, FOLDS)
-        self._catalogue = tuple(propose_terms(families, self._at))
+        self._lines, self._prior, self._catalogue = lines, prior, tuple(catalogue)
+        self.run_data = lines.runs
+        self._at = tuple(run.observations.at for run in lines.runs)
+        self._size = lines.size
+        self._poses = lines.pose_precision
         self._fits: dict[tuple[CandidateTerm, ...], TermFit] = {}
         self._scanned: dict[TermFit, dict[str, CandidateTerm]] = {}
         self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}

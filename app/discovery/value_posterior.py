@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.term_data import TermData
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 _BELOW, _ABOVE = -4, 10  # standard uncertainties by the slope, in whole steps
 _FEWEST = 3  # values, for any to lie between others

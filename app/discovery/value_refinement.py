@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.event_time import locate_event
 from app.discovery.evidence import prior_precision
 from app.discovery.term_data import TermData
@@ -20,6 +19,7 @@ from app.discovery.value_posterior import average_value
 from app.estimation.information import Posterior, compute_posterior
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty

@@ -15,22 +15,19 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.alignment.surroundings import with_pose
 from app.errors import Unidentifiable
+from app.estimation.design_matrix import Linearisation, middle_of
 from app.estimation.information import Information, Posterior, compute_posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.prior import BendingPrior, fit_prior, guess_prior
 from app.estimation.runs import RunInput
+from app.kinematics.coarse_model import LONGEST_NOISE_S, add_effects
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.of_run import EffectOfRun
-from app.kinematics.effects.time_spline import time_splines
-from app.kinematics.identifiable import identifiable_model
-from app.kinematics.machine import Machine
+from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
+from app.numerics.rigid import RigidTransform
 
-_LONGEST_NOISE_S = 6.0  # of the noise's correlation time
-_POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
 
 
 class MachinePrior(Protocol):
@@ -100,33 +97,48 @@ class Baseline:
     theta : (p,) about which the model is linear: 0 where it is fitted to the Runs
     prior : of the machine's parameters
     runs : coarse observations, pose and noise of each Run
+    noise_model : that the noise is estimated with
     """
 
     model: MachineModel
     theta: Float64[np.ndarray, " p"]
     prior: MachinePrior
     runs: tuple[RunInput, ...]
+    noise_model: MachineModel
+
+    def linearise(self, run: int) -> Linearisation:
+        """Return the problem of a Run, linear about pose and parameters."""
+        own = self.runs[run]
+        return Linearisation(
+            self.model,
+            TrackerPose(middle_of(own.observations)),
+            own.pose,
+            own.noise,
+            self.theta,
+            len(self.runs),
+        )
 
 
 def fit_baseline(
-    machine: Machine,
+    model: MachineModel,
+    noise_model: MachineModel,
     observations: Sequence[Observations],
     reference: ReferenceModel | None = None,
 ) -> Baseline:
-    """Return model, prior, poses and noise of Runs of one machine.
+    """Return prior, poses and noise of Runs of one machine.
 
     observations : of each Run, in coarse cells with their surroundings
-    reference : the model; the rigid-body model fitted to the Runs if None
+    reference : what is known of the model; it is fitted to the Runs if None
 
     Raises Unidentifiable if the lines do not determine the noise.
     """
     if reference is None:
-        model, _ = identifiable_model(machine, *(o.at.offset_mm for o in observations))
         theta, prior = np.zeros(model.size), SmoothMotions(guess_prior(model))
     else:
-        model, theta, prior = reference.model, reference.theta, reference.prior()
-    runs = tuple(RunInput(o, o.pose, _first_noise(o)) for o in observations)
-    return Baseline(model, theta, prior, _fit_noise(model, runs, ()))
+        theta, prior = reference.theta, reference.prior()
+    guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]
+    runs = _fit_noise(noise_model, guessed)
+    return Baseline(model, theta, prior, runs, noise_model)
 
 
 def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:
@@ -134,39 +146,30 @@ def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:
 
     Where the effects leave nothing to judge the noise by, it stays as it is.
     """
-    runs = tuple(replace(r, noise=_first_noise(r.observations)) for r in baseline.runs)
+    model = add_effects(baseline.noise_model, effects)
+    guessed = [replace(r, noise=_guess_noise(r.observations)) for r in baseline.runs]
     try:
-        return replace(baseline, runs=_fit_noise(baseline.model, runs, effects))
+        return replace(baseline, runs=_fit_noise(model, guessed))
     except Unidentifiable:
         return baseline
 
 
-def _first_noise(observations: Observations) -> NoiseModel:
+def _guess_noise(observations: Observations) -> NoiseModel:
     return guess_noise(observations, perpendicular_only=False)
 
 
-def _fit_noise(
-    model: MachineModel, runs: Sequence[RunInput], effects: Sequence[Effect]
-) -> tuple[RunInput, ...]:
-    """Return the Runs with pose and noise beside effects and what changes slowly."""
-    slow = [
-        EffectOfRun(spline, number)
-        for number, run in enumerate(runs)
-        for spline in time_splines(
-            run.observations.at, _knot_spacing_s(run.observations)
-        )
-    ]
-    beside = (*slow, *model.catalogued, *effects)
-    better = refine_runs(model.machine, runs, beside, longest_s=_LONGEST_NOISE_S)
+def _fit_noise(model: MachineModel, runs: Sequence[RunInput]) -> tuple[RunInput, ...]:
+    """Return the Runs with pose and noise beside a model."""
     return tuple(
         replace(run, observations=with_pose(run.observations, run.pose))
-        for run in better
+        for run in refine_runs(model, runs, longest_s=LONGEST_NOISE_S)
     )
 
 
-def _knot_spacing_s(observations: Observations) -> float:
-    """Return a distance of knots in time that follows no single point."""
-    if observations.passes:
-        return _LONGEST_NOISE_S
-    each_s = float(np.ptp(observations.at.time_s)) / len(observations)
-    return max(_LONGEST_NOISE_S, _POINTS_PER_KNOT * each_s)
+def with_pose(observations: Observations, pose: RigidTransform) -> Observations:
+    """Return observations with another pose of the tracker."""
+    recorded = observations.at.recorded
+    if recorded is not None:
+        recorded = replace(recorded, rotation=pose.rotation)
+    at = replace(observations.at, recorded=recorded)
+    return replace(observations, pose=pose, at=at)

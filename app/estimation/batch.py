@@ -23,6 +23,7 @@ from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInformation, RunInput
 from app.estimation.whitening import whiten
 from app.files.one_machine import one_machine
+from app.kinematics.coarse_model import build_coarse_model
 from app.kinematics.identifiable import identifiable_model
 from app.progress import ShareProgress, ignore_progress
 
@@ -52,7 +53,9 @@ def estimate(
     machine = one_machine(
         [each.at.machine for each in observed], _name(names, observed)
     )
-    model, _ = identifiable_model(machine, *(each.at.offset_mm for each in observed))
+    offsets_mm = [each.at.offset_mm for each in observed]
+    model, _ = identifiable_model(machine, *offsets_mm)
+    coarse = build_coarse_model(machine, offsets_mm, known.effects)
     inputs = tuple(
         RunInput(
             replace(each, at=replace(each.at, run=k)),
@@ -61,7 +64,7 @@ def estimate(
         )
         for k, each in enumerate(observed)
     )
-    inputs = refine_runs(machine, inputs, known=known)
+    inputs = refine_runs(coarse, inputs, known=known)
     on_progress(0.5)
     fit = free_ends(select_fit(inputs, known.extend(model), known))
     on_progress(0.9)

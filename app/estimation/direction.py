@@ -24,8 +24,8 @@ from app.estimation.runs import (
     collect_information,
     combine_runs,
 )
-from app.kinematics.effects.approach import half_shape, half_width
-from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.coarse_model import add_half_widths
+from app.kinematics.effects.approach import half_shape
 from app.kinematics.model import MachineModel
 
 # A precision fitted to nothing gains a little evidence; not this much, in −2 log.
@@ -57,16 +57,6 @@ class Fit:
         return self.known.add_to(combine_runs(self.runs), self.model)
 
 
-def add_half_widths(model: MachineModel) -> MachineModel:
-    """Return the model with a half width for each of its error motions.
-
-    None for a motion whose lost motion is an effect of the model already.
-    """
-    lost = {e.half_difference.symbol for e in model.effects if e.half_difference}
-    motions = [m for m in _motions(model) if m.symbol not in lost]
-    return model.with_effects(*(half_width(m.symbol, m.axis) for m in motions))
-
-
 def select_fit(
     runs: Sequence[RunInput],
     model: MachineModel,
@@ -84,7 +74,7 @@ def select_fit(
     constant = _fit("constant", wide, found, known)
     if none.cost <= constant.cost:
         return none
-    shapes = [half_shape(m.symbol, m.axis) for m in _motions(model)]
+    shapes = [half_shape(m.symbol, m.axis) for m in model.error_motions]
     both = wide.with_effects(*shapes)
     tables = _fit("tables", both, collect_information(runs, both), known)
     return min(constant, tables, key=lambda fit: fit.cost)
@@ -101,7 +91,3 @@ def _fit(
     precisions = len(model.effects) - len(model.error_motions)
     cost = compute_evidence_cost(data, prior, result) + _PRICE * precisions
     return Fit(direction, model, runs, known, prior, result, cost)
-
-
-def _motions(model: MachineModel) -> list[ErrorMotion]:
-    return list(model.error_motions)

@@ -23,7 +23,6 @@ from app.alignment.stretches import Stretch, offsets_mm
 from app.alignment.surroundings import with_surroundings
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
-from app.estimation.direction import add_half_widths
 from app.estimation.information import Information, compute_posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
@@ -42,6 +41,7 @@ from app.estimation.prior import (
 from app.estimation.recursive import RecursiveEstimator
 from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
+from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import identifiable_model
@@ -221,9 +221,10 @@ def _refine_noise(
     noise: NoiseModel,
     known: KnownEffects,
 ) -> NoiseModel:
-    run = RunInput(observations, pose, noise)
+    run, at = RunInput(observations, pose, noise), observations.at
+    model = build_coarse_model(at.machine, [at.offset_mm], known.effects)
     try:
-        return refine_runs(observations.at.machine, (run,), known=known)[0].noise
+        return refine_runs(model, (run,), known)[0].noise
     except Unidentifiable:
         return noise  # too few lines to judge it better
 

@@ -17,7 +17,6 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.direction import add_half_widths
 from app.estimation.elimination import select_independent
 from app.estimation.information import Information, add_information
 from app.estimation.known_effects import KnownEffects
@@ -30,13 +29,9 @@ from app.estimation.runs import (
     collect_information,
     combine_runs,
 )
-from app.kinematics.effects.base import Effect
-from app.kinematics.identifiable import identifiable_model
-from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
 
 _MERGED_S = 0.25  # longer: the correlated noise changes within a merged cell
-# Knots for judging noise: fine enough that shapes of the errors do not pass for noise.
-_COARSE_MM = 35.0
 _CELLS = 1000  # as many tell the noise to a few parts in a hundred
 _FEWEST_ROWS = 24
 _SWEEPS = 2  # over several Runs
@@ -61,16 +56,15 @@ def guess_noise(observations: Observations, *, perpendicular_only: bool) -> Nois
 
 
 def refine_runs(
-    machine: Machine,
+    model: MachineModel,
     runs: Sequence[RunInput],
-    beside: Sequence[Effect] = (),
     known: KnownEffects | None = None,
     *,
     longest_s: float = LONGEST_S,
 ) -> tuple[RunInput, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
 
-    beside : further effects that must not pass for Ornstein–Uhlenbeck noise
+    model : coarse, with all that must not pass for Ornstein–Uhlenbeck noise
     known : effects of the machine that an earlier measurement has told
     longest_s : correlation time; what is slower is structure, not noise
 
@@ -80,11 +74,6 @@ def refine_runs(
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or KnownEffects()
-    offsets_mm = [run.observations.at.offset_mm for run in runs]
-    model, _ = identifiable_model(machine, *offsets_mm, knot_spacing_mm=_COARSE_MM)
-    # Lost motion must not pass for Ornstein–Uhlenbeck noise.
-    model = add_half_widths(known.extend(model))
-    model = model.with_effects(*(e for e in beside if e.name not in model.slices))
     few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
     found = list(collect_information(few, model))
     prior, result = fit_prior(

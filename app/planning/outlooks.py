@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from app.estimation.direction import add_half_widths
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import diagonal_precision
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.estimation.weak_shapes import usual_precision_matrix
+from app.kinematics.coarse_model import add_half_widths
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.effects.tracker_pose import TrackerPose

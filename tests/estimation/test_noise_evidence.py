@@ -7,7 +7,6 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.design_matrix import linearise
-from app.estimation.direction import add_half_widths
 from app.estimation.information import Information, compute_posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence
@@ -15,6 +14,7 @@ from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.normal_equations import compute_information
 from app.estimation.prior import compute_evidence_cost, fit_prior, guess_prior
 from app.estimation.runs import RunInformation, RunInput
+from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.identifiable import identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
@@ -94,8 +94,9 @@ def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
 def test_the_fit_ends_at_the_same_noise_from_anywhere(seen, factor):
     start = guess_noise(seen, perpendicular_only=False)
     other = moved(start, np.log([factor, factor, 1.0 / factor, factor]))
+    model = build_coarse_model(seen.at.machine, [seen.at.offset_mm])
     best, again = (
-        refine_runs(seen.at.machine, [RunInput(seen, seen.pose, noise)])[0].noise
+        refine_runs(model, [RunInput(seen, seen.pose, noise)])[0].noise
         for noise in (start, other)
     )
     assert np.log(again.ou) == pytest.approx(np.log(best.ou), abs=0.15)

@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.line import Line
-from app.discovery.run_data import FastSums, RunData
 from app.estimation.elimination import fit_timing
+from app.estimation.line_blocks import Line
 from app.estimation.noise import NoiseModel
+from app.estimation.run_data import RunData
+from app.estimation.within_cells import Within
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect
 
@@ -34,7 +35,7 @@ class Residual:
     precision: Float64[np.ndarray, "n 3 3"]
     ou: float
     ou_time_s: float
-    within: FastSums | None = None
+    within: Within | None = None
 
     def ou_density(
         self, frequency_hz: Float64[np.ndarray, " f"]

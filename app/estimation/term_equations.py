@@ -13,13 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.discovery.line import Line, build_line
-from app.discovery.run_data import FastSums, RunData
 from app.estimation.design_matrix import find_lines
 from app.estimation.information import Information
+from app.estimation.line_blocks import Line, build_line
+from app.estimation.prior import diagonal_precision
+from app.estimation.run_data import RunData
 from app.estimation.whitening import WhitenedBlocks
+from app.estimation.within_cells import Within
 from app.kinematics.effects.base import Effect
 
+_POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's place
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 _KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
 
@@ -85,9 +88,9 @@ class Lines:
     """
 
     def __init__(self, runs: Sequence[RunData], folds: int) -> None:
-        self._runs, self._folds = tuple(runs), folds
-        self._size = runs[0].base.size
-        self._within: list[tuple[FastSums, bool]] = []
+        self.runs, self._folds = tuple(runs), folds
+        self.size = runs[0].base.size
+        self._within: list[tuple[Within, bool]] = []
         lines: list[tuple[int, Line]] = []
         for number, data in enumerate(runs):
             parts = find_lines(data.observations)
@@ -108,6 +111,16 @@ class Lines:
         self._ground = self._products(self._base, self._base)
         self._known: dict[Effect, _Term] = {}
 
+    @property
+    def pose_precision(self) -> Float64[np.ndarray, "b b"]:
+        """Prior of the poses beside the machine, around those that alignment found.
+
+        It keeps the place known where one of a Run's few lines is held out.
+        """
+        base = self.runs[0].base
+        poses = diagonal_precision(base.pose_parameters, _POSE)
+        return np.pad(poses, (base.machine_model.size, 0))
+
     def of(self, run: int) -> list[Line]:
         """Return the lines of one Run."""
         return [line for line in self._lines if line.run == run]
@@ -117,7 +130,7 @@ class Lines:
         terms = self._terms_of(effects)
         begin = self._begins(terms)
         total = np.zeros((self._folds + 1, begin[-1] + 1, begin[-1] + 1))
-        base = np.r_[np.arange(self._size), begin[-1]]
+        base = np.r_[np.arange(self.size), begin[-1]]
         _put(total, base, base, self._ground)
         for j, one in enumerate(terms):
             mine = np.arange(int(begin[j]), int(begin[j + 1]))
@@ -149,7 +162,7 @@ class Lines:
         cross, own = self._beside(beside, first)
         old = first.blocks.between(*here)
         cross, own = cross - _crossed(fixed, old), own - old.multiply(old)
-        at = self._runs[line.run].observations.at
+        at = self.runs[line.run].observations.at
         at = at.select(np.arange(int(line.cells.start), int(line.cells.stop)))
         rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
         new, width = line.whiten(rows), first.blocks.width
@@ -173,16 +186,16 @@ class Lines:
     def edges_s(self, number: int) -> Float64[np.ndarray, " e"]:
         """Return the moments of a line's cells, and of the last one before it."""
         line = self._lines[number]
-        time_s = self._runs[line.run].observations.at.time_s
+        time_s = self.runs[line.run].observations.at.time_s
         return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
 
     def _times(self, number: int) -> Float64[np.ndarray, " n"]:
         line = self._lines[number]
-        return self._runs[line.run].observations.at.time_s[line.cells]
+        return self.runs[line.run].observations.at.time_s[line.cells]
 
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         """Return the first column of each effect, and one past the last."""
-        return self._size + np.cumsum([0, *(one.blocks.width for one in terms)])
+        return self.size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
     def _beside(
         self, known: Sequence[_Term], offer: _Term
@@ -242,7 +255,7 @@ class Lines:
         """Yield the columns of effects, whitened and multiplied together."""
         rows = [
             np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
-            for data in self._runs
+            for data in self.runs
         ]
         blocks = WhitenedBlocks.join(
             [line.whiten(rows[line.run][line.cells]) for line in self._lines]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.run_data import RunData
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.elimination import orthonormalise, project_out
+from app.estimation.run_data import RunData
 from app.estimation.whitening import WhitenedBlocks, whiten
 from app.numerics.correlated_noise import Whitener
 

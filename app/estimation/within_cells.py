@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from app.alignment.cleaning import valid_samples
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
-from app.discovery.spectrum import transform
 from app.estimation.design_matrix import Linearisation, find_lines
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
+from app.numerics.spectrum import transform
 
 _OUTLIER = 5.0
 _KEPT = 8  # fast effects whose columns are kept: those chosen, and one on trial

@@ -1,0 +1,88 @@
+"""The models of several Runs, and the coarse one that their noise is estimated with.
+
+The splines of the coarse model are fine enough that shapes of the errors do not pass for
+noise. It has every lost motion and, where slow changes are structure to be explained,
+splines of time: neither must pass for noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.approach import half_width
+from app.kinematics.effects.base import Effect
+from app.kinematics.effects.of_run import EffectOfRun
+from app.kinematics.effects.time_spline import time_splines
+from app.kinematics.identifiable import identifiable_model
+from app.kinematics.machine import Machine
+from app.kinematics.model import MachineModel
+
+LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
+_KNOT_SPACING_MM = 35.0
+_POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
+
+
+def build_baseline_models(
+    machine: Machine,
+    conditions: Sequence[Conditions],
+    reference: MachineModel | None = None,
+) -> tuple[MachineModel, MachineModel]:
+    """Return the model that Runs are compared with, and the coarse one for their noise.
+
+    conditions : of each Run
+    reference : the model; all that the Runs can identify of a rigid body if None
+    """
+    offsets_mm = [at.offset_mm for at in conditions]
+    slow = [spline for at in conditions for spline in _time_splines(at)]
+    if reference is None:
+        model, _ = identifiable_model(machine, *offsets_mm)
+        return model, build_coarse_model(machine, offsets_mm, (), slow)
+    beside = (*slow, *reference.catalogued)
+    return reference, build_coarse_model(reference.machine, offsets_mm, (), beside)
+
+
+def _time_splines(at: Conditions) -> Iterator[Effect]:
+    """Yield splines of the time of a Run, their knots too far apart for one point."""
+    spacing_s = LONGEST_NOISE_S
+    if (at.line < 0).all():
+        each_s = float(np.ptp(at.time_s)) / len(at)
+        spacing_s = max(LONGEST_NOISE_S, _POINTS_PER_KNOT * each_s)
+    for spline in time_splines(at, spacing_s):
+        yield EffectOfRun(spline, at.run)
+
+
+def build_coarse_model(
+    machine: Machine,
+    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
+    known: Sequence[Effect] = (),
+    beside: Sequence[Effect] = (),
+) -> MachineModel:
+    """Return a model of error motions, lost motions and further effects.
+
+    offsets_mm : of the targets in each Run
+    known : effects of the machine from an earlier measurement
+    beside : further effects; those that the model has already are left out
+    """
+    model, _ = identifiable_model(
+        machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
+    )
+    return add_effects(add_half_widths(model.with_effects(*known)), beside)
+
+
+def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:
+    """Return the model with the effects that it does not have already."""
+    return model.with_effects(*(e for e in effects if e.name not in model.slices))
+
+
+def add_half_widths(model: MachineModel) -> MachineModel:
+    """Return the model with a half width for each of its error motions.
+
+    None for a motion whose lost motion is an effect of the model already.
+    """
+    lost = {e.half_difference.symbol for e in model.effects if e.half_difference}
+    motions = [m for m in model.error_motions if m.symbol not in lost]
+    return model.with_effects(*(half_width(m.symbol, m.axis) for m in motions))
