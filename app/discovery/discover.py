@@ -17,16 +17,13 @@ from app.estimation.baseline import (
     fit_baseline,
     refit_noise,
 )
-from app.estimation.run_data import place_run
-from app.estimation.term_equations import Lines
+from app.estimation.term_equations import build_lines
 from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models
 from app.kinematics.effects.candidate_term import propose_terms
 from app.kinematics.effects.installed import list_families
 from app.progress import ShareProgress, ignore_progress
-
-_FOLDS = 8  # of lines, each held out once
 
 
 @dataclass(frozen=True)
@@ -76,31 +73,27 @@ def discover(
     aligned = align_runs(runs)
     on_progress(0.05)
     machine = one_machine([run.machine for run in runs], [run.name for run in runs])
-    families = [f for f in list_families() if reference or not f.is_rigid_body]
-    terms = tuple(propose_terms(families, [one.at for one in aligned]))
+    fine = [one.observations for one in aligned]
     coarse = [one.coarse for one in aligned]
+    families = [f for f in list_families() if reference or not f.is_rigid_body]
+    terms = tuple(propose_terms(families, [one.at for one in fine]))
     model, noise_model = build_baseline_models(
         machine, [one.at for one in coarse], reference and reference.model
     )
     baseline = fit_baseline(model, noise_model, coarse, reference)
     on_progress(0.35)
-    lines = _collect_lines(aligned, baseline)
+    lines = build_lines(runs, fine, baseline)
     fitter = TermFitter(lines, baseline.prior, terms)
     best = TermSearch(fitter).add_terms()
     on_progress(0.6)
     if best.terms:
         # What the effects caused is no longer counted as noise.
         baseline = refit_noise(baseline, [t.effect for t in best.terms])
-        lines = _collect_lines(aligned, baseline)
+        lines = build_lines(runs, fine, baseline)
         fitter = TermFitter(lines, baseline.prior, terms)
         best = TermSearch(fitter).select_terms(best.terms)
     on_progress(0.8)
     return _state(aligned, baseline, fitter, best)
-
-
-def _collect_lines(aligned: Sequence[AlignedRun], baseline: Baseline) -> Lines:
-    """Return the lines of all Runs with their pose and noise in the baseline."""
-    return Lines([place_run(a.run, a.observations, baseline) for a in aligned], _FOLDS)
 
 
 def _state(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.candidate_term import CandidateTerm
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,

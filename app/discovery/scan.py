@@ -14,11 +14,11 @@ from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from app.kinematics.effects.candidate_term import CandidateTerm
 from app.discovery.evidence import log_bayes
 from app.estimation.residual import Residual
-from app.numerics.spectrum import transform
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import Scan, Wave, attenuation
+from app.numerics.spectrum import transform
 
 _RATES = 8  # groups of cells of similar rate
 _FINER = 17  # values between neighbours of a scan's best one

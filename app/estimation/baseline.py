@@ -29,7 +29,6 @@ from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 
 
-
 class MachinePrior(Protocol):
     """What is known of the machine before the Runs."""
 

@@ -13,15 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.alignment.observations import Observations
+from app.estimation.baseline import Baseline
 from app.estimation.design_matrix import find_lines
 from app.estimation.information import Information
 from app.estimation.line_blocks import Line, build_line
 from app.estimation.prior import diagonal_precision
-from app.estimation.run_data import RunData
+from app.estimation.run_data import RunData, place_run
 from app.estimation.whitening import WhitenedBlocks
 from app.estimation.within_cells import Within
+from app.files.run import Run
 from app.kinematics.effects.base import Effect
 
+_FOLDS = 8  # of lines, each held out once
 _POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's place
 _FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 _KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
@@ -276,6 +280,17 @@ class Lines:
                 for first, last in zip(self._bounds, self._bounds[1:], strict=False)
             ]
         )
+
+
+def build_lines(
+    runs: Sequence[Run], observations: Sequence[Observations], baseline: Baseline
+) -> Lines:
+    """Return the lines of all Runs with pose and noise of the baseline.
+
+    observations : of each Run, in fine cells
+    """
+    pairs = zip(runs, observations, strict=True)
+    return Lines([place_run(run, seen, baseline) for run, seen in pairs], _FOLDS)
 
 
 def _crossed(

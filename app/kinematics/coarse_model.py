@@ -1,8 +1,8 @@
 """The models of several Runs, and the coarse one that their noise is estimated with.
 
-The splines of the coarse model are fine enough that shapes of the errors do not pass for
-noise. It has every lost motion and, where slow changes are structure to be explained,
-splines of time: neither must pass for noise.
+The splines of the coarse model are fine enough that shapes of the errors do not pass
+for noise. It has every lost motion and, where slow changes are structure to be
+explained, splines of time: neither must pass for noise.
 """
 
 from __future__ import annotations
