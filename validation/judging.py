@@ -16,7 +16,7 @@ from app.kinematics.conditions import standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.results.error_tables import table_positions_mm
+from app.results.error_tables import choose_table_positions
 from simulators.truth_machine import TruthMachine
 
 _NODES = 12
@@ -118,7 +118,7 @@ def table_deviations(
         part = model.slices[effect.name]
         rows = np.eye(part.stop - part.start)
         if isinstance(effect, ErrorMotion):
-            rows = effect.rows(table_positions_mm(effect.axis))
+            rows = effect.rows(choose_table_positions(effect.axis))
         free = np.linalg.norm(rows, axis=1) > 1e-9
         off.append((rows @ (theta - truth)[part])[free])
         variance = np.einsum("np,np->n", rows @ covariance[part, part], rows)

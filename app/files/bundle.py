@@ -29,13 +29,13 @@ from drivers.interfaces.records import Path
 def read_bundle(path: str | FilePath) -> Run:
     """Read a bundle from a folder or a .zip. Raises BundleError."""
     with open_bundle(path) as files:
-        machine = decode_machine(_required(files, "machine.json"))
-        commanded = _commanded(files, machine)
-        tracker_file = _one_of(files, "tracker.parquet", "tracker.csv")
+        machine = decode_machine(_read_required(files, "machine.json"))
+        commanded = _read_commanded(files, machine)
+        tracker_file = _choose_file(files, "tracker.parquet", "tracker.csv")
         stream = files.read(tracker_file)
         environment, reference = "environment.csv", "reference.csv"
         return Run(
-            name=_name(FilePath(path)),
+            name=_choose_name(FilePath(path)),
             machine=machine,
             commanded=commanded,
             tracker=decode_stream(stream, file=tracker_file),
@@ -59,7 +59,7 @@ def write_bundle(run: Run, folder: str | FilePath) -> None:
     not replace: the two together would contradict each other.
     """
     place = FilePath(folder)
-    files = _encoded(run)
+    files = _encode_files(run)
     place.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         if name not in files and (place / name).exists():
@@ -76,14 +76,14 @@ def zip_bundle(run: Run) -> bytes:
     """Return a Run as a zipped bundle, its files in a folder of the Run's name."""
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in _encoded(run).items():
+        for name, data in _encode_files(run).items():
             packed = name.endswith(".parquet")
             method = zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED
-            archive.writestr(f"{_folder_name(run.name)}/{name}", data, method)
+            archive.writestr(f"{_make_folder_name(run.name)}/{name}", data, method)
     return sink.getvalue()
 
 
-def _encoded(run: Run) -> dict[str, bytes]:
+def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
     files = {
         "machine.json": encode_machine(run.machine),
@@ -97,23 +97,23 @@ def _encoded(run: Run) -> dict[str, bytes]:
     return files
 
 
-def _folder_name(name: str) -> str:
+def _make_folder_name(name: str) -> str:
     kept = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
     return kept.strip(".") or "bundle"
 
 
-def _name(path: FilePath) -> str:
+def _choose_name(path: FilePath) -> str:
     place = path.resolve()
     return place.name if place.is_dir() else place.stem
 
 
-def _commanded(files: BundleFiles, machine: Machine) -> Path | Configurations:
-    name = _one_of(files, "path.csv", "points.csv")
+def _read_commanded(files: BundleFiles, machine: Machine) -> Path | Configurations:
+    name = _choose_file(files, "path.csv", "points.csv")
     decode = decode_path if name == "path.csv" else decode_points
     return decode(files.read(name), machine)
 
 
-def _required(files: BundleFiles, name: str) -> bytes:
+def _read_required(files: BundleFiles, name: str) -> bytes:
     if name not in files:
         raise BundleError(
             "is missing from the bundle", file=name, remedy="add the file"
@@ -121,7 +121,7 @@ def _required(files: BundleFiles, name: str) -> bytes:
     return files.read(name)
 
 
-def _one_of(files: BundleFiles, first: str, second: str) -> str:
+def _choose_file(files: BundleFiles, first: str, second: str) -> str:
     if first in files and second in files:
         raise BundleError(
             f"stands beside {second}",

@@ -52,7 +52,7 @@ def open_bundle(path: str | Path) -> Iterator[BundleFiles]:
     if place.is_dir():
         yield _Folder(place)
     elif place.is_file():
-        with _opened(place) as archive:
+        with _open_archive(place) as archive:
             yield _Archive(archive, place.name)
     else:
         raise BundleError(
@@ -85,7 +85,7 @@ class _Archive(BundleFiles):
 
     def __init__(self, archive: zipfile.ZipFile, label: str) -> None:
         self._archive = archive
-        self._members = _members(archive, label)
+        self._members = _list_members(archive, label)
         self.names = frozenset(self._members)
 
     def read(self, name: str) -> bytes:
@@ -109,7 +109,7 @@ class _Archive(BundleFiles):
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
+def _open_archive(file: Path) -> Iterator[zipfile.ZipFile]:
     try:
         archive = zipfile.ZipFile(file)
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
@@ -122,7 +122,7 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
         yield archive
 
 
-def _members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.ZipInfo]:
+def _list_members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.ZipInfo]:
     infos = [info for info in archive.infolist() if not info.is_dir()]
     if len(infos) > MAX_MEMBERS:
         raise BundleError(f"holds more than {MAX_MEMBERS} files", file=label)

@@ -21,14 +21,14 @@ _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
 def decode_path(data: bytes, machine: Machine, *, file: str = "path.csv") -> Path:
     """Return the path of a `path.csv`."""
     table = read_csv(data, file)
-    position = _positions(table, machine)
-    feed_mm_min = _feed(table)
+    position = _read_positions(table, machine)
+    feed_mm_min = _read_feed(table)
     path = Path(
         machine.axis_names,
         position,
         feed_mm_min,
-        _dwell(table),
-        _target_column(table, machine),
+        _read_dwell(table),
+        _read_targets(table, machine),
     )
     _refuse_standing_lines(table, path)
     _refuse_out_of_travel(table, machine, path)
@@ -42,9 +42,9 @@ def decode_points(
     table = read_csv(data, file)
     points = Configurations(
         machine.axis_names,
-        _positions(table, machine),
-        _dwell(table),
-        _target_column(table, machine),
+        _read_positions(table, machine),
+        _read_dwell(table),
+        _read_targets(table, machine),
     )
     _refuse_out_of_travel(table, machine, points)
     return points
@@ -52,7 +52,7 @@ def decode_points(
 
 def encode_commanded(commanded: Path | Configurations, machine: Machine) -> bytes:
     """Return the `path.csv` of a path or the `points.csv` of points."""
-    units = dict(zip(machine.axis_names, _columns(machine), strict=True))
+    units = dict(zip(machine.axis_names, _name_columns(machine), strict=True))
     columns: dict[str, list[str]] = {
         units[name]: [repr(float(v)) for v in commanded.position[:, index]]
         for index, name in enumerate(commanded.axes)
@@ -69,16 +69,16 @@ def encode_commanded(commanded: Path | Configurations, machine: Machine) -> byte
     return text.getvalue().encode()
 
 
-def _columns(machine: Machine) -> list[str]:
+def _name_columns(machine: Machine) -> list[str]:
     return [
         f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
         for axis in machine.axes
     ]
 
 
-def _positions(table: Table, machine: Machine) -> NDArray[np.float64]:
+def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
     """Return the axis positions of every row in the column order of the machine."""
-    wanted = _columns(machine)
+    wanted = _name_columns(machine)
     for name in table.names:
         if _AXIS_COLUMN.match(name) and name not in wanted:
             raise BundleError(
@@ -93,7 +93,7 @@ def _positions(table: Table, machine: Machine) -> NDArray[np.float64]:
     return np.stack([table.numbers(name) for name in wanted], axis=1)
 
 
-def _dwell(table: Table) -> NDArray[np.float64]:
+def _read_dwell(table: Table) -> NDArray[np.float64]:
     dwell_s = table.numbers("dwell_s")
     if (dwell_s < 0).any():
         index = int(np.argmax(dwell_s < 0))
@@ -101,7 +101,7 @@ def _dwell(table: Table) -> NDArray[np.float64]:
     return dwell_s
 
 
-def _feed(table: Table) -> NDArray[np.float64]:
+def _read_feed(table: Table) -> NDArray[np.float64]:
     feed = table.numbers("feed_mm_min")
     if (feed <= 0).any():
         index = int(np.argmax(feed <= 0))
@@ -111,7 +111,7 @@ def _feed(table: Table) -> NDArray[np.float64]:
     return feed
 
 
-def _target_column(table: Table, machine: Machine) -> tuple[str, ...]:
+def _read_targets(table: Table, machine: Machine) -> tuple[str, ...]:
     if "target" not in table.names:
         return ()
     known = {target.name for target in machine.targets}

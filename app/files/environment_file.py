@@ -7,7 +7,7 @@ import io
 import numpy as np
 
 from app.errors import BundleError
-from app.files.stream_file import clock
+from app.files.stream_file import read_clock
 from app.files.tables import read_csv
 from drivers.interfaces.records import TemperatureSamples
 
@@ -28,7 +28,7 @@ def decode_environment(data: bytes) -> TemperatureSamples:
         raise BundleError("has no rows", file=FILE, remedy="leave out the file")
     celsius = np.stack([table.numbers(key) for key in sensors], axis=1)
     names = tuple(key.removesuffix(_DEGC) for key in sensors)
-    return TemperatureSamples(names, clock(table), celsius)
+    return TemperatureSamples(names, read_clock(table), celsius)
 
 
 def encode_environment(temperature: TemperatureSamples) -> bytes:

@@ -243,7 +243,7 @@ class ModelFile(FileModel):
     def estimated_model(self, machine: Machine) -> EstimatedModel:
         """Return the model with its parameters."""
         model = MachineModel(machine, tuple(effect for effect, _ in self.stated))
-        G = number_rows(model)
+        G = build_number_rows(model)
         back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
         values = np.concatenate([*(v for _, v in self.stated), np.empty(0)])
         covariance = self.covariance.matrix(self.size)
@@ -266,14 +266,14 @@ def model_to_json(
     What belongs to the measurement (how the targets sit in the spindle) is integrated
     out: to the map of one target it adds a shift, which is no machine error.
     """
-    model, theta, covariance = _of_the_machine(model, theta, covariance)
-    G = number_rows(model)
+    model, theta, covariance = _select_machine_effects(model, theta, covariance)
+    G = build_number_rows(model)
     values = G @ theta
     catalogued = {e.name: e for e in model.catalogued}
     effects: list[dict[str, Any]] = []
     begin = 0
     for effect in model.effects:
-        size = len(_rows(effect))
+        size = len(_build_rows(effect))
         known = catalogued.get(effect.name)
         effects.append(_effect_json(effect, known, values[begin : begin + size]))
         begin += size
@@ -289,9 +289,9 @@ def model_to_json(
     }
 
 
-def number_rows(model: MachineModel) -> Float64[np.ndarray, "s p"]:
+def build_number_rows(model: MachineModel) -> Float64[np.ndarray, "s p"]:
     """Return G of all effects: their stated numbers per parameter."""
-    blocks = [_rows(effect) for effect in model.effects]
+    blocks = [_build_rows(effect) for effect in model.effects]
     G = np.zeros((sum(len(b) for b in blocks), model.size))
     begin = 0
     for effect, block in zip(model.effects, blocks, strict=True):
@@ -307,7 +307,7 @@ def _require_symbol(symbol: str, known: dict[str, Any]) -> None:
         )
 
 
-def _of_the_machine(
+def _select_machine_effects(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
@@ -320,7 +320,7 @@ def _of_the_machine(
     return machine_model, theta[kept], covariance[np.ix_(kept, kept)]
 
 
-def _rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
+def _build_rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
     if motion := effect.motion:
         return scale_of(unit(motion.symbol)) * motion.gauge
     return np.diag([unit_of(p)[1] for p in effect.parameters])

@@ -29,25 +29,25 @@ def one_machine(machines: Sequence[Machine], names: Sequence[str]) -> Machine:
     for machine, name in zip(machines, names, strict=True):
         for target in machine.targets:
             if not any(_is_same(target, other) for other in targets):
-                targets.append(_named(target, targets, name))
+                targets.append(_rename(target, targets, name))
     if len(targets) > 1 and not targets[0].name:
-        targets[0] = _named(targets[0], targets[1:], names[0])
+        targets[0] = _rename(targets[0], targets[1:], names[0])
     return replace(first, targets=tuple(targets))
 
 
 def _require_same(first: Machine, other: Machine, first_run: str, run: str) -> None:
-    expected, found = (dict(_fields(_comparable(m))) for m in (first, other))
+    expected, found = (dict(_flatten(_state_identity(m))) for m in (first, other))
     for field in {**expected, **found}:
         if expected.get(field) != found.get(field):
             raise BundleError(
-                f"{field} is {_shown(found.get(field))}, but "
-                f"{_shown(expected.get(field))} in {first_run}",
+                f"{field} is {_show(found.get(field))}, but "
+                f"{_show(expected.get(field))} in {first_run}",
                 file=f"{run}/machine.json",
                 remedy="analyse Runs of one machine together, others apart",
             )
 
 
-def _comparable(machine: Machine) -> dict[str, Any]:
+def _state_identity(machine: Machine) -> dict[str, Any]:
     """Return what has to be the same; targets and noise may differ."""
     content = machine_to_json(machine)
     return {
@@ -58,15 +58,15 @@ def _comparable(machine: Machine) -> dict[str, Any]:
     }
 
 
-def _fields(content: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(content: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in content.items():
         if isinstance(value, Mapping):
-            yield from _fields(value, f"{path}{key}.")
+            yield from _flatten(value, f"{path}{key}.")
         else:
             yield f"{path}{key}", value
 
 
-def _shown(value: object) -> str:
+def _show(value: object) -> str:
     return "missing" if value is None else str(value)
 
 
@@ -75,7 +75,7 @@ def _is_same(one: Target, other: Target) -> bool:
     return one.on == other.on and max(away) < _SAME_TARGET_MM
 
 
-def _named(target: Target, others: Sequence[Target], run: str) -> Target:
+def _rename(target: Target, others: Sequence[Target], run: str) -> Target:
     """Return the target with a name that no other has."""
     taken = {other.name for other in others}
     if not others or (target.name and target.name not in taken):

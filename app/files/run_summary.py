@@ -56,7 +56,7 @@ def summarize_run(run: Run) -> RunSummary:
         feed,
         float(time_s[-1] - time_s[0]) if len(time_s) else 0.0,
         len(run.tracker),
-        _temperature(run),
+        _state_temperatures(run),
         dict(run.provenance),
     )
 
@@ -85,7 +85,7 @@ def combine_digests(summaries: Sequence[RunSummary]) -> str:
     return hashlib.sha256(every.encode()).hexdigest()
 
 
-def _temperature(run: Run) -> dict[str, tuple[float, float]]:
+def _state_temperatures(run: Run) -> dict[str, tuple[float, float]]:
     samples = run.temperature
     if samples is None or not len(samples.time_s):
         return {}

@@ -28,10 +28,10 @@ def decode_stream(data: bytes, *, file: str = "tracker.parquet") -> TrackerSampl
         raise BundleError(
             "holds no samples", file=file, remedy="record the stream again"
         )
-    status = _status(table)
-    position_mm = _valid_positions(table, status)
-    repeats = _repeats(table.numbers("t_s"), position_mm)
-    time_s = clock(table, repeats)[~repeats]
+    status = _read_status(table)
+    position_mm = _read_positions(table, status)
+    repeats = _find_repeats(table.numbers("t_s"), position_mm)
+    time_s = read_clock(table, repeats)[~repeats]
     if (status != 0).all():
         raise BundleError(
             "holds no valid sample: no status is 0",
@@ -59,7 +59,7 @@ def encode_stream(samples: TrackerSamples) -> bytes:
     return sink.getvalue()
 
 
-def clock(
+def read_clock(
     table: Table, repeats: NDArray[np.bool_] | None = None
 ) -> NDArray[np.float64]:
     """Return the column `t_s`, which must increase from row to row but at repeats."""
@@ -87,7 +87,7 @@ def counter_of(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
 
 
-def _repeats(
+def _find_repeats(
     time_s: NDArray[np.float64], position_mm: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Tell which rows are the row before once more: a frame that came twice."""
@@ -97,7 +97,7 @@ def _repeats(
     return repeats
 
 
-def _valid_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float64]:
+def _read_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float64]:
     position_mm = np.empty((len(table), 3))
     for column, key in enumerate(_POSITION):
         position_mm[:, column] = table.numbers(key, nan=True)
@@ -112,7 +112,7 @@ def _valid_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.floa
     return position_mm
 
 
-def _status(table: Table) -> NDArray[np.int64]:
+def _read_status(table: Table) -> NDArray[np.int64]:
     if "status" not in table.names:
         return np.zeros(len(table), np.int64)
     value = table.numbers("status")

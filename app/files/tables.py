@@ -64,7 +64,7 @@ class Table:
     def numbers(self, name: str, *, nan: bool = False) -> NDArray[np.float64]:
         """Return a column as float64; empty cells are NaN, refused unless `nan`."""
         self.require(name)
-        value = _to_float(self, name)
+        value = _convert_column(self, name)
         if np.isinf(value).any():
             raise self.error("is infinite", int(np.argmax(np.isinf(value))), name)
         if not nan and np.isnan(value).any():
@@ -88,7 +88,7 @@ class Table:
 
 def read_csv(data: bytes, file: str) -> Table:
     """Read comma-separated values with a header."""
-    names = _header(data, file)
+    names = _read_header(data, file)
     broken: list[pacsv.InvalidRow] = []
 
     def keep(row: pacsv.InvalidRow) -> str:
@@ -116,10 +116,10 @@ def read_csv(data: bytes, file: str) -> Table:
         raise BundleError(
             f"has {row.actual_columns} cells, the header {row.expected_columns}",
             file=file,
-            row=_line_of(data, row.number - 2),
+            row=_find_line(data, row.number - 2),
             remedy="columns are separated by commas",
         ) from error
-    return Table(file, table, lambda index: _line_of(data, index))
+    return Table(file, table, lambda index: _find_line(data, index))
 
 
 def read_parquet(data: bytes, file: str) -> Table:
@@ -138,7 +138,7 @@ def read_parquet(data: bytes, file: str) -> Table:
     return Table(file, table, lambda index: index + 1)
 
 
-def _header(data: bytes, file: str) -> list[str]:
+def _read_header(data: bytes, file: str) -> list[str]:
     line = data.partition(b"\n")[0]
     try:
         text = line.decode("utf-8-sig").rstrip("\r")
@@ -159,7 +159,7 @@ def _refuse_repeated(names: list[str], file: str) -> None:
             raise BundleError("appears more than once", file=file, column=name)
 
 
-def _line_of(data: bytes, index: int) -> int:
+def _find_line(data: bytes, index: int) -> int:
     """Return the line of a data row, skipping blank lines as the reader does."""
     seen = -1
     for number, line in enumerate(data.splitlines()[1:], start=2):
@@ -169,10 +169,10 @@ def _line_of(data: bytes, index: int) -> int:
     return index + 2
 
 
-def _to_float(table: Table, name: str) -> NDArray[np.float64]:
+def _convert_column(table: Table, name: str) -> NDArray[np.float64]:
     column = table.data[name]
     if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-        column = _parsed(table, name, column)
+        column = _parse_column(table, name, column)
     elif not (
         pa.types.is_integer(column.type)
         or pa.types.is_floating(column.type)
@@ -185,13 +185,13 @@ def _to_float(table: Table, name: str) -> NDArray[np.float64]:
     return np.array(value, np.float64)
 
 
-def _parsed(table: Table, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+def _parse_column(table: Table, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
     if _is_number(column):
         return pc.cast(column, pa.float64())
     column = pc.call_function("utf8_trim_whitespace", [column])
     if _is_number(column):
         return pc.cast(column, pa.float64())
-    index = _first_text(column)
+    index = _find_first_text(column)
     shown = str(column[index].as_py())[:40]
     raise table.error(f"is {shown!r}, not a number", index, name)
 
@@ -204,7 +204,7 @@ def _is_number(column: pa.ChunkedArray) -> bool:
     return True
 
 
-def _first_text(column: pa.ChunkedArray) -> int:
+def _find_first_text(column: pa.ChunkedArray) -> int:
     """Return the first cell that is no number, by bisection of casts."""
     low, high = 0, len(column)
     while high - low > 1:

@@ -15,7 +15,7 @@ from app.files.whole_files import read_whole, replace_file
 from app.reporting.calibration_report import render_calibration_report
 from app.results.error_tables_csv import error_tables_csv
 from app.results.findings import Findings
-from app.results.points_csv import predicted_csv, read_points
+from app.results.points_csv import encode_predictions, read_points
 from app.results.prediction import Prediction, predict
 from app.results.result_json import result_json
 
@@ -88,5 +88,5 @@ def predict_points(
     data = read_whole(points, largest_bytes=LARGEST_BYTES)
     asked = read_points(data, calibration.machine, file=str(points))
     predicted = predict(calibration, asked.position, asked.target)
-    replace_file(Path(output), predicted_csv(asked, predicted).encode())
+    replace_file(Path(output), encode_predictions(asked, predicted).encode())
     return predicted

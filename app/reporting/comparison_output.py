@@ -12,7 +12,7 @@ from app.files.whole_files import replace_file
 from app.reporting.comparison_report import render_comparison_report
 from app.results.comparison import ReferenceUncertainty, compare
 from app.results.comparison_files import comparison_csv, comparison_json
-from app.results.comparison_volume import compared_volume
+from app.results.comparison_volume import compare_volumes
 
 COMPARISON, TABLE, PAGE = "comparison.json", "comparison.csv", "comparison.html"
 
@@ -30,7 +30,7 @@ def compare_files(
     loaded = read_result(result)
     direct = decode_reference(Path(reference).read_bytes(), file=str(reference))
     comparison = compare(loaded, direct, instrument)
-    volume = compared_volume(loaded.machine, comparison)
+    volume = compare_volumes(loaded.machine, comparison)
     names = {
         "machine": loaded.machine.name,
         "result": Path(result).name,

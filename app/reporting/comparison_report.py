@@ -15,7 +15,7 @@ from app.results.comparison import (
 )
 from app.results.comparison_files import KINDS, agreeing, kind_of, largest
 from app.results.comparison_volume import ComparedVolume, mean_length
-from app.results.numbers_as_text import expanded, plain
+from app.results.number_format import format_expanded, format_number
 
 
 def render_comparison_report(
@@ -58,25 +58,25 @@ def _state_error(error: ComparedError) -> tuple[str, ...]:
     return (
         error.symbol,
         described(error),
-        f"{plain(largest(error), 2)} {unit}",
-        f"{plain(mean, 2)} {unit}",
-        f"{plain(K * float(error.combined.max()), 2)} {unit}",
-        plain(float(abs(error.normalised).max()), 2),
-        f"{plain(100.0 * agreeing(error), 0)} %",
+        f"{format_number(largest(error), 2)} {unit}",
+        f"{format_number(mean, 2)} {unit}",
+        f"{format_number(K * float(error.combined.max()), 2)} {unit}",
+        format_number(float(abs(error.normalised).max()), 2),
+        f"{format_number(100.0 * agreeing(error), 0)} %",
     )
 
 
 def _state_number(number: ComparedNumber) -> tuple[str, ...]:
     unit = SIGN[number.unit]
-    result = expanded(number.value, number.sigma)
-    reference = expanded(number.reference, number.reference_sigma)
+    result = format_expanded(number.value, number.sigma)
+    reference = format_expanded(number.reference, number.reference_sigma)
     return (
         number.symbol,
         f"result {result} {unit}, reference {reference} {unit}",
-        f"{plain(abs(number.difference), 2)} {unit}",
+        f"{format_number(abs(number.difference), 2)} {unit}",
         "",
-        f"{plain(K * number.combined, 2)} {unit}",
-        plain(abs(number.normalised), 2),
+        f"{format_number(K * number.combined, 2)} {unit}",
+        format_number(abs(number.normalised), 2),
         "yes" if abs(number.normalised) <= 1.0 else "no",
     )
 
@@ -88,7 +88,9 @@ def _describe_volume(volume: ComparedVolume) -> View:
         ("Difference", volume.difference_um),
     )
     return {
-        "rows": [(name, plain(mean_length(vector), 2)) for name, vector in lengths],
+        "rows": [
+            (name, format_number(mean_length(vector), 2)) for name, vector in lengths
+        ],
         "points": len(volume.position),
         "figure": draw_volume(volume),
     }

@@ -27,7 +27,7 @@ from app.results.discovery_wording import others, title
 from app.results.discrimination_json import reason
 from app.results.model_difference import in_words
 from app.results.model_file import NextModel
-from app.results.numbers_as_text import plain
+from app.results.number_format import format_number
 
 CLOSED = 1.05  # gap over noise up to which nothing is left to explain
 _WORST = 8
@@ -87,7 +87,9 @@ def describe_ask(asked: DiscriminationDesign, file: str) -> View:
     return {
         "reason": reason(asked),
         "decides": asked.decides,
-        "questions": [(_word_question(q), plain(factor)) for q, factor in questions],
+        "questions": [
+            (_word_question(q), format_number(factor)) for q, factor in questions
+        ],
         "decided": f"{DECIDED:.0f}",
         "axes": [f"{n}, {'mm' if n in 'XYZ' else '°'}" for n in asked.path.axes],
         "rows": _list_waypoints(asked),
@@ -104,9 +106,9 @@ def _describe_finding(finding: Finding, found: Discovery, model: NextModel) -> V
             for name, number in finding.parameters.items()
         ),
         "words": finding.family.words["en"],
-        "share": plain(100 * evidence.share, 0),
-        "log_bayes": plain(evidence.log_bayes),
-        "held_out": plain(evidence.held_out),
+        "share": format_number(100 * evidence.share, 0),
+        "log_bayes": format_number(evidence.log_bayes),
+        "held_out": format_number(evidence.held_out),
         "others": others(finding),
         "is_machine": model.extended.holds(finding),
     }
@@ -117,7 +119,7 @@ def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
     return [
         {
             "text": f.structure.describe(f.candidate, f.parameters),
-            "share": plain(100 * f.evidence.share, 0),
+            "share": format_number(100 * f.evidence.share, 0),
             "words": f.structure.words["en"],
         }
         for f in findings
@@ -128,10 +130,10 @@ def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
 def _describe_gap(found: Discovery) -> View:
     gap = found.gap
     return {
-        "before_um": plain(gap.before_um, 2),
-        "after_um": plain(gap.after_um, 2),
-        "noise_um": plain(gap.noise_floor_um, 2),
-        "expected_um": plain(gap.expected_um, 2),
+        "before_um": format_number(gap.before_um, 2),
+        "after_um": format_number(gap.after_um, 2),
+        "noise_um": format_number(gap.noise_floor_um, 2),
+        "expected_um": format_number(gap.expected_um, 2),
         "is_closed": gap.after_um <= CLOSED * gap.expected_um,
         "excess": 100.0 * (gap.after_um / max(gap.expected_um, 1e-12) - 1.0),
         "figure": draw_gap(gap),
@@ -155,9 +157,9 @@ def _state_segment(segment: Segment) -> tuple[str, ...]:
         str(segment.row),
         f"{segment.axis}{segment.direction}".replace("-", "−") or "at rest",
         segment.region,
-        plain(segment.time_s),
-        plain(segment.feed_mm_min, 0),
-        plain(segment.rms_um, 2),
+        format_number(segment.time_s),
+        format_number(segment.feed_mm_min, 0),
+        format_number(segment.rms_um, 2),
     )
 
 
@@ -173,9 +175,9 @@ def _list_waypoints(asked: DiscriminationDesign) -> list[tuple[str, ...]]:
     return [
         (
             str(number),
-            *(plain(value, 3) for value in position),
-            plain(path.feed_mm_min[number - 1], 0) if number > 1 else "–",
-            plain(path.dwell_s[number - 1], 2),
+            *(format_number(value, 3) for value in position),
+            format_number(path.feed_mm_min[number - 1], 0) if number > 1 else "–",
+            format_number(path.dwell_s[number - 1], 2),
         )
         for number, position in enumerate(path.position, start=1)
     ]

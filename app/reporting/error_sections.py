@@ -18,7 +18,7 @@ from app.results.direction_tables import compute_half_differences
 from app.results.error_tables import ErrorTable
 from app.results.findings import Findings
 from app.results.model_difference import in_words
-from app.results.numbers_as_text import expanded, plain
+from app.results.number_format import format_expanded, format_number
 from app.results.updated_effects import describe_use, list_updated_effects
 from app.results.volumetric_error import Figure
 
@@ -27,7 +27,7 @@ _K = 2.0
 
 def state_figure(figure: Figure) -> str:
     """Return a figure in µm with its expanded uncertainty."""
-    return expanded(figure.value_um, figure.uncertainty_um)
+    return format_expanded(figure.value_um, figure.uncertainty_um)
 
 
 def describe_error_motions(findings: Findings) -> View:
@@ -60,7 +60,7 @@ def describe_squareness(findings: Findings) -> View:
     ]
     return {
         "rows": [
-            (symbol, meaning(symbol), f"{expanded(value, sigma)} {SIGN[unit]}")
+            (symbol, meaning(symbol), f"{format_expanded(value, sigma)} {SIGN[unit]}")
             for symbol, value, sigma, unit in numbers
         ]
     }
@@ -76,7 +76,7 @@ def describe_direction(findings: Findings) -> View:
     for half in halves:
         if half.shows:
             i = int(np.argmax(np.abs(half.value)))
-            value = expanded(float(half.value[i]), float(half.uncertainty[i]))
+            value = format_expanded(float(half.value[i]), float(half.uncertainty[i]))
             rows.append(
                 (half.symbol, meaning(half.symbol), f"{value} {SIGN[half.unit]}")
             )
@@ -106,10 +106,10 @@ def describe_volume(findings: Findings) -> View:
         ],
         "points": len(volume.position_mm),
         "worst_at": ", ".join(
-            f"{axis.name} {plain(value, 0)} {position_unit(axis)}"
+            f"{axis.name} {format_number(value, 0)} {position_unit(axis)}"
             for axis, value in position
         ),
-        "worst": ", ".join(expanded(value, sigma) for value, sigma in error),
+        "worst": ", ".join(format_expanded(value, sigma) for value, sigma in error),
         "figure_of_volume": draw_volume(findings),
     }
 
@@ -141,8 +141,8 @@ def _state_sizes(table: ErrorTable | None) -> tuple[str | None, ...]:
     if table is None:
         return "", "", None
     sizes = np.ptp(table.value), np.abs(table.value).max()
-    texts = [plain(float(size)) for size in sizes]
-    texts.append(plain(_K * float(table.uncertainty.max()), 2))
+    texts = [format_number(float(size)) for size in sizes]
+    texts.append(format_number(_K * float(table.uncertainty.max()), 2))
     return tuple(f"{text} {SIGN[table.unit]}" for text in texts)
 
 
@@ -156,8 +156,11 @@ def _list_values(findings: Findings, axis: Axis) -> View:
         "head": head + [f"{t.symbol}, {SIGN[t.unit]}" for t in tables],
         "rows": [
             (
-                plain(position, 2),
-                *(expanded(float(t.value[i]), float(t.uncertainty[i])) for t in tables),
+                format_number(position, 2),
+                *(
+                    format_expanded(float(t.value[i]), float(t.uncertainty[i]))
+                    for t in tables
+                ),
             )
             for i, position in enumerate(positions)
         ],

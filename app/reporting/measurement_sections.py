@@ -17,7 +17,7 @@ from app.reporting.run_views import (
 from app.reporting.templating import View
 from app.results.findings import Findings
 from app.results.grade_json import in_words
-from app.results.numbers_as_text import plain
+from app.results.number_format import format_number
 from app.results.trial_results import MAP, TrialQuantity, TrialResults
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
@@ -41,7 +41,7 @@ def describe_machine(findings: Findings) -> View:
         else {
             "number": f"{grade.number:.2f}",
             "text": in_words(grade),
-            "sample_sigma_um": plain(UM_PER_MM * grade.sample_sigma_mm, 1),
+            "sample_sigma_um": format_number(UM_PER_MM * grade.sample_sigma_mm, 1),
         },
         "runs": [describe_measurement(run) for run in findings.runs],
     }
@@ -111,7 +111,11 @@ def describe_documentation(findings: Findings) -> View:
 
 
 def _state_travel(axis: Axis) -> str:
-    low, high, unit = plain(axis.low, 0), plain(axis.high, 0), position_unit(axis)
+    low, high, unit = (
+        format_number(axis.low, 0),
+        format_number(axis.high, 0),
+        position_unit(axis),
+    )
     return f"{axis.name} {low} to {high} {unit}"
 
 
@@ -119,7 +123,7 @@ def _state_targets(machine: Machine) -> str:
     return "; ".join(
         f"{t.name} ({offset}) mm on the {t.on}".strip()
         for t in machine.targets
-        for offset in [", ".join(plain(value) for value in t.offset_mm)]
+        for offset in [", ".join(format_number(value) for value in t.offset_mm)]
     )
 
 
@@ -130,8 +134,8 @@ def _list_extrapolated(findings: Findings) -> list[str]:
         low, high = findings.estimate.measured.get(axis.name, (axis.low, axis.high))
         for begin, end in ((axis.low, low), (high, axis.high)):
             if begin < end:
-                span = f"{plain(begin, 0)} to {plain(end, 0)} {position_unit(axis)}"
-                ends.append(f"{axis.name} {span}")
+                span = f"{format_number(begin, 0)} to {format_number(end, 0)}"
+                ends.append(f"{axis.name} {span} {position_unit(axis)}")
     return ends
 
 
@@ -144,6 +148,6 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
     return (
         "" if is_map else q.name,
         "volumetric error" if is_map else meaning(q.name),
-        *(f"{plain(size, 3)} {SIGN[q.unit]}" for size in sizes),
+        *(f"{format_number(size, 3)} {SIGN[q.unit]}" for size in sizes),
         f"{int(q.agrees.sum())} of {len(q.agrees)}",
     )

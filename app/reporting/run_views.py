@@ -8,7 +8,7 @@ from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.reporting.error_figures import draw_residuals
 from app.reporting.templating import View
 from app.results.findings import Findings, RunFindings
-from app.results.numbers_as_text import plain
+from app.results.number_format import format_number
 
 _K = 2.0
 _HOW = {"otf": "on the fly", "standstill": "at standstill"}
@@ -58,7 +58,9 @@ def describe_run_residuals(run: RunFindings) -> View:
         "name": run.summary.name,
         "mode": run.summary.mode,
         "figure": draw_residuals(run),
-        "noise": [(name, *(plain(v, 2) for v in values)) for name, values in parts],
+        "noise": [
+            (name, *(format_number(v, 2) for v in values)) for name, values in parts
+        ],
         "distance_m": f"{noise.distance_mm / 1000.0:.2f}",
         "correlation_time_s": f"{noise.ou_time_s:.2g}",
         "along_um": None if jitter is None else f"{jitter:.2g}",
@@ -77,7 +79,7 @@ def describe_origin(run: RunFindings, *, across_only: bool) -> View:
         "digest": run.summary.digest,
         "source": run.summary.source,
         "across_only": across_only,
-        "station_mm": ", ".join(plain(value) for value in station),
+        "station_mm": ", ".join(format_number(value) for value in station),
         "translation_um": ", ".join(half[:3]),
         "rotation_urad": ", ".join(half[3:]),
     }

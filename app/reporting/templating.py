@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from app.results.numbers_as_text import plain
+from app.results.number_format import format_number
 
 View = dict[str, Any]
 """What a template shows, by name: texts, numbers, and figures as Markup."""
@@ -23,7 +23,7 @@ def make_environment(folder: Path) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["plain"] = plain  # pyright: ignore[reportUnknownMemberType]
+    environment.filters["plain"] = format_number  # pyright: ignore[reportUnknownMemberType]
     return environment
 
 

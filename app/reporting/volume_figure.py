@@ -31,7 +31,7 @@ from app.reporting.svg import (
     write_label,
 )
 from app.results.findings import Findings
-from app.results.volumetric_error import with_rotary_axes
+from app.results.volumetric_error import add_rotary_axes
 
 # Readable on light and on dark paper: blue, violet, orange.
 _STOPS, _RED, _GREEN, _BLUE = (
@@ -63,7 +63,7 @@ def _draw_volume(found: Findings) -> Markup:
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
     error = UM_PER_MM * build_volumetric_map(model).error_mm(
-        standstill(model.machine, with_rotary_axes(model.machine, flat)),
+        standstill(model.machine, add_rotary_axes(model.machine, flat)),
         found.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)

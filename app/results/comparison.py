@@ -31,7 +31,11 @@ from app.kinematics.symbols import (
     meaning,
     unit,
 )
-from app.results.comparison_gauge import convention, merging, motions_of
+from app.results.comparison_gauge import (
+    build_convention,
+    find_merged_shares,
+    index_motions,
+)
 from app.results.direct_error import DirectError, direct_error
 from app.results.error_tables import result_tables
 
@@ -157,18 +161,18 @@ def compare(
     refused: dict[str, str] = {}
     for axis in result.machine.axes:
         for symbol in error_motions(axis.name):
-            outcome = _compared(result, axis, symbol, direct)
+            outcome = _compare_error(result, axis, symbol, direct)
             if isinstance(outcome, str):
                 refused[symbol] = outcome
             else:
                 errors.append(outcome)
-    numbers = tuple(_numbers(result, direct))
+    numbers = tuple(_compare_numbers(result, direct))
     told = {e.symbol for e in errors} | {n.symbol for n in numbers} | set(refused)
     refused |= {s: "the result does not state it" for s in direct if s not in told}
     if not errors and not numbers:
         raise BadInput(
             "result and reference have no error in common; the reference measures "
-            f"{', '.join(direct)}, the result tells {', '.join(motions_of(result))}"
+            f"{', '.join(direct)}, the result tells {', '.join(index_motions(result))}"
         )
     return Comparison(tuple(errors), numbers, refused)
 
@@ -182,11 +186,11 @@ def _refuse_units(reference: Sequence[DirectMeasurement]) -> None:
             )
 
 
-def _compared(
+def _compare_error(
     result: CalibrationResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
 ) -> ComparedError | str:
     """Return both in one convention, or the reason why not."""
-    motions = motions_of(result)
+    motions = index_motions(result)
     if symbol not in motions:
         return "the result does not tell it with the measured targets"
     if symbol not in direct:
@@ -194,9 +198,9 @@ def _compared(
     theirs = direct[symbol].within(axis.low, axis.high)
     if len(theirs.position_mm) < 2:
         return "the reference has fewer than two positions in the travel"
-    shares, missing = merging(result, axis, symbol, direct)
-    theirs, merged = _with_shares(theirs, shares, direct)
-    gauge = convention(symbol, axis, theirs.position_mm)
+    shares, missing = find_merged_shares(result, axis, symbol, direct)
+    theirs, merged = _add_shares(theirs, shares, direct)
+    gauge = build_convention(symbol, axis, theirs.position_mm)
     rows = gauge @ motions[symbol].rows(theirs.position_mm)
     part = result.model.slices[symbol]
     scale = scale_of(unit(symbol))
@@ -220,7 +224,7 @@ def _compared(
     )
 
 
-def _with_shares(
+def _add_shares(
     theirs: DirectError, shares: dict[str, float], direct: dict[str, DirectError]
 ) -> tuple[DirectError, tuple[str, ...]]:
     for other, share in shares.items():
@@ -228,7 +232,7 @@ def _with_shares(
     return theirs, tuple(shares)
 
 
-def _numbers(
+def _compare_numbers(
     result: CalibrationResult, direct: dict[str, DirectError]
 ) -> Iterator[ComparedNumber]:
     """Compare what belongs to no position."""

@@ -24,12 +24,12 @@ _PROBE = 60  # configurations that tell how motions merge
 _MERGES = 1e-6  # of a merged motion: left over by those it merges into
 
 
-def motions_of(result: CalibrationResult) -> dict[str, ErrorMotion]:
+def index_motions(result: CalibrationResult) -> dict[str, ErrorMotion]:
     """Return the error motions that a result tells, by symbol."""
     return {motion.symbol: motion for motion in result.model.error_motions}
 
 
-def convention(
+def build_convention(
     symbol: str, axis: Axis, position_mm: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n n"]:
     """Return the matrix that puts values at sorted positions into the convention."""
@@ -46,7 +46,7 @@ def convention(
     return np.eye(n) - removed
 
 
-def merging(
+def find_merged_shares(
     result: CalibrationResult, axis: Axis, symbol: str, direct: dict[str, DirectError]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return what of other motions of the axis the result has in this one.
@@ -54,21 +54,23 @@ def merging(
     The shares are by motion, in the unit of this one per unit of that one; then come
     the motions that the reference does not know.
     """
-    known = [s for s in error_motions(axis.name) if s in motions_of(result)]
+    known = [s for s in error_motions(axis.name) if s in index_motions(result)]
     shares: dict[str, float] = {}
     missing: list[str] = []
     for other in error_motions(axis.name):
         if other in known:
             continue
-        share = _share(result, other, known).get(symbol, 0.0)
+        share = _express_motion(result, other, known).get(symbol, 0.0)
         if share and other in direct:
-            shares[other] = share * _in_unit(symbol, other)
+            shares[other] = share * _convert_share(symbol, other)
         elif share:
             missing.append(other)
     return shares, tuple(missing)
 
 
-def _share(result: CalibrationResult, other: str, known: list[str]) -> dict[str, float]:
+def _express_motion(
+    result: CalibrationResult, other: str, known: list[str]
+) -> dict[str, float]:
     """Return a unit of a motion as a sum of others of its axis, mm and rad."""
     rng = np.random.default_rng(0)
     low = np.array([axis.low for axis in result.machine.axes])
@@ -93,6 +95,6 @@ def _share(result: CalibrationResult, other: str, known: list[str]) -> dict[str,
     }
 
 
-def _in_unit(symbol: str, other: str) -> float:
+def _convert_share(symbol: str, other: str) -> float:
     """Return the factor from (mm, rad) to (µm, µrad) of a share."""
     return scale_of(unit(symbol)) / scale_of(unit(other))

@@ -43,25 +43,25 @@ def mean_length(error: Float64[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(error, axis=1).mean())
 
 
-def compared_volume(machine: Machine, comparison: Comparison) -> ComparedVolume | None:
+def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume | None:
     """Return both volumetric errors, or None if no straight axis was compared."""
     straight = {axis.name for axis in machine.linear_axes}
     errors = [e for e in comparison.errors if e.symbol[2] in straight]
     if not errors:
         return None
-    position = _grid(machine, errors)
+    position = _make_grid(machine, errors)
     at = standstill(machine, position)
     value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
     for error in errors:
         # µm per µm, or µm per µrad: the arm is in mm per rad.
         arm = arm_of(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
         where = at.axis_mm(error.symbol[2])
-        value += arm * _between(error, where, error.value)
-        reference += arm * _between(error, where, error.reference)
+        value += arm * _interpolate(error, where, error.value)
+        reference += arm * _interpolate(error, where, error.reference)
     return ComparedVolume(position, value, reference)
 
 
-def _between(
+def _interpolate(
     error: ComparedError,
     where_mm: Float64[np.ndarray, " n"],
     values: Float64[np.ndarray, " m"],
@@ -69,9 +69,11 @@ def _between(
     return np.interp(where_mm, error.position_mm, values)[:, None]
 
 
-def _grid(machine: Machine, errors: list[ComparedError]) -> Float64[np.ndarray, "n a"]:
+def _make_grid(
+    machine: Machine, errors: list[ComparedError]
+) -> Float64[np.ndarray, "n a"]:
     columns = [
-        _positions(axis, [e for e in errors if e.symbol[2] == axis.name])
+        _choose_positions(axis, [e for e in errors if e.symbol[2] == axis.name])
         if isinstance(axis, LinearAxis)
         else np.array([reference_position_mm(axis)])
         for axis in machine.axes
@@ -80,7 +82,7 @@ def _grid(machine: Machine, errors: list[ComparedError]) -> Float64[np.ndarray, 
     return np.stack([part.ravel() for part in mesh], axis=1)
 
 
-def _positions(axis: LinearAxis, errors: list[ComparedError]) -> np.ndarray:
+def _choose_positions(axis: LinearAxis, errors: list[ComparedError]) -> np.ndarray:
     """Return positions over the range that all errors of an axis have."""
     low = max((float(e.position_mm[0]) for e in errors), default=axis.low)
     high = min((float(e.position_mm[-1]) for e in errors), default=axis.high)

@@ -83,7 +83,7 @@ def direct_error(
     deviation no better than to a third.
     """
     sides = {
-        sign: _direction(
+        sign: _merge_direction(
             [m for m in reference if (m.error, m.direction) == (symbol, sign)]
         )
         for sign in "+-"
@@ -93,11 +93,11 @@ def direct_error(
     if len(both) == 2:
         shared = np.intersect1d(position, both[1].position_mm)
         position = shared if len(shared) else np.union1d(position, both[1].position_mm)
-    forward, backward = (_at(sides[sign], position) for sign in "+-")
+    forward, backward = (_look_up(sides[sign], position) for sign in "+-")
     known = np.isfinite(np.stack([forward[0], backward[0]]))
     count = known.sum(axis=0)
     mean = np.nansum(np.stack([forward[0], backward[0]]), axis=0) / count
-    pooled = _pooled(both)
+    pooled = _pool_spread(both)
     runs = np.where(known, np.stack([forward[2], backward[2]]), np.inf)
     variance = (pooled**2 / runs).sum(axis=0) / count**2
     return DirectError(
@@ -111,7 +111,7 @@ def direct_error(
     )
 
 
-def _direction(parts: Sequence[DirectMeasurement]) -> _Direction:
+def _merge_direction(parts: Sequence[DirectMeasurement]) -> _Direction:
     if not parts:
         none = np.empty(0)
         return _Direction(none, none, none, none)
@@ -124,7 +124,7 @@ def _direction(parts: Sequence[DirectMeasurement]) -> _Direction:
     return _Direction(places, mean, spread, runs.astype(np.float64))
 
 
-def _at(
+def _look_up(
     side: _Direction, position_mm: Float64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, " n"], ...]:
     """Return mean, spread and runs at positions; NaN, 0, 0 where it did not stop."""
@@ -137,7 +137,7 @@ def _at(
     return found
 
 
-def _pooled(sides: Sequence[_Direction]) -> float:
+def _pool_spread(sides: Sequence[_Direction]) -> float:
     freedom = sum(float((s.runs - 1).sum()) for s in sides)
     square = sum(float(((s.runs - 1) * s.spread**2).sum()) for s in sides)
     return float(np.sqrt(square / freedom)) if freedom else 0.0

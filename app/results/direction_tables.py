@@ -15,7 +15,7 @@ from app.files.units import scale_of
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import unit
-from app.results.error_tables import table_positions_mm
+from app.results.error_tables import choose_table_positions
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def _half_difference(
     covariance: Float64[np.ndarray, "p p"],
 ) -> HalfDifference:
     width = parts[0][1]
-    at_mm = table_positions_mm(width.axis)
+    at_mm = choose_table_positions(width.axis)
     rows = np.zeros((len(at_mm), model.size))
     for name, part in parts:
         rows[:, model.slices[name]] = part.rows(at_mm)

@@ -97,7 +97,7 @@ def error_tables(
         part = model.slices[effect.name]
         own = theta[part], covariance[part, part]
         if motion := effect.motion:
-            table = error_table(motion, *own, table_positions_mm(motion.axis))
+            table = error_table(motion, *own, choose_table_positions(motion.axis))
             tables.append(replace(table, measured=ranges.get(motion.axis.name)))
         elif effect.iso_symbol in SQUARENESS:
             squareness.append(_single_error(effect.iso_symbol, *own))
@@ -124,7 +124,7 @@ def _single_error(
     return SingleError(symbol, unit(symbol), scale * float(theta[0]), scale * sigma)
 
 
-def table_positions_mm(axis: Axis) -> Float64[np.ndarray, " n"]:
+def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
     """Return equidistant positions about 25 mm or 10 deg apart, both ends included."""
     step = STEP_DEG if isinstance(axis, RotaryAxis) else STEP_MM
     intervals = round((axis.high - axis.low) / step)

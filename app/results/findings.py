@@ -115,8 +115,8 @@ def state_findings(
                 number,
                 summary,
                 run,
-                residuals_by_line(run, across_only=estimate.perpendicular_only),
-                noise_found(run),
+                group_residuals(run, across_only=estimate.perpendicular_only),
+                state_noise(run),
             )
             for number, (summary, run) in enumerate(
                 zip(provenance.runs, estimate.runs, strict=True)
@@ -127,7 +127,7 @@ def state_findings(
     )
 
 
-def residuals_by_line(run: RunEstimate, *, across_only: bool) -> LineResiduals:
+def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:
     """Return the residuals of each row, as `Residuals.rms_mm` counts them.
 
     across_only : only what lies across the travel was used
@@ -144,7 +144,7 @@ def residuals_by_line(run: RunEstimate, *, across_only: bool) -> LineResiduals:
     return LineResiduals(row, cells, UM_PER_MM * np.sqrt(mean))
 
 
-def noise_found(run: RunEstimate) -> NoiseFound:
+def state_noise(run: RunEstimate) -> NoiseFound:
     """Return the noise of a Run in µm."""
     noise = run.noise
     stated = UM_PER_MM * run.tracker.sigma_mm(np.array([run.distance_mm]))[0]

@@ -11,8 +11,8 @@ from app.files.model_file import EstimatedModel
 from app.files.units import unit_of
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.error_curve import ErrorCurve
-from app.results.error_tables import error_table, table_positions_mm
-from app.results.numbers_as_text import expanded, plain
+from app.results.error_tables import choose_table_positions, error_table
+from app.results.number_format import format_expanded, format_number
 
 _SHOWS = 2.0  # expanded uncertainty of the later model, k = 2
 SIGN = {
@@ -46,33 +46,35 @@ class Change:
     text: str
 
 
-def difference(before: EstimatedModel, after: EstimatedModel) -> tuple[Change, ...]:
+def list_differences(
+    before: EstimatedModel, after: EstimatedModel
+) -> tuple[Change, ...]:
     """Return what one model has that another has not, and which numbers changed.
 
     A number has changed if it did so by more than its expanded uncertainty (k = 2).
     """
     old, new = before.effects(), after.effects()
-    added = [_of(after, new[n], "added") for n in new if n not in old]
-    removed = [_of(before, old[n], "removed") for n in old if n not in new]
+    added = [_describe_effect(after, new[n], "added") for n in new if n not in old]
+    removed = [_describe_effect(before, old[n], "removed") for n in old if n not in new]
     both = [n for n in new if n in old and type(old[n]) is type(new[n])]
-    changed = [c for n in both for c in _changed(before, after, old[n], new[n])]
+    changed = [c for n in both for c in _list_changes(before, after, old[n], new[n])]
     return (*added, *removed, *changed)
 
 
 def in_words(name: str, value: float, uncertainty: float) -> str:
     """Return `width 6.1 ± 0.4 µm` of a number that files call `width_um`."""
-    suffix = next((s for s in _SUFFIXES if _stem(name).endswith(f"_{s}")), "")
-    stem = _stem(name).removesuffix(f"_{suffix}").replace("_", " ")
+    suffix = next((s for s in _SUFFIXES if _cut_direction(name).endswith(f"_{s}")), "")
+    stem = _cut_direction(name).removesuffix(f"_{suffix}").replace("_", " ")
     _, _, direction = name.partition("[")
-    told = [stem, direction.rstrip("]"), expanded(value, uncertainty)]
+    told = [stem, direction.rstrip("]"), format_expanded(value, uncertainty)]
     return " ".join(filter(None, [*told, SIGN.get(suffix, suffix)]))
 
 
-def _stem(name: str) -> str:
+def _cut_direction(name: str) -> str:
     return name.partition("[")[0]
 
 
-def _of(state: EstimatedModel, effect: Effect, kind: str) -> Change:
+def _describe_effect(state: EstimatedModel, effect: Effect, kind: str) -> Change:
     theta, covariance = state.part(effect.name)
     catalogued = {e.name: e for e in state.model.catalogued}
     if known := catalogued.get(effect.name):
@@ -83,39 +85,42 @@ def _of(state: EstimatedModel, effect: Effect, kind: str) -> Change:
     if len(theta) == 1:
         unit, scale = unit_of(effect.parameters[0])
         sigma = float(np.sqrt(covariance[0, 0]))
-        said = expanded(scale * float(theta[0]), scale * sigma)
+        said = format_expanded(scale * float(theta[0]), scale * sigma)
         size = f"{said} {SIGN.get(unit, unit)}"
     return Change(kind, effect.label, f"{effect.label}: {size}")
 
 
-def _changed(
+def _list_changes(
     before: EstimatedModel, after: EstimatedModel, old: Effect, new: Effect
 ) -> Iterator[Change]:
     if old.motion and new.motion:
-        yield from _motion_changed(before, after, old.motion, new.motion)
+        yield from _list_motion_changes(before, after, old.motion, new.motion)
         return
     (was, _), (now, covariance) = before.part(old.name), after.part(new.name)
     sigma = np.sqrt(np.diag(covariance))
     for parameter, a, b, s in zip(new.parameters, was, now, sigma, strict=True):
         if abs(b - a) > _SHOWS * s:
             unit, scale = unit_of(parameter)
-            said = expanded(scale * float(b), scale * float(s))
-            text = f"{parameter.name}: from {plain(scale * float(a))} to {said}"
+            said = format_expanded(scale * float(b), scale * float(s))
+            text = f"{parameter.name}: from {format_number(scale * float(a))} to {said}"
             yield Change("changed", new.label, f"{text} {SIGN.get(unit, unit)}")
 
 
-def _motion_changed(
+def _list_motion_changes(
     before: EstimatedModel, after: EstimatedModel, old: ErrorCurve, new: ErrorCurve
 ) -> Iterator[Change]:
-    at_mm = table_positions_mm(new.axis)
+    at_mm = choose_table_positions(new.axis)
     was = error_table(old, *before.part(old.symbol), at_mm)
     now = error_table(new, *after.part(new.symbol), at_mm)
     moved = now.value - was.value
     excess = np.abs(moved) / np.maximum(now.uncertainty, 1e-9)
     worst = int(np.argmax(excess))
     if excess[worst] > _SHOWS:
-        said = expanded(float(now.value[worst]), float(now.uncertainty[worst]))
-        place = f"{new.axis.name} {plain(float(at_mm[worst]), 0)} {now.position_unit}"
-        moved_to = f"{plain(float(was.value[worst]))} to {said} {SIGN[now.unit]}"
-        text = f"{new.symbol} at {place}: from {moved_to}"
+        said = format_expanded(float(now.value[worst]), float(now.uncertainty[worst]))
+        position = format_number(float(at_mm[worst]), 0)
+        before_text = format_number(float(was.value[worst]))
+        text = (
+            f"{new.symbol} at {new.axis.name} {position} {now.position_unit}: "
+            f"from {before_text} to {said} {SIGN[now.unit]}"
+        )
         yield Change("changed", new.symbol, text)

@@ -36,7 +36,7 @@ from app.kinematics.model import MachineModel
 from app.results.direction_tables import compute_half_differences
 from app.results.discovery_json import effect_json
 from app.results.error_tables import error_tables
-from app.results.model_difference import difference
+from app.results.model_difference import list_differences
 from app.results.result_json import (
     half_differences_json,
     locations_json,
@@ -89,7 +89,7 @@ def next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
             "parent": told,
             "difference": [
                 {"kind": c.kind, "what": c.what, "text": c.text}
-                for c in difference(before, state)
+                for c in list_differences(before, state)
             ],
             "machine": machine_to_json(grown.model.machine),
             "mode": found.aligned[0].run.mode,

@@ -53,8 +53,8 @@ def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
     """Return what differs between two model or result files. Raises BundleError."""
     # Imported where it computes: the service itself carries no science.
     from app.files.result_file import read_result
-    from app.results.model_difference import difference
+    from app.results.model_difference import list_differences
 
     old, new = (read_result(file) for file in (before, after))
-    changes = difference(old.estimated_model, new.estimated_model)
+    changes = list_differences(old.estimated_model, new.estimated_model)
     return [asdict(change) for change in changes]

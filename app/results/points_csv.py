@@ -40,13 +40,13 @@ class Points:
 def read_points(data: bytes, machine: Machine, *, file: str = "points.csv") -> Points:
     """Return the points of a CSV file. Raises BundleError with row and column."""
     table = read_csv(data, file)
-    columns = [_numbers(table, name) for name in _axis_columns(machine)]
+    columns = [_read_numbers(table, name) for name in _name_columns(machine)]
     if not len(table):
         raise BundleError("has no rows", file=file, remedy="name at least one point")
-    return Points(np.stack(columns, axis=1), _targets(table, machine), table)
+    return Points(np.stack(columns, axis=1), _read_targets(table, machine), table)
 
 
-def predicted_csv(points: Points, predicted: Prediction) -> str:
+def encode_predictions(points: Points, predicted: Prediction) -> str:
     """Return the file of predictions at the points."""
     sink = io.StringIO()
     writer = csv.writer(sink, lineterminator="\n")
@@ -56,26 +56,26 @@ def predicted_csv(points: Points, predicted: Prediction) -> str:
     writer.writerows(
         [*words, *numbers]
         for words, numbers in zip(
-            zip(*given, strict=True), _formatted(predicted), strict=True
+            zip(*given, strict=True), _format_rows(predicted), strict=True
         )
     )
     return sink.getvalue()
 
 
-def _formatted(predicted: Prediction) -> Iterator[list[str]]:
+def _format_rows(predicted: Prediction) -> Iterator[list[str]]:
     both = np.hstack([predicted.error_um, predicted.uncertainty_um])
     for row in both.tolist():
         yield [f"{value:z.5f}" for value in row]
 
 
-def _axis_columns(machine: Machine) -> list[str]:
+def _name_columns(machine: Machine) -> list[str]:
     return [
         f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
         for axis in machine.axes
     ]
 
 
-def _numbers(table: Table, name: str) -> Float64[np.ndarray, " n"]:
+def _read_numbers(table: Table, name: str) -> Float64[np.ndarray, " n"]:
     values = table.numbers(name)
     far = np.abs(values) > _FARTHEST
     if far.any():
@@ -89,7 +89,7 @@ def _numbers(table: Table, name: str) -> Float64[np.ndarray, " n"]:
     return values
 
 
-def _targets(table: Table, machine: Machine) -> tuple[str, ...]:
+def _read_targets(table: Table, machine: Machine) -> tuple[str, ...]:
     known = [target.name for target in machine.targets if target.name]
     if "target" not in table.names or not known:
         return ()

@@ -54,17 +54,19 @@ def predict(
         result.measured or full_travel(result.machine),
         result.covariance,
     )
-    for name, rows in _by_target(targets, len(position)):
+    for name, rows in _group_by_target(targets, len(position)):
         found = build_volumetric_map(result.model, name)
         for begin in range(0, len(rows), _BLOCK):
             block = rows[begin : begin + _BLOCK]
-            error[block], uncertainty[block] = _block(
+            error[block], uncertainty[block] = _predict_block(
                 result, found, known, position[block], name
             )
-    return Prediction(error, uncertainty, tuple(_warnings(result, position, targets)))
+    return Prediction(
+        error, uncertainty, tuple(_list_warnings(result, position, targets))
+    )
 
 
-def _by_target(
+def _group_by_target(
     targets: Sequence[str], count: int
 ) -> list[tuple[str, np.ndarray[tuple[int], np.dtype[np.int64]]]]:
     if not targets:
@@ -73,7 +75,7 @@ def _by_target(
     return [(str(name), np.flatnonzero(names == name)) for name in np.unique(names)]
 
 
-def _block(
+def _predict_block(
     result: CalibrationResult,
     found: VolumetricMap,
     known: dict[str, Variation],
@@ -88,12 +90,12 @@ def _block(
     return UM_PER_MM * error, UM_PER_MM * np.sqrt(variance)
 
 
-def _warnings(
+def _list_warnings(
     result: CalibrationResult,
     position: Float64[np.ndarray, "n a"],
     targets: Sequence[str],
 ) -> Iterator[str]:
-    outside = int(_outside(result.machine, position).sum())
+    outside = int(_find_outside(result.machine, position).sum())
     if outside:
         travel = ", ".join(
             f"{axis.name} {low:g} to {high:g}"
@@ -105,7 +107,7 @@ def _warnings(
             "the errors are continued straight there, and the uncertainty grows as the "
             "motions bend within the travel"
         )
-    unseen = int(_unmeasured(result, position).sum()) - outside
+    unseen = int(_find_unmeasured(result, position).sum()) - outside
     if unseen > 0:
         seen = ", ".join(
             f"{name} {low:.0f} to {high:.0f}"
@@ -121,7 +123,7 @@ def _warnings(
         yield f"the points name no target: {name} is meant, the first of the machine"
 
 
-def _outside(
+def _find_outside(
     machine: Machine, position: Float64[np.ndarray, "n a"]
 ) -> Bool[np.ndarray, " n"]:
     low, high = np.array([_travel(axis) for axis in machine.axes]).T
@@ -129,7 +131,7 @@ def _outside(
     return ((position < low - slack) | (position > high + slack)).any(axis=1)
 
 
-def _unmeasured(
+def _find_unmeasured(
     result: CalibrationResult, position: Float64[np.ndarray, "n a"]
 ) -> Bool[np.ndarray, " n"]:
     """Tell which points lie beyond the measured range by more than ends usually do."""
@@ -140,7 +142,7 @@ def _unmeasured(
             slack = _USUAL_ENDS * (axis.high - axis.low)
             at = position[:, column]
             beyond |= (at < low - slack) | (at > high + slack)
-    return beyond | _outside(result.machine, position)
+    return beyond | _find_outside(result.machine, position)
 
 
 def _travel(axis: Axis) -> tuple[float, float]:

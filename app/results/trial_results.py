@@ -29,7 +29,7 @@ from app.numerics.adaptive_trials import (
     propagate,
 )
 from app.progress import ShareProgress, ignore_progress
-from app.results.error_tables import table_positions_mm
+from app.results.error_tables import choose_table_positions
 
 MAP = "volumetric error"
 _GRID, _TURNED = 3, 2  # points of a linear and of a rotary axis, ends included
@@ -91,11 +91,11 @@ class TrialResults:
     @property
     def disagreement(self) -> float:
         """Largest relative difference of both standard uncertainties."""
-        return max(_relative(q) for q in self.quantities)
+        return max(_compare_sigmas(q) for q in self.quantities)
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _Quantity:
     """A quantity and its rows in the parameters of the machine."""
 
     name: str
@@ -118,7 +118,7 @@ def run_trials(
     """
     if estimate.fit is None:
         raise ValueError("the estimate has not kept its fit")
-    asked = _asked(estimate.model)
+    asked = _list_quantities(estimate.model)
     rows = np.concatenate([a.rows for a in asked])
     trials = prepare_trials(estimate.fit, rows, plan)
     moved = propagate(partial(run_block, trials), plan, run, on_progress)
@@ -147,25 +147,25 @@ def run_trials(
     return TrialResults(plan, moved.trials, moved.settled, quantities)
 
 
-def _asked(model: MachineModel) -> list[_Asked]:
-    asked: list[_Asked] = []
+def _list_quantities(model: MachineModel) -> list[_Quantity]:
+    asked: list[_Quantity] = []
     for effect in model.effects:
         at, position_unit = np.zeros((1, 0)), ""
         if not effect.iso_symbol:
             continue
         rows = np.eye(1)
         if motion := effect.motion:
-            at = table_positions_mm(motion.axis)[:, None]
+            at = choose_table_positions(motion.axis)[:, None]
             position_unit = "deg" if isinstance(motion.axis, RotaryAxis) else "mm"
             rows = motion.rows(at[:, 0])
         whole = np.zeros((len(rows), model.size))
         stated = unit(effect.iso_symbol)
         whole[:, model.slices[effect.name]] = scale_of(stated) * rows
-        asked.append(_Asked(effect.iso_symbol, stated, at, position_unit, whole))
-    return [*asked, _map(model)]
+        asked.append(_Quantity(effect.iso_symbol, stated, at, position_unit, whole))
+    return [*asked, _map_quantity(model)]
 
 
-def _map(model: MachineModel) -> _Asked:
+def _map_quantity(model: MachineModel) -> _Quantity:
     travel = [
         np.linspace(
             axis.low, axis.high, _TURNED if isinstance(axis, RotaryAxis) else _GRID
@@ -174,10 +174,10 @@ def _map(model: MachineModel) -> _Asked:
     ]
     at = np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
     J = build_volumetric_map(model).jacobian(standstill(model.machine, at))
-    return _Asked(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
+    return _Quantity(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
 
 
-def _relative(quantity: TrialQuantity) -> float:
+def _compare_sigmas(quantity: TrialQuantity) -> float:
     stated = quantity.linear > 2.0 * 1e-6 * quantity.linear.max(initial=0.0)
     if not stated.any():
         return 0.0

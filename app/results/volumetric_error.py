@@ -65,34 +65,34 @@ def volumetric_error(
     covariance: Float64[np.ndarray, "p p"],
 ) -> VolumetricError:
     """Return the volumetric error of the first target over the axis travel."""
-    position_mm = grid_mm(model, _GRID)
+    position_mm = make_grid(model, _GRID)
     J = UM_PER_MM * build_volumetric_map(model).jacobian(
         standstill(model.machine, position_mm)
     )
     error = J @ theta
-    drawn = J.reshape(-1, model.size) @ _draws(covariance)
+    drawn = J.reshape(-1, model.size) @ _draw_parameters(covariance)
     left = drawn.reshape(*error.shape, -1)
     return VolumetricError(
         position_mm,
         error,
         np.sqrt(np.einsum("nip,pq,niq->ni", J, covariance, J, optimize=True)),
         np.quantile(np.linalg.norm(left, axis=1), np.linspace(0.0, 1.0, _QUANTILES)),
-        _before(error, left),
-        _after(left),
+        _state_before(error, left),
+        _state_after(left),
     )
 
 
-def grid_mm(model: MachineModel, points: int) -> Float64[np.ndarray, "n a"]:
+def make_grid(model: MachineModel, points: int) -> Float64[np.ndarray, "n a"]:
     """Return a grid over the travel, ends included, X slowest."""
     turns = bool(model.machine.rotary_axes)
     travel = [
-        np.linspace(axis.low, axis.high, _counted(axis, points, turns=turns))
+        np.linspace(axis.low, axis.high, _count_points(axis, points, turns=turns))
         for axis in model.machine.axes
     ]
     return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
 
 
-def with_rotary_axes(
+def add_rotary_axes(
     machine: Machine, linear_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n a"]:
     """Return positions of all axes, the rotary ones at their zero or nearest to it."""
@@ -100,40 +100,42 @@ def with_rotary_axes(
     return np.hstack([linear_mm, np.tile(rest, (len(linear_mm), 1))])
 
 
-def _counted(axis: Axis, points: int, *, turns: bool) -> int:
+def _count_points(axis: Axis, points: int, *, turns: bool) -> int:
     """Return the points of an axis; few where five axes span the grid."""
     if not turns:
         return points
     return _FEW if isinstance(axis, LinearAxis) else _FEWEST
 
 
-def _draws(covariance: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p d"]:
+def _draw_parameters(
+    covariance: Float64[np.ndarray, "p p"],
+) -> Float64[np.ndarray, "p d"]:
     value, vector = np.linalg.eigh(covariance)
     unit = np.random.default_rng(0).standard_normal((len(covariance), _DRAWS))
     return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
 
 
-def _before(
+def _state_before(
     error: Float64[np.ndarray, "n 3"], left: Float64[np.ndarray, "n 3 d"]
 ) -> Spread:
-    value = _statistics(error[:, :, None])[:, 0]
-    uncertainty = _statistics(error[:, :, None] + left).std(axis=1)
-    return _spread(value, uncertainty)
+    value = _measure_lengths(error[:, :, None])[:, 0]
+    uncertainty = _measure_lengths(error[:, :, None] + left).std(axis=1)
+    return _make_spread(value, uncertainty)
 
 
-def _after(left: Float64[np.ndarray, "n 3 d"]) -> Spread:
-    drawn = _statistics(left)
-    return _spread(drawn.mean(axis=1), drawn.std(axis=1))
+def _state_after(left: Float64[np.ndarray, "n 3 d"]) -> Spread:
+    drawn = _measure_lengths(left)
+    return _make_spread(drawn.mean(axis=1), drawn.std(axis=1))
 
 
-def _statistics(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray, "3 d"]:
+def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray, "3 d"]:
     length = np.linalg.norm(error, axis=1)
     return np.stack(
         [length.mean(axis=0), np.quantile(length, _SHARE, axis=0), length.max(axis=0)]
     )
 
 
-def _spread(
+def _make_spread(
     value: Float64[np.ndarray, "3"], uncertainty: Float64[np.ndarray, "3"]
 ) -> Spread:
     mean, p95, largest = (

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from app.reporting.calibration_report import render_calibration_report, render_section
-from app.results.findings import noise_found, residuals_by_line, state_findings
-from app.results.numbers_as_text import expanded, plain
+from app.results.findings import group_residuals, state_findings, state_noise
+from app.results.number_format import format_expanded, format_number
 
 VOID = {"meta", "br", "img", "link", "hr", "path", "use"}
 
@@ -95,7 +95,9 @@ def test_all_error_motions_and_squarenesses_stand_in_it(outline):
 def test_before_and_after_are_stated_with_their_uncertainty(found, outline):
     for spread in (found.volumetric.before, found.volumetric.after):
         for figure in (spread.mean, spread.p95, spread.largest):
-            assert expanded(figure.value_um, figure.uncertainty_um) in outline.text
+            assert (
+                format_expanded(figure.value_um, figure.uncertainty_um) in outline.text
+            )
     assert "k = 2" in outline.text
 
 
@@ -208,13 +210,13 @@ def test_errors_of_nothing_are_drawn_all_the_same(estimate, provenance):
 
 def test_residuals_across_the_travel_count_where_only_those_were_used(across_only):
     run = across_only.runs[0]
-    lines = residuals_by_line(run, across_only=True)
+    lines = group_residuals(run, across_only=True)
     square = run.residuals.across_mm.reshape(len(lines.row), -1) ** 2
     assert lines.rms_um == pytest.approx(1e3 * np.sqrt(square.mean(axis=1) / 3))
 
 
 def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
-    noise = noise_found(estimate.runs[0])
+    noise = state_noise(estimate.runs[0])
     tracker = estimate.model.machine.tracker
     stated = 1e3 * tracker.sigma_mm(np.array([noise.distance_mm]))[0]
     assert 500.0 < noise.distance_mm < 2000.0
@@ -237,8 +239,8 @@ def test_noise_is_stated_at_the_distance_of_the_tool(estimate):
 def test_an_uncertainty_has_two_digits_and_the_value_as_many_places(
     value, standard, text
 ):
-    assert expanded(value, standard) == text
+    assert format_expanded(value, standard) == text
 
 
 def test_no_zero_carries_a_minus_sign():
-    assert plain(-0.0004, 2) == "0.00"
+    assert format_number(-0.0004, 2) == "0.00"

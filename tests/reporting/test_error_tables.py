@@ -5,7 +5,7 @@ import pytest
 
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.symbols import is_straightness, is_turn
-from app.results.error_tables import error_tables, table_positions_mm
+from app.results.error_tables import choose_table_positions, error_tables
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_positions_are_equidistant_and_hold_both_ends(tables):
 def test_a_short_axis_still_has_five_positions(estimate):
     axis = estimate.model.machine.linear_axes[0]
     short = type(axis)("X", 0.0, 8.0)
-    assert table_positions_mm(short).tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
+    assert choose_table_positions(short).tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
 def test_values_are_those_of_the_spline_in_micrometres_and_microradians(

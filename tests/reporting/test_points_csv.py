@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.errors import BundleError
-from app.results.points_csv import predicted_csv, read_points
+from app.results.points_csv import encode_predictions, read_points
 from app.results.prediction import Prediction, predict
 
 HEADER = "x_mm,y_mm,z_mm"
@@ -22,7 +22,7 @@ def test_the_answer_holds_the_question_and_six_numbers_more(loaded, machine):
     asked = f'{HEADER},label\n10.50,20,30,first\n-1e2,4e+01,0.5,"a, b"\n'
     points = read_points(asked.encode(), machine)
     predicted = predict(loaded, points.position)
-    rows = list(csv.reader(io.StringIO(predicted_csv(points, predicted))))
+    rows = list(csv.reader(io.StringIO(encode_predictions(points, predicted))))
     assert rows[0] == [
         *("x_mm", "y_mm", "z_mm", "label"),
         *("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um"),
@@ -41,15 +41,15 @@ def test_the_order_of_the_columns_does_not_matter(machine):
 
 def test_an_answer_can_be_asked_again(loaded, machine):
     points = read_points(f"{HEADER}\n1,20,3\n".encode(), machine)
-    once = predicted_csv(points, predict(loaded, points.position))
+    once = encode_predictions(points, predict(loaded, points.position))
     again = read_points(once.encode(), machine)
-    assert predicted_csv(again, predict(loaded, again.position)) == once
+    assert encode_predictions(again, predict(loaded, again.position)) == once
 
 
 def test_no_zero_carries_a_minus_sign(machine):
     points = read_points(f"{HEADER}\n1,20,3\n".encode(), machine)
     nothing = Prediction(np.full((1, 3), -1e-9), np.zeros((1, 3)), ())
-    assert "-0.00000" not in predicted_csv(points, nothing)
+    assert "-0.00000" not in encode_predictions(points, nothing)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 
-def expanded(value: float, standard: float) -> str:
+def format_expanded(value: float, standard: float) -> str:
     """Return `value ± U`, k = 2, with U at two significant digits."""
     half = 2.0 * standard
     decimals = 1
@@ -14,7 +14,7 @@ def expanded(value: float, standard: float) -> str:
     return f"{_number(value, decimals)} ± {_number(half, decimals)}"
 
 
-def plain(value: float, decimals: int = 1) -> str:
+def format_number(value: float, decimals: int = 1) -> str:
     """Return a number with a true minus sign."""
     return _number(value, decimals)
 
