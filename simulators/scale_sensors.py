@@ -31,5 +31,5 @@ def shown(
     celsius = _USUAL_DEGC + rng.normal(0.0, _SIGMA_K, (len(time_s), len(names)))
     for effect in hidden:
         for column, name in enumerate(names):
-            celsius[:, column] += effect.warmed_degc(name, clock.true_s(time_s))
+            celsius[:, column] += effect.warming_degc(name, clock.true_s(time_s))
     return Temperatures(names, time_s, celsius)

@@ -23,7 +23,7 @@ from simulators.errors import SimulatorError
 from simulators.hidden.drawing import parse_hidden
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.motion import Motion
-from simulators.hidden.seen import misread, seen_mm
+from simulators.hidden.superposition import locate_target_mm, misread
 from simulators.machine_file import MachineFile, parse_machine
 from simulators.profile import Limits
 from simulators.randomness import generator
@@ -114,7 +114,7 @@ def record(
     device_s, true_s = _sample_times(machine, timeline, seed, setting)
     clock = _clock(seed, setting)
     row = timeline.rows(true_s)
-    table_mm = seen_mm(
+    table_mm = locate_target_mm(
         truth,
         Motion(machine, timeline),
         true_s,

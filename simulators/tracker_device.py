@@ -41,7 +41,7 @@ from simulators.faults import Schedule
 from simulators.frame_damage import FrameDamage
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.motion import Motion, continued
-from simulators.hidden.seen import misread, seen_mm
+from simulators.hidden.superposition import locate_target_mm, misread
 from simulators.randomness import generator
 from simulators.timeline import Timeline
 from simulators.tracker_head import (
@@ -225,7 +225,7 @@ class TrackerDevice:
         parts = self._parts
         clock_us = stream.clock_us(index)
         moments_s = parts.clock.true_s(1e-6 * clock_us)
-        point = parts.pose.from_table(self._seen_mm(timeline, moments_s))
+        point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
         if parts.hidden:
             point = to_cartesian(misread(to_spherical(point), parts.hidden))
         noise = stream.noise.draw(len(index))
@@ -250,7 +250,9 @@ class TrackerDevice:
             np.where(locked, _LOCKED_SIGNAL, 0),
         ), moments_s
 
-    def _seen_mm(self, timeline: Timeline, moments_s: np.ndarray) -> np.ndarray:
+    def _locate_target_mm(
+        self, timeline: Timeline, moments_s: np.ndarray
+    ) -> np.ndarray:
         """Return where the target is that the tracker looks at, the first at first."""
         parts, reflectors = self._parts, self._parts.truth.machine.reflectors
         targets = np.full(len(moments_s), reflectors[0].name, object)
@@ -259,7 +261,9 @@ class TrackerDevice:
             number = min(max(int(fault.amount), 1), len(reflectors))
             targets[mask] = reflectors[number - 1].name
         motion = self._followed(timeline)
-        return seen_mm(parts.truth, motion, moments_s, targets.tolist(), parts.hidden)
+        return locate_target_mm(
+            parts.truth, motion, moments_s, targets.tolist(), parts.hidden
+        )
 
     def _followed(self, timeline: Timeline) -> Motion:
         """Return the motion so far: play and friction remember it, the board not."""

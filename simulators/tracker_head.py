@@ -115,7 +115,9 @@ def _reach(machine: MachineFile) -> tuple[np.ndarray, float]:
         machine.low, machine.high, (_PROBES, len(machine.axes))
     )
     truth = perfect(machine)
-    seen = np.vstack([truth.seen_mm(anywhere, r.name) for r in machine.reflectors])
+    seen = np.vstack(
+        [truth.locate_target_mm(anywhere, r.name) for r in machine.reflectors]
+    )
     middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
     return middle, float(np.linalg.norm((seen - middle)[:, :2], axis=1).max())
 

@@ -124,12 +124,12 @@ class TruthMachine:
         reflector = self.machine.reflector(target)
         return self.point_mm(q, reflector) - self.nominal_point_mm(q, reflector)
 
-    def seen_mm(
-        self, q: np.ndarray, target: str = "", carried: Carried | None = None
+    def locate_target_mm(
+        self, q: np.ndarray, target: str = "", carry: Carried | None = None
     ) -> np.ndarray:
         """Return where a target is in the frame that the tracker stands on, (n, 3)."""
         return self.point_mm(
-            q, self.machine.reflector(target), self.machine.tracker.stands_on, carried
+            q, self.machine.reflector(target), self.machine.tracker.stands_on, carry
         )
 
     def point_mm(
@@ -137,7 +137,7 @@ class TruthMachine:
         q: np.ndarray,
         reflector: Reflector,
         frame: str = "workpiece",
-        carried: Carried | None = None,
+        carry: Carried | None = None,
     ) -> np.ndarray:
         """Return where a reflector is, in the frame `workpiece` or `base`, (n, 3).
 
@@ -146,7 +146,7 @@ class TruthMachine:
         point = np.empty((len(q), 3))
         for start in range(0, len(q), _CHUNK):
             part = slice(start, start + _CHUNK)
-            more = {axis: value[part] for axis, value in (carried or {}).items()}
+            more = {axis: value[part] for axis, value in (carry or {}).items()}
             point[part] = self._place(q[part], reflector, frame, more)
         return point
 
@@ -161,7 +161,7 @@ class TruthMachine:
         return point
 
     def _place(
-        self, q: np.ndarray, reflector: Reflector, frame: str, carried: Carried | None
+        self, q: np.ndarray, reflector: Reflector, frame: str, carry: Carried | None
     ) -> np.ndarray:
         """Return p = T_wb T_bt t in the workpiece, T_bt t in the base.
 
@@ -172,30 +172,30 @@ class TruthMachine:
         if reflector.on == "workpiece":
             if frame == "base":
                 side = self.machine.workpiece_side
-                table = self._product(side, q, np.eye(4), carried)
+                table = self._product(side, q, np.eye(4), carry)
                 point = np.linalg.solve(table, point)
             return point[:, :3, 0]
         side = self.machine.tool_side
         if frame == "workpiece":
             side = self.machine.workpiece_side + side
-        return self._product(side, q, point, carried)[:, :3, 0]
+        return self._product(side, q, point, carry)[:, :3, 0]
 
     def _product(
         self,
         side: tuple[str, ...],
         q: np.ndarray,
         last: np.ndarray,
-        carried: Carried | None,
+        carry: Carried | None,
     ) -> np.ndarray:
         """Multiply the joints as they are, or as they should be without `carried`."""
         product = np.broadcast_to(last, (len(q), *last.shape[-2:]))
         for name in reversed(side):
             joint = self.joints[name]
             position = q[:, self.machine.axis_names.index(name)]
-            if carried is None:
+            if carry is None:
                 step = joint.nominal(position)
             else:
-                step = _carried_on(joint.actual(position), carried.get(name))
+                step = _carried_on(joint.actual(position), carry.get(name))
             product = step @ product
         return product
 

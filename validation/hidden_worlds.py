@@ -16,7 +16,7 @@ from ideal_test import signal_to_noise
 from recordings import planned_program, random_air, random_content
 
 from simulators import paths, synthetic
-from simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, drawn
+from simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
 from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.thermal_growth import ThermalGrowth
 from simulators.machine_file import parse_machine
@@ -127,7 +127,7 @@ def _draw_effects(
         feed_mm_s=float(np.median(program.feed_mm_s)),
     )
     return tuple(
-        drawn(name, seed, replace(usual, size_um=size))
+        draw(name, seed, replace(usual, size_um=size))
         for name, size in zip(names, sizes_um, strict=True)
     )
 

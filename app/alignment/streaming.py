@@ -69,7 +69,7 @@ class StreamingAlignment:
 
     def taken(self, block: TrackerSamples) -> list[Stretch]:
         """Take the next samples; return what they finish."""
-        raw = TrackerSamples.joined([self._raw, block])
+        raw = TrackerSamples.join([self._raw, block])
         valid = valid_samples(raw)
         old = min(_CONTEXT + _HELD, len(self._raw)) - _HELD
         fresh = np.zeros(len(raw), bool)

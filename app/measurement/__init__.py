@@ -1,19 +1,22 @@
-"""Doing it: recording a Run while the machine moves, and carrying Runs in and out.
+"""Measuring: drive the machine, record the tracker, leave a Run on disk.
 
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
-time: `on_the_fly` streams a path that the controller drives by itself, `step_through`
-stands at points. Both are made of the steps of `session`; all their waiting is the
-`tick` of `watch`, which feeds the controller's watchdog, so an engine that hangs holds
-the feed.
+time. `procedures` holds the two ways to measure: the controller drives a path by itself
+while the tracker streams, or the machine stands at points. Both are made of
+`measurement_steps`. All waiting is the `tick` of `measurement_monitor`, which feeds the
+controller's watchdog: if the engine hangs, the machine holds.
 
-Time is the tracker's counter. Tracker and controller share no clock and none is
-assumed (sanders-2023): a Run begins and ends with the stream at a standstill, and the
-sequence of lines says which is which. Controller positions are kept for health, never
-paired with samples.
+A sample's way: the driver decodes it; `stream_reader` collects blocks of 20 ms into
+batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file` is
+its layout, `run_database` its statements) before anything else sees it; then it goes to
+the display and to the live estimate. A Run therefore survives the death of its process:
+`recording` opens whatever was committed.
 
-Raw batches are on disk before anything looks at them (`recorder`), so a Run survives
-the death of its process; `recording` opens whatever was committed. `bundle` reads and
-writes the exchange form. The pure record that science sees is `run`; it knows no file.
+Time is the tracker's counter. Tracker and controller share no clock and none is assumed
+(sanders-2023): a Run begins and ends with the stream at a standstill, and the sequence
+of lines shows which line is which. Controller positions are recorded for health and are
+never paired with samples.
 
+Commands to the cell and events from it are the records of `messages`.
 docs/measurement.md lists processes, threads, events and the layout of the Run file.
 """

@@ -42,7 +42,7 @@ class ControllerMonitor:
         Raises Fault once it has been out of reach for too long.
         """
         try:
-            self._motion.beat()
+            self._motion.send_heartbeat()
             status = self._motion.status()
         except (ConnectionLost, DeviceTimeout) as error:
             if self._out_of_reach.measure_s() > self._settings.link_s:

@@ -224,7 +224,7 @@ def _read_table(
 
 
 def _tracker(batches: list[Batch]) -> TrackerSamples:
-    return TrackerSamples.joined(
+    return TrackerSamples.join(
         [unpack_samples(b.payload) for b in batches if b.stream == TRACKER_STREAM]
     )
 

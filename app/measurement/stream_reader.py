@@ -32,7 +32,7 @@ class StreamReader:
         self._tracker, self._recorder, self._monitor = tracker, recorder, monitor
         self._clock = clock
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="pump", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="stream-reader", daemon=True)
         self._failure: Exception | None = None
 
     @property
@@ -45,7 +45,7 @@ class StreamReader:
         while len(self._tracker.read(0.0)):
             pass  # left over from an earlier stream
         if isinstance(self._tracker, ByteLink):
-            self._tracker.received()
+            self._tracker.take_link_bytes()
         self._tracker.start(rate_hz)
         self._thread.start()
 
@@ -76,5 +76,9 @@ class StreamReader:
         self._hand_over(blocks)
 
     def _hand_over(self, blocks: list[TrackerSamples]) -> None:
-        link = self._tracker.received() if isinstance(self._tracker, ByteLink) else b""
-        self._recorder.put_tracker(TrackerSamples.joined(blocks), link)
+        link = (
+            self._tracker.take_link_bytes()
+            if isinstance(self._tracker, ByteLink)
+            else b""
+        )
+        self._recorder.put_tracker(TrackerSamples.join(blocks), link)

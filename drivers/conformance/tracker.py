@@ -90,7 +90,7 @@ def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
             blocks.append(_read(tracker, 20))
             tracker.stop()
             blocks.append(tracker.read(0.05))
-        sequence = TrackerSamples.joined(blocks).sequence
+        sequence = TrackerSamples.join(blocks).sequence
         lost = tracker.health.lost_samples
     require(bool((np.diff(sequence) > 0).all()), "numbers do not rise over a pause")
     gaps = int(sequence[-1] - sequence[0]) + 1 - len(sequence)
@@ -133,7 +133,7 @@ def _read(tracker: Tracker, count: int) -> TrackerSamples:
     while sum(map(len, blocks)) < count:
         require(time.monotonic() < deadline_s, f"{count} samples did not come")
         blocks.append(tracker.read(0.2))
-    return TrackerSamples.joined(blocks)
+    return TrackerSamples.join(blocks)
 
 
 def _require_shapes(block: TrackerSamples) -> None:

@@ -13,7 +13,7 @@ class ByteLink(ABC):
     """
 
     @abstractmethod
-    def received(self) -> bytes:
+    def take_link_bytes(self) -> bytes:
         """Return the bytes received since the last call, in order.
 
         Called at least every second while a stream runs. A driver keeps a bounded

@@ -65,5 +65,5 @@ class MotionController(Device):
         """Stop and forget the path. Idempotent, any thread, any state."""
 
     @abstractmethod
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         """Feed the controller's watchdog; it holds the feed when beats stay away."""

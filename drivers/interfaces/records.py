@@ -45,7 +45,7 @@ class TrackerSamples:
         return cls(none, np.empty(0), np.empty((0, 3)), none)
 
     @classmethod
-    def joined(cls, blocks: Sequence[TrackerSamples]) -> TrackerSamples:
+    def join(cls, blocks: Sequence[TrackerSamples]) -> TrackerSamples:
         """Return the blocks one after another."""
         if not blocks:
             return cls.empty()

@@ -21,7 +21,7 @@ class Backlash(HiddenEffect):
     width_um: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw an axis; half of the width to either side."""
         return cls(occasion.axis(rng), 2.0 * occasion.size_um)
 
@@ -35,7 +35,7 @@ class Backlash(HiddenEffect):
         del clock
         return {"width_um": self.width_um}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the table is from where the screw is."""
         table = motion.played_mm(self.axis, 0.5e-3 * self.width_um, time_s)
         off = table - motion.position_mm(self.axis, time_s)

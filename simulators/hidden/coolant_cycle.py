@@ -28,7 +28,7 @@ class CoolantCycle(HiddenEffect):
     sharpness: float = 0.0
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a period that is seen at least four times."""
         longest = min(60.0, occasion.duration_s / 4.0)
         return cls(
@@ -49,7 +49,7 @@ class CoolantCycle(HiddenEffect):
         period_s = self.period_s * (1.0 + clock.drift)
         return {"period_s": period_s, "amplitude_um": self.amplitude_um}
 
-    def shifted_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return the cycle."""
         del motion
         angle = 2.0 * np.pi / self.period_s * time_s + self.phase_rad

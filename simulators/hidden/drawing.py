@@ -63,10 +63,10 @@ _USUAL_UM = 4.0
 _AT_REST = np.zeros(1)
 
 
-def drawn(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
+def draw(name: str, seed: int, occasion: Occasion) -> HiddenEffect:
     """Draw an effect of a name; raises SimulatorError naming those there are."""
     rng = generator(seed, f"hidden: {name}")
-    return _kind(name).drawn(rng, occasion)
+    return _kind(name).draw(rng, occasion)
 
 
 def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
@@ -85,7 +85,7 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
         size_um = float(size or _USUAL_UM)
     except ValueError as error:
         raise SimulatorError(f"hidden: {text!r} is not name*size_um") from error
-    return drawn(name, seed, Occasion.usual(machine, size_um))
+    return draw(name, seed, Occasion.usual(machine, size_um))
 
 
 def as_json(effect: HiddenEffect) -> dict[str, Any]:
@@ -115,8 +115,8 @@ def _given(text: str, machine: MachineFile) -> HiddenEffect:
     effect = from_json(content)
     motion = Motion(machine, standing(machine.low, 0.0, 0))
     try:
-        moved = effect.carried(motion, _AT_REST)
-        _ = effect.shifted_mm(motion, _AT_REST), effect.misread(np.ones((1, 3)))
+        moved = effect.carry(motion, _AT_REST)
+        _ = effect.shift_mm(motion, _AT_REST), effect.misread(np.ones((1, 3)))
     except (KeyError, TypeError, ValueError) as error:
         raise SimulatorError(
             f"hidden: {text}: machine {machine.name} cannot have it: {error}"

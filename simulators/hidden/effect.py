@@ -62,7 +62,7 @@ class HiddenEffect(ABC):
 
     @classmethod
     @abstractmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw one of the size that is asked for."""
 
     @property
@@ -82,7 +82,7 @@ class HiddenEffect(ABC):
         }
         return {"name": self.name, **self.keys, "parameters": values}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return what it adds to the error motions of joints, by axis.
 
         (n, 6) each: along X, Y, Z in mm, about X, Y, Z in rad.
@@ -90,7 +90,7 @@ class HiddenEffect(ABC):
         del motion, time_s
         return {}
 
-    def shifted_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return how far all shifts that the tracker sees, where it stands, (n, 3)."""
         del motion
         return np.zeros((len(time_s), 3))
@@ -99,7 +99,7 @@ class HiddenEffect(ABC):
         """Return the error of range (mm), azimuth and elevation (rad), (n, 3)."""
         return np.zeros_like(polar)
 
-    def warmed_degc(self, axis: str, time_s: np.ndarray) -> np.ndarray:
+    def warming_degc(self, axis: str, time_s: np.ndarray) -> np.ndarray:
         """Return what the sensor of an axis shows above its start, (n,)."""
         del axis
         return np.zeros(len(time_s))

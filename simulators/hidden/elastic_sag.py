@@ -27,7 +27,7 @@ class ElasticSag(HiddenEffect):
     amplitude_um: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw guide, carriage and direction.
 
         The mean over v is straightness, the mean over u a tilt, so that four times the
@@ -48,7 +48,7 @@ class ElasticSag(HiddenEffect):
         del clock
         return {"amplitude_um": self.amplitude_um}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the guide's deflection under the carriage."""
         u, v = (_share(motion, name, time_s) for name in (self.axis, self.by))
         deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v

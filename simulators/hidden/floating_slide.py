@@ -24,7 +24,7 @@ class FloatingSlide(HiddenEffect):
     usual_mm_s: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw an axis and a direction across it."""
         axis = occasion.axis(rng)
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
@@ -40,7 +40,7 @@ class FloatingSlide(HiddenEffect):
         del clock
         return {"lift_um": self.lift_um}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the oil film carries."""
         square = motion.derivatives(self.axis, time_s)[0] ** 2
         lift = square / (square + self.usual_mm_s**2)

@@ -29,7 +29,7 @@ class LateralBacklash(HiddenEffect):
     turnover_mm: float = 0.5
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a straightness or an angle; an angle acts over a third of a metre."""
         axis = occasion.axis(rng)
         letter = str(rng.choice([c for c in "XYZABC" if c != axis]))
@@ -52,7 +52,7 @@ class LateralBacklash(HiddenEffect):
         del clock
         return {"half_width": self.half_width}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far it leans, by how much of the play friction has crossed."""
         half_mm = 0.5 * self.turnover_mm
         follows = motion.played_mm(self.axis, half_mm, time_s)

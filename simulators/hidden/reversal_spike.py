@@ -26,7 +26,7 @@ class ReversalSpike(HiddenEffect):
     decay_mm: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw an axis, a direction and how soon it fades."""
         return cls(
             occasion.axis(rng),
@@ -45,7 +45,7 @@ class ReversalSpike(HiddenEffect):
         del clock
         return {"amplitude_um": self.amplitude_um, "decay_mm": self.decay_mm}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return what is left of the excursion."""
         travel, sign = motion.since_reversal_mm(self.axis, time_s)
         left = 1e-3 * self.amplitude_um * sign * np.exp(-travel / self.decay_mm)

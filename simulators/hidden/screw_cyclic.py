@@ -26,7 +26,7 @@ class ScrewCyclic(HiddenEffect):
     second_share: float = 0.0
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw one of the usual leads, and a second harmonic of at most a tenth."""
         return cls(
             occasion.axis(rng),
@@ -50,7 +50,7 @@ class ScrewCyclic(HiddenEffect):
             "phase_rad": self.phase_rad,
         }
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the nut's error by the angle of the screw."""
         turned = motion.position_mm(self.axis, time_s) / self.lead_mm
         angle = 2.0 * np.pi * turned + self.phase_rad

@@ -21,7 +21,7 @@ class ServoMismatch(HiddenEffect):
     lag_ms: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw an axis; at the usual feed it lags, or leads, by the size."""
         lag_ms = occasion.size_um / occasion.feed_mm_s * float(rng.choice([-1.0, 1.0]))
         return cls(occasion.axis(rng), lag_ms)
@@ -36,7 +36,7 @@ class ServoMismatch(HiddenEffect):
         del clock
         return {"lag_ms": self.lag_ms}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the following error, r − c of lag r' = c − r.
 
         For a command c of cubic pieces r − c = −lag c' + lag² c'' − lag³ c'''; what a

@@ -24,7 +24,7 @@ class SetupStep(HiddenEffect):
     step_um: tuple[float, float, float]
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a moment in the middle two thirds; the step is twice the size."""
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
@@ -41,7 +41,7 @@ class SetupStep(HiddenEffect):
         """Return the moment on the tracker's clock, and the step."""
         return {"t_s": clock.device_s(self.time_s), "step_um": self.step_um}
 
-    def shifted_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return the step after the moment."""
         del motion
         return 1e-3 * np.outer(time_s >= self.time_s, self.step_um)

@@ -25,7 +25,7 @@ class Squareness(HiddenEffect):
     value_urad: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a pair of axes; from end to end of its travel one leans twice the size.
 
         The tracker's place takes up the mean.
@@ -45,7 +45,7 @@ class Squareness(HiddenEffect):
         del clock
         return {"value_urad": self.value_urad}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return s (R d − d) for the position s on the direction d of travel."""
         axis, around = SQUARENESS[self.symbol]
         angle = 1e-6 * self.value_urad

@@ -20,7 +20,7 @@ class TableDrift(HiddenEffect):
     rate_um_per_s: tuple[float, float, float]
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a direction; from begin to end it creeps twice the size."""
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
@@ -37,7 +37,7 @@ class TableDrift(HiddenEffect):
         del clock
         return {"rate_um_per_s": self.rate_um_per_s}
 
-    def shifted_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return the rate times the time."""
         del motion
         return 1e-3 * np.outer(time_s, self.rate_um_per_s)

@@ -29,7 +29,7 @@ class ThermalGrowth(HiddenEffect):
     has_sensor: bool = True
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw how fast it warms; its far end moves by twice the size."""
         axis = occasion.axis(rng)
         tau_s = float(rng.uniform(0.3, 1.0) * occasion.duration_s)
@@ -55,7 +55,7 @@ class ThermalGrowth(HiddenEffect):
             "tau_s": self.tau_s,
         }
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the strain times the distance from the axis zero."""
         rise_k = -self.rise_k * np.expm1(-np.maximum(time_s, 0.0) / self.tau_s)
         axis = motion.machine.linear_axes[motion.column(self.axis)]
@@ -63,7 +63,7 @@ class ThermalGrowth(HiddenEffect):
         strain = 1e-6 * self.coefficient_um_per_m_k * rise_k
         return error_motion(f"E{self.axis}{self.axis}", strain * reach_mm)
 
-    def warmed_degc(self, axis: str, time_s: np.ndarray) -> np.ndarray:
+    def warming_degc(self, axis: str, time_s: np.ndarray) -> np.ndarray:
         """Return a first-order lag of a first-order rise."""
         if axis != self.axis:
             return np.zeros(len(time_s))

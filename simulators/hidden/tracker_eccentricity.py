@@ -23,7 +23,7 @@ class TrackerEccentricity(HiddenEffect):
     phase_rad: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a circle and a phase.
 
         Offset and slope of the wave over the angles in use turn the tracker: ten times

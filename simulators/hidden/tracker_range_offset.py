@@ -19,7 +19,7 @@ class TrackerRangeOffset(HiddenEffect):
     offset_um: float
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a sign.
 
         Most of it shifts the tracker: eight times the size is needed for its bend to

@@ -25,7 +25,7 @@ class Twist(HiddenEffect):
     waves: tuple[float, float] = (2.0, 2.0)
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw two axes and how often each bulges: at least once up and once down."""
         first, second, _ = rng.permutation(list("XYZ"))
         waves = (float(rng.uniform(1.8, 2.2)), float(rng.uniform(1.8, 2.2)))
@@ -42,7 +42,7 @@ class Twist(HiddenEffect):
         del clock
         return {"amplitude_um": self.amplitude_um}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the bulge where both axes are."""
         bulge = np.ones(len(time_s))
         for name, waves in zip((self.first, self.second), self.waves, strict=True):

@@ -25,7 +25,7 @@ class Vibration(HiddenEffect):
     phase_rad: float = 0.0
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw a direction and a frequency, evenly in its logarithm."""
         low, high = np.log(_SLOWEST_HZ), np.log(_FASTEST_HZ)
         return cls(
@@ -47,7 +47,7 @@ class Vibration(HiddenEffect):
             "amplitude_um": self.amplitude_um,
         }
 
-    def shifted_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return the wave."""
         del motion
         angle = 2.0 * np.pi * self.frequency_hz * time_s + self.phase_rad

@@ -25,7 +25,7 @@ class WavyGuide(HiddenEffect):
     phase_rad: float = 0.0
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw an axis, a direction across it, and a pitch."""
         axis = occasion.axis(rng)
         return cls(
@@ -46,7 +46,7 @@ class WavyGuide(HiddenEffect):
         del clock
         return {"period_mm": self.pitch_mm, "amplitude_um": self.amplitude_um}
 
-    def carried(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the height of the rail under the carriage."""
         run = motion.position_mm(self.axis, time_s) / self.pitch_mm
         wave = np.sin(2.0 * np.pi * run + self.phase_rad)

@@ -99,7 +99,7 @@ def drive_by_hand(bench, motion):
 def until_it_stands(cnc):
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
-        cnc.beat()
+        cnc.send_heartbeat()
         try:
             return cnc.wait(0.2)
         except DeviceTimeout:

@@ -210,7 +210,7 @@ class GoodController(MotionController):
         self.path = None
         self.at = replace(self.at, state=MotionState.ABORTED)
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         return
 
 

@@ -116,7 +116,7 @@ class FakeTracker(Tracker, ByteLink):
                 return block
             time.sleep(0.005)
 
-    def received(self) -> bytes:
+    def take_link_bytes(self) -> bytes:
         data, self._bytes = self._bytes, b""
         return data
 
@@ -179,7 +179,7 @@ class FakeMotion(MotionController):
     def close(self) -> None:
         self.abort()
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         self._reach()
         self._is_fed = True
 

@@ -63,7 +63,7 @@ def fill(recorder: Recorder, blocks: int = 20) -> TrackerSamples:
     made = [block(1000 + 50 * i) for i in range(blocks)]
     for i, one in enumerate(made):
         recorder.put_tracker(one, b"%03d" % i * 20)
-    return TrackerSamples.joined(made)
+    return TrackerSamples.join(made)
 
 
 def assert_same(first: TrackerSamples, second: TrackerSamples) -> None:

@@ -53,7 +53,7 @@ n = len(corners)
 motion.load(Path(("X", "Y", "Z"), corners, np.full(n, 3000.0), np.zeros(n)))
 motion.start()
 while True:
-    motion.beat()
+    motion.send_heartbeat()
     tracker.read(0.05)
     print(motion.status().state, flush=True)
 """
@@ -89,7 +89,7 @@ def read_for(tracker: StreamingTracker, duration_s: float) -> TrackerSamples:
     blocks, end_s = [], time.monotonic() + duration_s
     while time.monotonic() < end_s:
         blocks.append(tracker.read(0.1))
-    return TrackerSamples.joined(blocks)
+    return TrackerSamples.join(blocks)
 
 
 def drive(motion: ModbusController) -> MotionStatus:
@@ -99,7 +99,7 @@ def drive(motion: ModbusController) -> MotionStatus:
 
 
 def stands(motion: ModbusController) -> MotionStatus | None:
-    motion.beat()
+    motion.send_heartbeat()
     status = motion.status()
     return None if status.state is MotionState.RUNNING else status
 
@@ -239,7 +239,7 @@ def test_an_operator_holds_the_feed_and_lets_it_go(
 
 
 def finished(motion: ModbusController) -> MotionStatus | None:
-    motion.beat()
+    motion.send_heartbeat()
     status = motion.status()
     return status if status.state is MotionState.FINISHED else None
 

@@ -17,7 +17,7 @@ from simulators.hidden.drawing import (
     CATALOGUED,
     EFFECTS,
     as_json,
-    drawn,
+    draw,
     from_json,
     parse_hidden,
 )
@@ -220,7 +220,7 @@ def test_a_slow_servo_lags_by_its_speed_in_ramps_too(
     for k in range(1, len(time_s)):
         mean = 0.5 * (command[k] + command[k - 1])
         servo[k] = mean + (servo[k - 1] - mean) * np.exp(-1e-5 / 1e-3)
-    found = effect.carried(motion, time_s)["X"][:, 0]
+    found = effect.carry(motion, time_s)["X"][:, 0]
     np.testing.assert_allclose(found, servo - command, atol=5e-5)
 
 
@@ -267,10 +267,10 @@ def test_every_effect_is_drawn_alike_by_its_seed_and_travels_as_text(
     name: str, machine: MachineFile, content: dict[str, Any]
 ) -> None:
     occasion = Occasion(machine, 3.0, 60.0, FEED_MM_S, 700.0)
-    effect = drawn(name, 4, occasion)
-    assert drawn(name, 4, occasion) == effect
+    effect = draw(name, 4, occasion)
+    assert draw(name, 4, occasion) == effect
     assert from_json(json.loads(json.dumps(as_json(effect)))) == effect
-    assert any(drawn(name, seed, occasion) != effect for seed in range(5, 9))
+    assert any(draw(name, seed, occasion) != effect for seed in range(5, 9))
     truth = effect.truth(CLOCK)
     assert truth["name"] == name
     assert all("value" in entry for entry in truth["parameters"].values())

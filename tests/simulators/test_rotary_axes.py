@@ -65,7 +65,7 @@ def test_without_errors_every_target_is_where_it_should_be(
     truth = perfect(five_axes)
     for reflector in five_axes.reflectors:
         np.testing.assert_allclose(
-            truth.seen_mm(q, reflector.name),
+            truth.locate_target_mm(q, reflector.name),
             truth.nominal_point_mm(q, reflector, "base"),
             atol=1e-9,
         )
@@ -190,7 +190,7 @@ def test_each_row_measures_its_own_target(five_axes: MachineFile) -> None:
     assert set(program.target) == {r.name for r in five_axes.reflectors}
     for target in program.target:
         mine = np.array(program.target)[made.row] == target
-        seen = made.truth.seen_mm(made.commanded_mm[mine], target)
+        seen = made.truth.locate_target_mm(made.commanded_mm[mine], target)
         expected = made.pose.from_table(seen)
         np.testing.assert_allclose(made.position_mm[mine], expected, atol=1e-9)
 
@@ -243,6 +243,6 @@ def test_the_tracker_is_turned_to_the_target_of_each_row(
     position = timeline.positions(samples.device_time_s)
     for name in dict.fromkeys(program.target):
         mine = np.array(program.target)[row] == name
-        expected = pose.from_table(truth.seen_mm(position[mine], name))
+        expected = pose.from_table(truth.locate_target_mm(position[mine], name))
         assert mine.any()
         np.testing.assert_allclose(samples.position_mm[mine], expected, atol=0.1)

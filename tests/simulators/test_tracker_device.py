@@ -67,7 +67,7 @@ class Wire:
             self.now_s += step_s
             self.device.receive(encode_message(Ping(9)), self.now_s, self.now_s)
             self.tick()
-        return TrackerSamples.joined(self.samples[first:])
+        return TrackerSamples.join(self.samples[first:])
 
     def tick(self) -> None:
         self._take(
@@ -142,7 +142,7 @@ def test_it_sees_the_machine_move(streaming: Callable[..., Wire]) -> None:
     samples = device.stream(4.0)
     parts = device.parts
     moments = CLOCK.true_s(samples.device_time_s)
-    seen = parts.truth.seen_mm(device.timeline.positions(moments))
+    seen = parts.truth.locate_target_mm(device.timeline.positions(moments))
     off = samples.position_mm - parts.pose.from_table(seen)
     assert 1e-3 < off.std() < 6e-3
     assert np.abs(off).max() < 0.03

@@ -71,7 +71,7 @@ def test_a_machine_without_errors_is_where_it_should_be(
     q = somewhere(rng, machine)
     truth = perfect(machine)
     np.testing.assert_allclose(
-        truth.seen_mm(q), q + machine.reflector().offset_mm, atol=1e-9
+        truth.locate_target_mm(q), q + machine.reflector().offset_mm, atol=1e-9
     )
     assert np.abs(truth.deviation_mm(q)).max() < 1e-9
 

@@ -107,7 +107,7 @@ class CommandChannel:
             alarm = self._alarm(status.motion)
             return replace(status, motion=replace(status.motion, alarm=alarm))
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         """Write a new number for the watchdog."""
         with self._lock.taken():
             self._beats = (self._beats + 1) & 0xFFFF

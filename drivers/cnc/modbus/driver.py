@@ -118,7 +118,7 @@ class ModbusController(MotionController):
         """Wait until the axes stand, beating meanwhile."""
         deadline_s = time.monotonic() + timeout_s
         while True:
-            self.beat()
+            self.send_heartbeat()
             status = self.status()
             if status.state is MotionState.ALARM:
                 raise MotionFault(f"{self._channel.name}: {status.alarm}")
@@ -150,9 +150,9 @@ class ModbusController(MotionController):
         if self._channel.controller is not None:
             self._channel.command(r.Command.ABORT, urgent=True)
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         """Write a new number for the watchdog."""
-        self._channel.beat()
+        self._channel.send_heartbeat()
 
     def close(self) -> None:
         """Abort a motion that runs, release the port."""

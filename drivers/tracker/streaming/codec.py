@@ -68,7 +68,7 @@ class SampleDecoder:
                 blocks.append(self._samples(parse_measurements(list(group))))
             else:
                 messages += self._messages(group)
-        return Decoded(TrackerSamples.joined(blocks), tuple(messages))
+        return Decoded(TrackerSamples.join(blocks), tuple(messages))
 
     def _messages(self, bodies: Iterator[bytes]) -> list[Message]:
         messages: list[Message] = []

@@ -61,7 +61,7 @@ class StreamingTracker(Tracker, ByteLink):
     compact : ask for the short frames, 10 nm and 2.9 nrad, on a slow line
     reply_timeout_s : longest wait for the reply to a command, sent twice in that time
 
-    `read` and `received` are for one thread, the other verbs for any.
+    `read` and `take_link_bytes` are for one thread, the other verbs for any.
     """
 
     def __init__(
@@ -144,9 +144,9 @@ class StreamingTracker(Tracker, ByteLink):
             finally:
                 self._shut()
 
-    def received(self) -> bytes:
+    def take_link_bytes(self) -> bytes:
         """Return the bytes as they came, at most the last 4 MiB."""
-        return b"" if self._receiver is None else self._receiver.received()
+        return b"" if self._receiver is None else self._receiver.take_link_bytes()
 
     @property
     def health(self) -> LinkHealth:
@@ -166,7 +166,7 @@ class StreamingTracker(Tracker, ByteLink):
             self._shut()
             raise
         receiver.take(0.0, 0.0)
-        receiver.received()
+        receiver.take_link_bytes()
         log.info(
             "%s: %s answers; this driver has met simulated trackers only so far",
             self._port.name,

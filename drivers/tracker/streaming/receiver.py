@@ -76,7 +76,7 @@ class Receiver:
             raise self.error
         return bodies
 
-    def received(self) -> bytes:
+    def take_link_bytes(self) -> bytes:
         """Return the bytes since the last call; the oldest go where nobody calls."""
         with self._changed:
             data = b"".join(self._kept)

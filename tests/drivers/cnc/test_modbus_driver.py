@@ -191,9 +191,9 @@ def test_without_beats_the_watchdog_holds(peer, controller, until):
 
 
 def test_every_beat_is_a_new_number(peer, controller):
-    controller.beat()
+    controller.send_heartbeat()
     first = peer.model.words[180]
-    controller.beat()
+    controller.send_heartbeat()
     assert peer.model.words[180] != first
 
 
@@ -393,7 +393,7 @@ def test_a_long_silence_does_not_break_the_link(tcp_peer, tcp_controller):
     tcp_peer.mangle = lambda reply: b""
     for _ in range(7):
         with pytest.raises(DeviceError):
-            tcp_controller.beat()
+            tcp_controller.send_heartbeat()
     tcp_peer.mangle = lambda reply: reply
     tcp_controller.connect()
     assert tcp_controller.status().state is MotionState.IDLE
@@ -412,7 +412,7 @@ def test_a_long_silence_does_not_break_the_link(tcp_peer, tcp_controller):
     ],
 )
 def test_exceptions_of_modbus_have_their_families(peer, controller, code, family, text):
-    for verb in (controller.status, controller.beat):
+    for verb in (controller.status, controller.send_heartbeat):
         peer.exceptions = [code]
         with pytest.raises(family, match=text + rf".*\(exception {code}\)"):
             verb()
@@ -483,7 +483,11 @@ def test_a_connection_that_breaks_stays_broken_until_connect(
     with pytest.raises(ConnectionLost, match="check cable and power"):
         tcp_controller.status()
     setattr(tcp_peer, how, False)
-    for verb in (tcp_controller.status, tcp_controller.hold, tcp_controller.beat):
+    for verb in (
+        tcp_controller.status,
+        tcp_controller.hold,
+        tcp_controller.send_heartbeat,
+    ):
         with pytest.raises(ConnectionLost):
             verb()
     tcp_controller.connect()
@@ -530,7 +534,7 @@ def test_verbs_before_connect():
     controller.close()
     assert controller.axes == ()
     assert controller.travel == ()
-    for verb in (controller.status, controller.start, controller.beat):
+    for verb in (controller.status, controller.start, controller.send_heartbeat):
         with pytest.raises(ConnectionLost, match="connect first"):
             verb()
 
@@ -579,7 +583,7 @@ def test_verbs_from_many_threads_do_not_mix(tcp_peer, tcp_controller):
 
     verbs = [
         tcp_controller.status,
-        tcp_controller.beat,
+        tcp_controller.send_heartbeat,
         tcp_controller.hold,
         lambda: tcp_controller.load(zigzag(3)),
     ]

@@ -106,7 +106,7 @@ def test_any_split_and_any_loss_gives_the_samples_sent(lost, cuts, measured):
         blocks.append(decoder.feed(wire[at : at + size]).samples)
         at += size
     blocks.append(decoder.feed(wire[at:]).samples)
-    samples = TrackerSamples.joined(blocks)
+    samples = TrackerSamples.join(blocks)
     assert samples.sequence.tolist() == kept.tolist()
     np.testing.assert_allclose(samples.position_mm, positions(kept), atol=2e-4)
     tail = 299 - kept[-1] if len(kept) else 300

@@ -62,7 +62,7 @@ def read_for(tracker: StreamingTracker, count: int) -> TrackerSamples:
     while sum(map(len, blocks)) < count:
         assert time.monotonic() < deadline
         blocks.append(tracker.read(0.5))
-    return TrackerSamples.joined(blocks)
+    return TrackerSamples.join(blocks)
 
 
 def test_connect_start_read_stop_in_bytes(wire, scripted):
@@ -131,17 +131,17 @@ def test_damaged_frames_are_lost_and_never_wrong(loopback_tracker, running_track
 def test_the_bytes_received_decode_to_the_same_samples(running_tracker):
     samples = read_for(running_tracker, 100)
     running_tracker.stop()
-    samples = TrackerSamples.joined([samples, running_tracker.read(0.0)])
-    again = StreamDecoder().feed(running_tracker.received()).samples
+    samples = TrackerSamples.join([samples, running_tracker.read(0.0)])
+    again = StreamDecoder().feed(running_tracker.take_link_bytes()).samples
     np.testing.assert_array_equal(again.sequence, samples.sequence)
     np.testing.assert_array_equal(again.position_mm, samples.position_mm)
-    assert running_tracker.received() == b""
+    assert running_tracker.take_link_bytes() == b""
 
 
 def test_bytes_that_nobody_takes_are_bounded(running_tracker, monkeypatch):
     monkeypatch.setattr(receiver, "KEPT_BYTES", 1000)
     read_for(running_tracker, 100)
-    assert 0 < len(running_tracker.received()) <= 1000
+    assert 0 < len(running_tracker.take_link_bytes()) <= 1000
 
 
 def test_samples_that_nobody_reads_are_bounded_and_counted(
@@ -200,7 +200,7 @@ def test_after_stop_the_stream_goes_on_with_the_next_number(
     rest = running_tracker.read(0.05)
     running_tracker.start(500.0)
     after = read_for(running_tracker, 20)
-    sequence = TrackerSamples.joined([before, rest, after]).sequence
+    sequence = TrackerSamples.join([before, rest, after]).sequence
     assert sequence.tolist() == list(range(len(sequence)))
     assert running_tracker.health.lost_samples == 0
 
@@ -215,7 +215,7 @@ def test_a_stream_left_behind_by_another_host_is_not_read(loopback_tracker):
     with StreamingTracker(**loopback_tracker.options) as tracker:
         assert loopback_tracker.rate_hz is None
         assert len(tracker.read(0.05)) == 0
-        assert tracker.received() == b""
+        assert tracker.take_link_bytes() == b""
 
 
 def test_rates_beyond_the_instrument_are_refused_before_the_first_byte(
@@ -387,7 +387,7 @@ def test_verbs_before_connect():
     tracker = StreamingTracker("/dev/null")
     tracker.stop()
     tracker.close()
-    assert tracker.received() == b""
+    assert tracker.take_link_bytes() == b""
     assert tracker.health == LinkHealth()
     for verb in (lambda: tracker.start(500.0), lambda: tracker.read(0.0)):
         with pytest.raises(ConnectionLost, match="connect first"):

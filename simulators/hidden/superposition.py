@@ -11,7 +11,7 @@ from simulators.hidden.motion import Motion
 from simulators.truth_machine import TruthMachine
 
 
-def seen_mm(
+def locate_target_mm(
     truth: TruthMachine,
     motion: Motion,
     time_s: np.ndarray,
@@ -23,25 +23,25 @@ def seen_mm(
     target : (n,) its name at each time
     """
     position = motion.timeline.positions(time_s)
-    carried = carried_together(motion, time_s, hidden)
+    carry = carry_all(motion, time_s, hidden)
     names = np.array(target)
     point = np.empty((len(time_s), 3))
     for name in set(target):
         mine = names == name
-        part = {axis: value[mine] for axis, value in carried.items()}
-        point[mine] = truth.seen_mm(position[mine], name, part)
+        part = {axis: value[mine] for axis, value in carry.items()}
+        point[mine] = truth.locate_target_mm(position[mine], name, part)
     for effect in hidden:
-        point += effect.shifted_mm(motion, time_s)
+        point += effect.shift_mm(motion, time_s)
     return point
 
 
-def carried_together(
+def carry_all(
     motion: Motion, time_s: np.ndarray, hidden: Sequence[HiddenEffect]
 ) -> dict[str, np.ndarray]:
     """Return what all effects add to the error motions of joints, (n, 6) by axis."""
     total: dict[str, np.ndarray] = {}
     for effect in hidden:
-        for axis, value in effect.carried(motion, time_s).items():
+        for axis, value in effect.carry(motion, time_s).items():
             total[axis] = total[axis] + value if axis in total else value
     return total
 
