@@ -32,7 +32,9 @@ class StreamReader:
         self._tracker, self._recorder, self._monitor = tracker, recorder, monitor
         self._clock = clock
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="stream-reader", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, name="stream-reader", daemon=True
+        )
         self._failure: Exception | None = None
 
     @property
