@@ -37,14 +37,14 @@ from app.motion.paths import line_times_s
 from app.motion.workspace import Workspace
 from app.numerics.design_criteria import Belief, best_place
 from app.numerics.splines import natural_spline
-from app.planning.leg_choice import LegChoice, Region
+from app.planning.design_state import DesignState, inverse
+from app.planning.initial_design import choose_station, start_point_design
+from app.planning.leg_choice import LegChoice, SearchRegion
 from app.planning.next_configuration import (
     next_configuration,
     point_rows,
     search_space,
 )
-from app.planning.outlook import Outlook, inverse
-from app.planning.outlooks import choose_station, point_outlook
 from app.planning.plan import PlanRequest, make_plan
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic
@@ -107,28 +107,28 @@ def points_needed(seed: int, *, volumetric: bool) -> int:
         integrated variances, turns at half the diagonal of the travel
     """
     machine = machine_of(seed)
-    outlook = point_outlook(machine, choose_station(machine, Workspace()))
+    design = start_point_design(machine, choose_station(machine, Workspace()))
     if not volumetric:
-        outlook = replace(outlook, gram=gram_of_motions(outlook))
+        design = replace(design, gram=gram_of_motions(design))
     # As good as no time to move: points count, not seconds.
     drive = drive_of(machine, acceleration_mm_s2=1e7, dwell_s=1.0)
     rng = np.random.default_rng(seed)
     low, high = np.array([[axis.low, axis.high] for axis in machine.axes]).T
     goal = np.median(
-        [left(outlook, rng.uniform(low, high, (RANDOM + 1, 3)), drive) for _ in "abcde"]
+        [left(design, rng.uniform(low, high, (RANDOM + 1, 3)), drive) for _ in "abcde"]
     )
-    region = Region(low, high, lambda begin, end: (begin != end).any(axis=1))
-    choice = LegChoice(outlook, drive, region, (6e6,), rng)
+    region = SearchRegion(low, high, lambda begin, end: (begin != end).any(axis=1))
+    choice = LegChoice(design, drive, region, (6e6,), rng)
     stops = choice.stops(low, RANDOM * 1.01, rounds=0)
     counts = range(1, len(stops))
     return next(
-        n for n in counts if left(outlook, stops.position[: n + 1], drive) <= goal
+        n for n in counts if left(design, stops.position[: n + 1], drive) <= goal
     )
 
 
-def gram_of_motions(outlook: Outlook) -> np.ndarray:
+def gram_of_motions(design: DesignState) -> np.ndarray:
     """Return G of eq. 36 over all error motions and squarenesses, in mm²."""
-    machine, model = outlook.model.machine, outlook.model
+    machine, model = design.model.machine, design.model
     reach = 0.5 * np.linalg.norm([axis.high - axis.low for axis in machine.axes])
     gram = np.zeros((model.size, model.size))
     for effect in model.effects:
@@ -142,10 +142,10 @@ def gram_of_motions(outlook: Outlook) -> np.ndarray:
     return gram
 
 
-def left(outlook: Outlook, position: np.ndarray, drive: Drive) -> float:
+def left(design: DesignState, position: np.ndarray, drive: Drive) -> float:
     """Return J after standstills at all positions but the first."""
-    told = outlook.information(position, np.full(len(position), FEED), drive)
-    return float(np.sum(inverse(outlook.precision + told) * outlook.gram))
+    told = design.information(position, np.full(len(position), FEED), drive)
+    return float(np.sum(inverse(design.precision + told) * design.gram))
 
 
 def one_axis(seed: int) -> tuple[float, float, float]:

@@ -20,7 +20,7 @@ from jaxtyping import Float64
 from app.alignment.course import HARDLY_MM, Course, Curve
 from app.alignment.observations import Pass
 from app.alignment.sequence import Matching
-from app.alignment.stops import Stops, speed_mm_s
+from app.alignment.stops import StopSequence, speed_mm_s
 from app.numerics.rigid import RigidTransform
 
 _ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
@@ -59,7 +59,7 @@ class _Part:
 
 
 def cut_into_passes(
-    stream: Stream, stops: Stops, matching: Matching, course: Course
+    stream: Stream, stops: StopSequence, matching: Matching, course: Course
 ) -> tuple[Pass, ...]:
     """Return the passes in the order of time; `first` and `last` index `stream`."""
     parts = _parts(stream, stops, matching, course)
@@ -68,7 +68,7 @@ def cut_into_passes(
 
 
 def _parts(
-    stream: Stream, stops: Stops, matching: Matching, course: Course
+    stream: Stream, stops: StopSequence, matching: Matching, course: Course
 ) -> Iterator[_Part]:
     """Yield what was driven between neighbouring standstills."""
     matched = dict(zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.stops import Stops
+from app.alignment.stops import StopSequence
 from app.errors import AlignmentError
 from app.numerics.rigid import RigidTransform, fit_rigid
 
@@ -30,7 +30,7 @@ class Matching:
 
 
 def match_stops(
-    stops: Stops, waypoint_mm: Float64[np.ndarray, "w 3"], *, ordered_by: str
+    stops: StopSequence, waypoint_mm: Float64[np.ndarray, "w 3"], *, ordered_by: str
 ) -> Matching:
     """Match standstills (tracker frame) to nominal waypoints (workpiece frame).
 

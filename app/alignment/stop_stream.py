@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64
 from app.alignment.stops import (
     SAME_PLACE_MM,
     SPEED_BLOCK,
-    Stops,
+    StopSequence,
     left_in_between,
     rest_position_mm,
     speed_mm_s,
@@ -145,9 +145,9 @@ class StopStream:
         return left_in_between(between, before.position_mm)
 
 
-def as_stops(stops: list[Stop], origin: int) -> Stops:
+def as_stops(stops: list[Stop], origin: int) -> StopSequence:
     """Return standstills as one block, counted from `origin`."""
-    return Stops(
+    return StopSequence(
         np.array([s.first - origin for s in stops]),
         np.array([s.last - origin for s in stops]),
         np.array([s.position_mm for s in stops]),

@@ -16,7 +16,7 @@ SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
 
 
 @dataclass(frozen=True, slots=True)
-class Stops:
+class StopSequence:
     """Standstills in the order of time.
 
     first, last : (m,) indices of the first sample at rest and of the one after the last
@@ -48,7 +48,7 @@ def find_stops(
     time_s: Float64[np.ndarray, " n"],
     position_mm: Float64[np.ndarray, "n 3"],
     slowest_mm_s: float,
-) -> Stops:
+) -> StopSequence:
     """Find the standstills of a stream whose slowest motion is known.
 
     time_s, position_mm : valid samples only
@@ -58,7 +58,7 @@ def find_stops(
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.view(np.int8), [0]])))
     first, last = edges[::2], edges[1::2]
     if len(first) == 0:
-        return Stops(first, last, np.empty((0, 3)))
+        return StopSequence(first, last, np.empty((0, 3)))
     where = np.array(
         [rest_position_mm(position_mm[a:b]) for a, b in zip(first, last, strict=True)]
     )
@@ -97,7 +97,7 @@ def _merged(
     last: Int64[np.ndarray, " m"],
     where: Float64[np.ndarray, "m 3"],
     position_mm: Float64[np.ndarray, "n 3"],
-) -> Stops:
+) -> StopSequence:
     """Join neighbours at one place: a lost frame does not make two standstills."""
     moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > SAME_PLACE_MM
     for k in np.flatnonzero(~moved):
@@ -108,4 +108,4 @@ def _merged(
         b + int(np.argmax(last[b : e + 1] - first[b : e + 1]))
         for b, e in zip(begins, ends, strict=True)
     ]
-    return Stops(first[begins], last[ends], where[longest])
+    return StopSequence(first[begins], last[ends], where[longest])

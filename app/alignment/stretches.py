@@ -13,7 +13,7 @@ from app.alignment.observations import Observations, Pass
 from app.alignment.reduction import CELL_MM, Cells, cell_count, reduce_to_cells
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
-from app.alignment.stops import Stops
+from app.alignment.stops import StopSequence
 from app.files.run import Run
 from app.kinematics.conditions import Conditions
 from app.kinematics.machine import Machine
@@ -134,7 +134,7 @@ def looks_at_standstills(run: Run) -> bool:
 
 
 def standing_stretches(
-    run: Run, stops: Stops, matching: Matching, stream: Stream, course: Course
+    run: Run, stops: StopSequence, matching: Matching, stream: Stream, course: Course
 ) -> list[Stretch]:
     """Return the cells of every matched standstill, settling left out.
 

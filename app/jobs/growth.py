@@ -18,7 +18,7 @@ from app.motion.configurations import Commanded
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.planning.part_choice import Part
+    from app.planning.adaptive_plan import Part
 
 log = structlog.get_logger(__name__)
 

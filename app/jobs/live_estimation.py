@@ -34,7 +34,7 @@ from app.jobs.live_process import (
 from drivers.interfaces.records import TrackerSamples
 
 if TYPE_CHECKING:
-    from app.planning.part_choice import Part
+    from app.planning.adaptive_plan import Part
 
 log = structlog.get_logger(__name__)
 

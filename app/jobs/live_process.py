@@ -19,7 +19,7 @@ from drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
     from app.estimation.live import LiveEstimator
-    from app.planning.part_choice import Part, PartChoice
+    from app.planning.adaptive_plan import AdaptivePlanner, Part
     from app.planning.plan import PlanRequest
 
 _GATHER_S = 0.2
@@ -127,15 +127,17 @@ class _Supply:
         self, order: LiveOrder, request: PlanRequest, live: LiveEstimator
     ) -> None:
         self._order, self._request, self._live = order, request, live
-        self._choice: PartChoice | None = None
+        self._choice: AdaptivePlanner | None = None
         self.total = len(order.commanded) - isinstance(order.commanded, Path)
 
     def next(self) -> Part:
-        from app.planning.part_choice import Part, PartChoice
+        from app.planning.adaptive_plan import AdaptivePlanner, Part
 
         if self._choice is None:
             order = self._order
-            self._choice = PartChoice(order.machine, order.commanded, self._request)
+            self._choice = AdaptivePlanner(
+                order.machine, order.commanded, self._request
+            )
         now, found = self._live.estimate(), self._live.findings()
         if now is None or found is None:
             return Part(None)  # what is known so far is not enough to go on

@@ -1,1 +1,23 @@
-"""Room."""
+"""What the machine may be commanded to do, and how long it takes.
+
+A command is a `Path`, driven through its rows without a stop of the recording, or
+`Configurations`, standstill points. Rows are axis positions in mm and deg, lines are
+straight in them: all axes start and stop together, so a line never leaves a box that
+holds both of its ends, and checking the rows checks the whole swept path. A line is
+driven from rest to rest with constant acceleration a up to the feed v, which takes
+l / v + v / a for a length l ≥ v² / a, else 2 √(l / a). The length is that of the linear
+axes; where none moves it is in deg, and so is the feed.
+
+    configurations     standstill points; what is commanded
+    travel             inside the axes' ends, with a margin
+    workspace          keep-out boxes by slabs; range and sight of the tracker over the
+                       triangle that the beam sweeps (Akenine-Möller 2001)
+    motion_times       how long motions take, which part of a line has constant feed
+    short_order        stops in an order of short moves (2-opt: Croes 1958)
+    paths              points without a plan, travel times and the travel check
+    turning_points     the same where there are rotary axes
+    corner_path        the path of sanders-2023, to compare with
+    nc_programs        a plan as a control's program, and back
+
+The room knows no uncertainty: what is worth measuring is decided in `planning`.
+"""

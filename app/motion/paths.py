@@ -14,7 +14,7 @@ from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from app.motion.motion_times import moving_s
-from app.motion.short_order import short_order
+from app.motion.short_order import find_short_order
 from app.motion.travel import DECIMALS, first_breach, inner_travel
 from app.motion.turning_points import turning_points
 from drivers.interfaces.records import Path
@@ -52,7 +52,7 @@ def default_points(
     inside = _spread(np.random.default_rng(seed), count - 8)
     points = np.round(np.concatenate([corners, low + inside * (high - low)]), DECIMALS)
     apart = np.linalg.norm(points[:, None] - points, axis=2)
-    position = points[short_order(apart)]
+    position = points[find_short_order(apart)]
     return Configurations(machine.axis_names, position, np.full(count, dwell_s))
 
 

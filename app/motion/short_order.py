@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int64
 _LEAST_S = 1e-9  # a gain beyond rounding
 
 
-def short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:
+def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:
     """Return the stops in an order from which turning any stretch round gains nothing.
 
     time_s : of the move between any two, symmetric; infinite where it is not allowed

@@ -95,7 +95,7 @@ class Workspace:
         a, b = begin[None], end[None]
         for box in self.keep_out:
             if _crosses(a[:, :3], b[:, :3], box)[0]:
-                return f"enters the keep-out box {_called(box)}"
+                return f"enters the keep-out box {_name_box(box)}"
         tracker = np.array(self.tracker_mm)
         p, q = _target_mm(machine, a), _target_mm(machine, b)
         near, far = (float(d[0]) for d in _distances(tracker, p, q))
@@ -105,11 +105,11 @@ class Workspace:
             return f"takes the target {far:.0f} mm away, farther than the tracker sees"
         for box in self.blocks_sight:
             if _triangle_touches(tracker[None], p, q, box)[0]:
-                return f"goes behind {_called(box)}, out of the tracker's sight"
+                return f"goes behind {_name_box(box)}, out of the tracker's sight"
         return "is allowed"
 
 
-def _called(box: Box) -> str:
+def _name_box(box: Box) -> str:
     return box.name or f"{list(box.low_mm)} to {list(box.high_mm)} mm"
 
 

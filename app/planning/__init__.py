@@ -1,17 +1,26 @@
-"""Where to measure, in which order, and whether the machine may go there.
+"""What to measure next: points, lines, feeds, extra lines, and the grade of a set-up.
 
-One criterion for all: the integrated variance J = tr(G C) of the volumetric error
-(Brunn & Hanebeck 2005, eq. 24–26, 34–36), lowered as much as possible for the time it
-takes. What is believed of the machine (`outlook`) is handed in from the estimator, so
-that a plan is judged as its measurement will be.
+One criterion holds for all: the integrated variance J = tr(G C) of the volumetric error
+over the travel (brunn-hanebeck-2005, eq. 24–26, 34–36), with C the covariance of the
+model's θ and G its Gram matrix, θᵀ G θ the mean square of the error. A measurement with
+rows H, in units of its noise, lowers J by
 
-    next_configuration   the paper's own question: the best place to measure next
-    outlook              what is known, and what a leg would tell; of lines, of points
-    leg_choice           stops whose legs tell most per second: greedy, then exchange
-    planner              a plan within a time, from where the machine is, within limits
-    workspace, travel    keep-out boxes, range and line of sight; the travel
-    motion_times         how long motions take, what of a line is steady
-    corner_path          the path of the 2023 paper, to compare with
-    paths                paths and points without a plan
-    nc_programs          a plan as a control's program, and back
+    tr(S⁻¹ H C G C Hᵀ),    S = I + H C Hᵀ    (eq. 22–23, 32–33),
+
+and adds Hᵀ H to the information C⁻¹. A line gives the two directions across it and,
+less an unknown phase and speed, the one along it (sanders-2023 uses the former alone);
+a standstill gives all three. Stops are chosen one after another by the drop of J a
+second; then each is moved where that lowers J · T, which repeating a measurement leaves
+as it is (exchange algorithm: Fedorov 1972). On one axis the best place is exact, a root
+of a polynomial (eq. 27).
+
+    design_state          what is known, and what legs add: line_, point_design_state
+    initial_design        the state before the first leg, from the estimator's own prior
+    leg_choice, planner   stops within a time and limits, from where the machine is
+    next_configuration    the paper's own question: the best place to measure next
+    default_path          the path of those who ask for none
+    plan, adaptive_plan   a plan for a time or a target; the next part on the way
+    predicted_cells       the cells that a command would give, before anything moves
+    forecast              the uncertainty that a plan leaves, by the estimator
+    grade, remedies       one number for a set-up, and the line that would help it most
 """

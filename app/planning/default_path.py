@@ -21,8 +21,8 @@ from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
 from app.motion.travel import inner_travel
 from app.motion.turning_points import moving_targets
 from app.motion.workspace import Workspace
-from app.planning.leg_choice import Effort
-from app.planning.outlooks import choose_station, line_outlook
+from app.planning.initial_design import choose_station, start_line_design
+from app.planning.leg_choice import SearchEffort
 from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 
@@ -63,7 +63,7 @@ def default_path(
         )
     drive = _drive(machine, dwell_s)
     # Where stops were moved all axes would go on every line.
-    effort = Effort(40, 0) if machine.rotary_axes else Effort(rounds=1)
+    effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     blocks: list[Path] = []
     precision = start = None
     for number, target in enumerate(targets):
@@ -72,14 +72,14 @@ def default_path(
             continue
         planner = _planner(machine, target, drive, feed_mm_min)
         if precision is not None:
-            known = replace(planner.outlook, precision=precision)
-            planner = replace(planner, outlook=known)
+            known = replace(planner.design, precision=precision)
+            planner = replace(planner, design=known)
         block = planner.plan(legs=count, start=start, seed=seed, effort=effort)
-        precision = planner.measured(block).outlook.precision
+        precision = planner.measured(block).design.precision
         start = block.position[-1]
-        assert isinstance(block, Path)  # noqa: S101 (an outlook of lines plans a path)
+        assert isinstance(block, Path)  # noqa: S101 (lines make a path)
         blocks.append(replace(block, target=(target.name,) * len(block)))
-    path = _joined(blocks)
+    path = _join_blocks(blocks)
     return path if machine.rotary_axes else replace(path, target=())
 
 
@@ -95,12 +95,12 @@ def _planner(
     machine: Machine, target: Target, drive: Drive, feed_mm_min: float
 ) -> Planner:
     workspace = Workspace()
-    outlook = line_outlook(
+    design = start_line_design(
         machine,
         choose_station(machine, workspace),
         target=target.name if machine.rotary_axes else None,
     )
-    return Planner(machine, outlook, workspace, drive, (feed_mm_min,))
+    return Planner(machine, design, workspace, drive, (feed_mm_min,))
 
 
 def _share(lines: int, number: int, targets: int) -> int:
@@ -108,7 +108,7 @@ def _share(lines: int, number: int, targets: int) -> int:
     return lines * (number + 1) // targets - lines * number // targets
 
 
-def _joined(blocks: list[Path]) -> Path:
+def _join_blocks(blocks: list[Path]) -> Path:
     """Return blocks in turn; the machine waits while the tracker changes target."""
     for block in blocks[1:]:
         block.dwell_s[0] = _CHANGE_S

@@ -24,7 +24,7 @@ from app.motion.travel import DECIMALS, inner_travel
 from app.numerics.rigid import RigidTransform
 from app.planning.discrimination import Question
 from app.planning.planner import with_resting_axes
-from app.planning.rehearsal import rehearsed
+from app.planning.predicted_cells import predict_cells
 from drivers.interfaces.records import Path
 
 DECIDED = 12.0  # expected log Bayes factor: few fall short of 5
@@ -216,7 +216,7 @@ class LineChoice:
     def _predict_last_line(self, path: Path) -> Observations:
         """Return the observations that the last line of a path would give."""
         station_mm = self.pose.invert().apply(np.zeros((1, 3)))[0]
-        seen = rehearsed(self.machine, path, station_mm)
+        seen = predict_cells(self.machine, path, station_mm)
         seen = seen.taken(np.flatnonzero(seen.row == len(path) - 1))
         seen = replace(
             seen, tracker_mm=self.pose.apply(seen.at.point_mm), pose=self.pose

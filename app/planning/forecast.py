@@ -30,7 +30,7 @@ from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
-from app.planning.rehearsal import EXPECTED_NOISE, rehearsed
+from app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 from drivers.interfaces.records import Path
 
 _CURVE = 24  # places along the plan at which the uncertainty is told
@@ -98,7 +98,7 @@ def forecast(
     known : effects beside the error motions, before the plan
     prior_precision : by the effect's name; usual ones where left out
     """
-    seen = rehearsed(machine, commanded, station_mm)
+    seen = predict_cells(machine, commanded, station_mm)
     offsets = np.unique(seen.at.offset_mm, axis=0)
     known = known or KnownEffects()
     model = known.extend(identifiable_model(machine, offsets)[0])
@@ -108,7 +108,7 @@ def forecast(
         model, prior_precision or guess_prior_precision(model)
     )
     prior[known.locate(model), known.locate(model)] += known.precision_matrix()
-    judge = _Judge(model, prior, compute_volumetric_gram(model))
+    judge = _Criterion(model, prior, compute_volumetric_gram(model))
     about = linearise(seen, model, seen.pose, noise)
     sums = RecursiveEstimator.start(about)
     rows: list[int] = []
@@ -122,7 +122,7 @@ def forecast(
         covariance, sigma = judge.of(sums)
         rows.append(int(seen.row[last - 1]))
         sigmas.append(sigma)
-    told_of = assess_observability(machine, [RunInput(seen, seen.pose, noise)])
+    observed = assess_observability(machine, [RunInput(seen, seen.pose, noise)])
     return Forecast(
         model,
         known,
@@ -130,7 +130,7 @@ def forecast(
         sigmas[-1],
         tuple(rows),
         tuple(sigmas),
-        told_of.unobservable,
+        observed.unobservable,
     )
 
 
@@ -141,7 +141,7 @@ def guess_prior_precision(model: MachineModel) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class _Judge:
+class _Criterion:
     model: MachineModel
     prior: Float64[np.ndarray, "p p"]
     gram: Float64[np.ndarray, "p p"]

@@ -38,12 +38,12 @@ from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
-from app.planning.rehearsal import (
-    expected_information,
-    rehearsed,
-    usual_stations_mm,
+from app.planning.predicted_cells import (
+    assume_stations_mm,
+    predict_cells,
+    predict_information,
 )
-from app.planning.remedies import Remedy, best_line, with_line
+from app.planning.remedies import Remedy, append_line, find_best_line
 from drivers.interfaces.records import Path
 
 GOOD, USABLE = 0.25, 1.0
@@ -109,7 +109,7 @@ class SetUp:
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
+class _Evaluation:
     """Set-ups, solved as far as that goes before anything has been measured.
 
     told : (p, p) information on the machine, whatever the tracker's poses
@@ -127,26 +127,26 @@ class _Judged:
 
 
 @dataclass(frozen=True, slots=True)
-class _Judge:
+class _Criterion:
     """What set-ups are judged by: gram is of the model's θ."""
 
     model: MachineModel
     gram: Float64[np.ndarray, "p p"]
     perpendicular_only: bool
 
-    def judged(self, set_ups: tuple[SetUp, ...]) -> _Judged:
-        seen = [rehearsed(s.machine, s.commanded, s.station_mm) for s in set_ups]
-        told = np.sum([self._told(one) for one in seen], axis=0)
+    def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
+        seen = [predict_cells(s.machine, s.commanded, s.station_mm) for s in set_ups]
+        told = np.sum([self._marginalise_pose(one) for one in seen], axis=0)
         nothing = Information.of_matrix(told)
         covariance = compute_posterior(
             nothing, usual_precision_matrix(self.model)
         ).covariance
         sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
-        return _Judged(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
+        return _Evaluation(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
 
-    def _told(self, seen: Observations) -> Float64[np.ndarray, "p p"]:
+    def _marginalise_pose(self, seen: Observations) -> Float64[np.ndarray, "p p"]:
         """Return what one Run tells of the machine whatever the tracker's pose."""
-        matrix = expected_information(
+        matrix = predict_information(
             seen, self.model, perpendicular_only=self.perpendicular_only
         ).matrix
         p, pose = self.model.size, TrackerPose((0.0, 0.0, 0.0)).parameters
@@ -170,9 +170,11 @@ def grade(
 
     Raises PlanningError if nothing would be measured at all.
     """
-    stations = usual_stations_mm(machine) if station_mm is None else station_mm[None, :]
+    stations = (
+        assume_stations_mm(machine) if station_mm is None else station_mm[None, :]
+    )
     tried = [(SetUp(machine, commanded, station),) for station in stations]
-    found = _graded(machine, tried, perpendicular_only)
+    found = _grade_stations(machine, tried, perpendicular_only)
     return replace(found, assumed=station_mm is None)
 
 
@@ -183,23 +185,23 @@ def grade_together(
 
     machine : with the targets of all
     """
-    return _graded(machine, [tuple(set_ups)], perpendicular_only)
+    return _grade_stations(machine, [tuple(set_ups)], perpendicular_only)
 
 
-def _graded(
+def _grade_stations(
     machine: Machine, tried: list[tuple[SetUp, ...]], perpendicular_only: bool
 ) -> Grade:
     offsets_mm = np.concatenate(
         [
-            rehearsed(one.machine, one.commanded, one.station_mm).at.offset_mm
+            predict_cells(one.machine, one.commanded, one.station_mm).at.offset_mm
             for one in tried[0]
         ]
     )
     model, merged = identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
-    judge = _Judge(model, compute_volumetric_gram(model), perpendicular_only)
-    every = [judge.judged(set_ups) for set_ups in tried]
+    judge = _Criterion(model, compute_volumetric_gram(model), perpendicular_only)
+    every = [judge.evaluate(set_ups) for set_ups in tried]
     worst = max(every, key=lambda one: one.number)
-    weakest = _weakest(worst, judge)
+    weakest = _find_weakest(worst, judge)
     coarse, refined = _coarser(model)
     return Grade(
         worst.number,
@@ -209,7 +211,7 @@ def _graded(
         worst.set_ups[-1].station_mm,
         False,
         min(one.number for one in every),
-        _improved(worst, weakest[0].remedy, judge),
+        _improve(worst, weakest[0].remedy, judge),
         weakest,
         find_weak_shapes(
             refined.T @ worst.told @ refined, coarse, refined.T @ judge.gram @ refined
@@ -218,13 +220,15 @@ def _graded(
     )
 
 
-def _improved(worst: _Judged, remedy: Remedy | None, judge: _Judge) -> float | None:
+def _improve(
+    worst: _Evaluation, remedy: Remedy | None, judge: _Criterion
+) -> float | None:
     """Return the number with a line more, at the end of the last Run."""
     if remedy is None:
         return None
     *others, last = worst.set_ups
-    longer = replace(last, commanded=with_line(last.commanded, remedy))
-    return judge.judged((*others, longer)).number
+    longer = replace(last, commanded=append_line(last.commanded, remedy))
+    return judge.evaluate((*others, longer)).number
 
 
 def verdict(number: float) -> str:
@@ -263,7 +267,7 @@ def _coarser(
     return coarse, refined
 
 
-def _weakest(one: _Judged, judge: _Judge) -> tuple[WeakMotion, ...]:
+def _find_weakest(one: _Evaluation, judge: _Criterion) -> tuple[WeakMotion, ...]:
     model, gram = judge.model, judge.gram
     share = {
         m.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
@@ -274,10 +278,10 @@ def _weakest(one: _Judged, judge: _Judge) -> tuple[WeakMotion, ...]:
     if one.number <= GOOD:
         return tuple(WeakMotion(name, share[name], None) for name in names)
     last = one.set_ups[-1]
-    seen = rehearsed(last.machine, last.commanded, last.station_mm)
+    seen = predict_cells(last.machine, last.commanded, last.station_mm)
     return tuple(
         WeakMotion(
-            name, share[name], best_line(name, seen, model, one.covariance, gram)
+            name, share[name], find_best_line(name, seen, model, one.covariance, gram)
         )
         for name in names
     )

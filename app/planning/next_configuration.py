@@ -42,7 +42,7 @@ class SearchSpace:
     borders: tuple[Float64[np.ndarray, " b"], ...]
     degrees: tuple[int, ...]
 
-    def draws(self, count: int, seed: int) -> Float64[np.ndarray, "n a"]:
+    def draw(self, count: int, seed: int) -> Float64[np.ndarray, "n a"]:
         """Return random positions, the same for the same seed."""
         low = np.array([b[0] for b in self.borders])
         high = np.array([b[-1] for b in self.borders])
@@ -76,17 +76,19 @@ def next_configuration(
     rows : (n, p), or (n, r, p) for r values at once, at axis positions; along each axis
         polynomials between its borders
     """
-    draws = axes.draws(_DRAWS * starts, seed)
-    drops = known.drops(rows(draws), noise_variance)
+    places = axes.draw(_DRAWS * starts, seed)
+    drops = known.drops(rows(places), noise_variance)
     first = np.argsort(-drops)[:starts]
     climb = _Climb(known, rows, axes, noise_variance)
-    slopes = sorted((climb.once(draws[i]) for i in first), key=lambda s: -s.drop)
-    summits = [climb.to_the_top(slope) for slope in slopes[: ceil(_CLIMB_ON * starts)]]
+    slopes = sorted((climb.climb_once(places[i]) for i in first), key=lambda s: -s.drop)
+    summits = [
+        climb.climb_to_top(slope) for slope in slopes[: ceil(_CLIMB_ON * starts)]
+    ]
     top = max(summits, key=lambda summit: summit.drop)
     return NextConfiguration(top.position, top.drop, float(drops[first[0]]))
 
 
-def climbed_from(
+def climb_from(
     known: Belief,
     rows: PositionRows,
     axes: SearchSpace,
@@ -96,7 +98,7 @@ def climbed_from(
     """Return the summit above a configuration that is already good."""
     searched = float(known.drops(rows(start[None]), noise_variance)[0])
     climb = _Climb(known, rows, axes, noise_variance)
-    top = climb.to_the_top(climb.once(start))
+    top = climb.climb_to_top(climb.climb_once(start))
     return NextConfiguration(top.position, top.drop, searched)
 
 
@@ -137,7 +139,7 @@ def search_space(model: MachineModel) -> SearchSpace:
 
 
 @dataclass(frozen=True, slots=True)
-class _Reached:
+class _ClimbState:
     """A configuration on the way up; `idle` turns in a row have not raised it."""
 
     position: Float64[np.ndarray, " a"]
@@ -155,21 +157,21 @@ class _Climb:
     axes: SearchSpace
     noise_variance: float
 
-    def once(self, start: Float64[np.ndarray, " a"]) -> _Reached:
+    def climb_once(self, start: Float64[np.ndarray, " a"]) -> _ClimbState:
         """Return what is reached from a start when each axis had its turn."""
-        here = _Reached(start, 0.0)
+        here = _ClimbState(start, 0.0)
         for _ in self.axes.borders:
-            here = self._turned(here)
+            here = self._optimise_axis(here)
         return here
 
-    def to_the_top(self, here: _Reached) -> _Reached:
+    def climb_to_top(self, here: _ClimbState) -> _ClimbState:
         """Return the summit: every axis stands at its optimum."""
         count = len(self.axes.borders)
         while here.idle < count - 1 and here.turn < _ROUNDS * count:
-            here = self._turned(here)
+            here = self._optimise_axis(here)
         return here
 
-    def _turned(self, here: _Reached) -> _Reached:
+    def _optimise_axis(self, here: _ClimbState) -> _ClimbState:
         axis = here.turn % len(self.axes.borders)
         best = best_place(
             self.known,
@@ -181,7 +183,7 @@ class _Climb:
         position = here.position.copy()
         position[axis] = best.at
         idle = here.idle + 1 if best.drop <= here.drop * (1.0 + _RISEN) else 0
-        return _Reached(position, max(best.drop, here.drop), here.turn + 1, idle)
+        return _ClimbState(position, max(best.drop, here.drop), here.turn + 1, idle)
 
 
 def _along(

@@ -22,11 +22,11 @@ from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
 from app.motion.turning_points import moves_where_seen
 from app.motion.workspace import Workspace
 from app.planning.forecast import Forecast, forecast
-from app.planning.outlooks import (
+from app.planning.initial_design import (
     choose_station,
-    line_outlook,
-    mismatch_sigma_s,
-    point_outlook,
+    predict_lag_sigmas_s,
+    start_line_design,
+    start_point_design,
 )
 from app.planning.planner import Planner
 from app.progress import Progress, ignore_progress
@@ -89,7 +89,7 @@ class PlanRequest:
 
 
 @dataclass(frozen=True)
-class Planned:
+class Plan:
     """A plan and what it will leave unknown.
 
     station_mm : of the tracker; time_s : (rows,) at which each row is done
@@ -123,7 +123,7 @@ class Planned:
 
 def make_plan(
     machine: Machine, request: PlanRequest, *, on_progress: Progress = ignore_progress
-) -> Planned:
+) -> Plan:
     """Return the plan that was asked for.
 
     With a target it is the shortest plan found that reaches it; where none does within
@@ -135,22 +135,22 @@ def make_plan(
     request.refuse_nonsense()
     on_progress(0.0, "planning")
     station_mm = choose_station(machine, request.workspace)
-    attempt = _Attempt(machine, request, request.known(machine), station_mm)
+    attempt = _PlanAttempt(machine, request, request.known(machine), station_mm)
     if request.corner_path:
-        return attempt.of_corners()
+        return attempt.plan_corners()
     minutes = request.minutes
     if request.target_um is None:
-        return attempt.within(60.0 * (minutes or DEFAULT_MINUTES[request.mode]))
+        return attempt.plan_within(60.0 * (minutes or DEFAULT_MINUTES[request.mode]))
     longest_s = 60.0 * minutes if minutes else LONGEST_S
-    return _for_target(attempt, request.target_um, longest_s, on_progress)
+    return _plan_for_target(attempt, request.target_um, longest_s, on_progress)
 
 
-def _for_target(
-    attempt: _Attempt, target_um: float, longest_s: float, on_progress: Progress
-) -> Planned:
+def _plan_for_target(
+    attempt: _PlanAttempt, target_um: float, longest_s: float, on_progress: Progress
+) -> Plan:
     """Return the shortest plan found that reaches the target, or the longest."""
     budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
-    planned = attempt.within(budget_s)
+    planned = attempt.plan_within(budget_s)
     for number in range(1, _TRIES):
         reached_um = planned.uncertainty_um
         on_progress(
@@ -172,12 +172,12 @@ def _for_target(
             budget_s = min(
                 budget_s, 0.5 * (short_s + found.duration_s) if short_s else budget_s
             )
-        planned = attempt.within(budget_s)
+        planned = attempt.plan_within(budget_s)
     return found or planned
 
 
 @dataclass(frozen=True)
-class _Attempt:
+class _PlanAttempt:
     machine: Machine
     request: PlanRequest
     known: KnownEffects
@@ -197,16 +197,16 @@ class _Attempt:
         on_the_fly = self.request.mode == "otf"
         return linear_part(self.machine) if on_the_fly else self.machine
 
-    def within(self, budget_s: float) -> Planned:
+    def plan_within(self, budget_s: float) -> Plan:
         if self.request.mode == "otf":
-            return self._judged(self._lines(budget_s))
-        return self._judged(self._points(budget_s))
+            return self._evaluate(self._lines(budget_s))
+        return self._evaluate(self._points(budget_s))
 
-    def of_corners(self) -> Planned:
+    def plan_corners(self) -> Plan:
         feed_mm_min = self.request.feeds_mm_min[0]
         path = corner_path(self.machine, feed_mm_min, self.drive.dwell_s)
         self.request.workspace.refuse(self.machine, path)
-        return self._judged(path)
+        return self._evaluate(path)
 
     def _lines(self, budget_s: float) -> Path | Configurations:
         target = self.machine.target()
@@ -219,7 +219,7 @@ class _Attempt:
 
     def _line_planner(self) -> Planner:
         request = self.request
-        outlook = line_outlook(
+        design = start_line_design(
             self.machine,
             self.station_mm,
             known=self.known,
@@ -227,7 +227,7 @@ class _Attempt:
             dynamic=len(request.feeds_mm_min) > 1,
         )
         return Planner(
-            self.machine, outlook, request.workspace, self.drive, request.feeds_mm_min
+            self.machine, design, request.workspace, self.drive, request.feeds_mm_min
         )
 
     def _points(self, budget_s: float) -> Path | Configurations:
@@ -242,19 +242,19 @@ class _Attempt:
         blocks: list[Path | Configurations] = []
         precision, start = None, None
         for name in names:
-            outlook = point_outlook(
+            design = start_point_design(
                 self.machine, self.station_mm, name, known=self.known
             )
             if precision is not None:
-                outlook = replace(outlook, precision=precision)
+                design = replace(design, precision=precision)
             planner = Planner(
-                self.machine, outlook, request.workspace, self.drive, (self._feed,)
+                self.machine, design, request.workspace, self.drive, (self._feed,)
             )
             block = planner.plan(budget_s / len(names), start=start, seed=request.seed)
-            precision = planner.measured(block).outlook.precision
+            precision = planner.measured(block).design.precision
             start = block.position[-1]
             blocks.append(block)
-        return _joined(blocks)
+        return _join_blocks(blocks)
 
     def _moves(self, target: str) -> bool:
         return moves_where_seen(self.machine, self.machine.target(target))
@@ -263,7 +263,7 @@ class _Attempt:
     def _feed(self) -> float:
         return self.request.feeds_mm_min[0]
 
-    def _judged(self, commanded: Path | Configurations) -> Planned:
+    def _evaluate(self, commanded: Path | Configurations) -> Plan:
         found = forecast(
             self._moving,
             commanded,
@@ -271,7 +271,7 @@ class _Attempt:
             known=self.known,
             perpendicular_only=self.request.perpendicular_only,
         )
-        return Planned(
+        return Plan(
             self.machine,
             self.request,
             commanded,
@@ -284,7 +284,7 @@ class _Attempt:
     def _lags(self, commanded: Path | Configurations) -> dict[str, float]:
         if self.request.mode != "otf" or len(self.request.feeds_mm_min) == 1:
             return {}
-        return mismatch_sigma_s(self._line_planner().measured(commanded).outlook)
+        return predict_lag_sigmas_s(self._line_planner().measured(commanded).design)
 
     def _times_s(self, commanded: Path | Configurations) -> NDArray[np.float64]:
         feed = np.full(len(commanded), self._feed)
@@ -296,7 +296,7 @@ class _Attempt:
         return np.cumsum(np.concatenate([[0.0], moving]) + commanded.dwell_s)
 
 
-def _joined(blocks: list[Path | Configurations]) -> Configurations:
+def _join_blocks(blocks: list[Path | Configurations]) -> Configurations:
     return Configurations(
         blocks[0].axes,
         np.concatenate([b.position for b in blocks]),

@@ -2,7 +2,7 @@
 
 A planner is a value. After some of its legs are measured, `measured` returns one that
 knows them; after the noise, the prior or the model turned out otherwise, `replace` its
-outlook; then plan again from the present position.
+design; then plan again from the present position.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from app.motion.motion_times import Drive
 from app.motion.paths import check_travel
 from app.motion.travel import DECIMALS, inner_travel
 from app.motion.workspace import Workspace
-from app.planning.leg_choice import Effort, LegChoice, Region
-from app.planning.outlook import Outlook
+from app.planning.design_state import DesignState
+from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from drivers.interfaces.records import Path
 
 _STARTS = 400  # places that are tried where no corner is allowed
@@ -31,14 +31,14 @@ _STARTS = 400  # places that are tried where no corner is allowed
 class Planner:
     """What a plan rests on.
 
-    outlook : of lines or of standstills; its machine may lack the rotary axes of
+    design : of lines or of standstills; its machine may lack the rotary axes of
         `machine`, which then stand at 0, or at the near end of their travel
     feeds_mm_min : several where dynamic effects are to be told from static ones, driven
         in turn
     """
 
     machine: Machine
-    outlook: Outlook
+    design: DesignState
     workspace: Workspace
     drive: Drive
     feeds_mm_min: tuple[float, ...]
@@ -50,15 +50,15 @@ class Planner:
         legs: int | None = None,
         start: Float64[np.ndarray, " a"] | None = None,
         seed: int = 0,
-        effort: Effort | None = None,
+        effort: SearchEffort | None = None,
     ) -> Path | Configurations:
         """Return what tells most of all that takes no longer than the budget.
 
-        A path for an outlook of lines, points for one of standstills. It starts and
+        A path for a design of lines, points for one of standstills. It starts and
         ends at different places. The same seed gives the same plan.
 
         legs : at most
-        start : positions of the outlook's axes; a corner where it is left out
+        start : positions of the design's axes; a corner where it is left out
 
         Raises PlanningError if no motion fits in, or none is allowed.
         """
@@ -68,18 +68,18 @@ class Planner:
             raise PlanningError(self._hindrance())
         begin = self._first_stop(region, rng) if start is None else start
         choice = LegChoice(
-            self.outlook,
+            self.design,
             self.drive,
             region,
             self.feeds_mm_min,
             rng,
-            effort or Effort(),
+            effort or SearchEffort(),
         )
         budget_s -= self.drive.dwell_s
         stops = choice.stops(begin, budget_s, legs)
         while len(stops) > 2 and not self._apart(stops.position[[0, -1]]):
-            stops = stops.part(slice(len(stops) - 1))  # it came back to its beginning
-        plan = self.outlook.commanded(
+            stops = stops.select(slice(len(stops) - 1))  # it came back to its beginning
+        plan = self.design.commanded(
             self.machine.axis_names,
             with_resting_axes(self.machine, stops.position),
             stops.feed_mm_min,
@@ -93,13 +93,13 @@ class Planner:
 
         done : rows of a plan that follow each other, from where the first leg began
         """
-        position = done.position[:, : len(self.outlook.model.machine.axes)]
+        position = done.position[:, : len(self.design.model.machine.axes)]
         feed = np.full(len(done), self.feeds_mm_min[0])
         if isinstance(done, Path):
             feed = done.feed_mm_min
-        told = self.outlook.information(position, feed, self.drive)
-        known = replace(self.outlook, precision=self.outlook.precision + told)
-        return replace(self, outlook=known)
+        told = self.design.information(position, feed, self.drive)
+        known = replace(self.design, precision=self.design.precision + told)
+        return replace(self, design=known)
 
     def check(self, plan: Path | Configurations) -> None:
         """Raise PlanningError if a plan leaves the travel or breaks the workspace."""
@@ -108,13 +108,13 @@ class Planner:
 
     def _apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
         feed, drive = max(self.feeds_mm_min), replace(self.drive, least_mm=0.0)
-        return bool(self.outlook.fits(ends[:1], ends[1:], feed, drive)[0])
+        return bool(self.design.fits(ends[:1], ends[1:], feed, drive)[0])
 
     def _hindrance(self) -> str:
         """Return why not even the diagonal of the travel can be measured."""
-        if self.outlook.model.machine.rotary_axes:
+        if self.design.model.machine.rotary_axes:
             return (
-                f"target {self.outlook.target.name} hardly moves where the tracker "
+                f"target {self.design.target.name} hardly moves where the tracker "
                 "stands; place it farther from the axes that turn it"
             )
         return (
@@ -122,27 +122,27 @@ class Planner:
             f"{max(self.feeds_mm_min):g} mm/min; lower the feed"
         )
 
-    def _region(self) -> Region:
-        machine, feed = self.outlook.model.machine, max(self.feeds_mm_min)
+    def _region(self) -> SearchRegion:
+        machine, feed = self.design.model.machine, max(self.feeds_mm_min)
         low, high = inner_travel(machine)
 
         def allowed(
             begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
         ) -> Bool[np.ndarray, " n"]:
-            fits = self.outlook.fits(begin, end, feed, self.drive)
+            fits = self.design.fits(begin, end, feed, self.drive)
             return fits & self.workspace.allowed(machine, begin, end)
 
-        return Region(low, high, allowed)
+        return SearchRegion(low, high, allowed)
 
     def _first_stop(
-        self, region: Region, rng: np.random.Generator
+        self, region: SearchRegion, rng: np.random.Generator
     ) -> Float64[np.ndarray, " a"]:
         """Return the first corner that may be stood at, or else any place."""
         low, high = region.low, region.high
         corners = np.array(list(product(*zip(low, high, strict=True))))
         anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), DECIMALS)
         places = np.vstack([corners, anywhere])
-        free = self.workspace.allowed(self.outlook.model.machine, places, places)
+        free = self.workspace.allowed(self.design.model.machine, places, places)
         if not free.any():
             raise PlanningError(
                 "no place in the travel is free of keep-out boxes and in range and in "

@@ -21,7 +21,7 @@ from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
 from app.motion.travel import inner_travel
 from app.numerics.design_criteria import Belief
-from app.planning.rehearsal import EXPECTED_NOISE
+from app.planning.predicted_cells import EXPECTED_NOISE
 from drivers.interfaces.records import Path
 
 _POINTS = 12  # cells of a line, or points on it
@@ -41,7 +41,7 @@ class Remedy:
     end: Float64[np.ndarray, " a"]
 
 
-def best_line(
+def find_best_line(
     symbol: str,
     seen: Observations,
     model: MachineModel,
@@ -60,7 +60,9 @@ def best_line(
     return lines[int(np.argmax(Belief(covariance, own).drops(rows)))]
 
 
-def with_line(commanded: Path | Configurations, line: Remedy) -> Path | Configurations:
+def append_line(
+    commanded: Path | Configurations, line: Remedy
+) -> Path | Configurations:
     """Return what is commanded with a line at its end, or with points on it."""
     is_path = isinstance(commanded, Path)
     share = np.array([0.0, 1.0]) if is_path else np.linspace(0.0, 1.0, _POINTS)
@@ -95,7 +97,7 @@ def _lines(machine: Machine) -> Iterator[Remedy]:
                 begin[k] = at[place][k]
             end = begin.copy()
             begin[column], end[column] = low[column], high[column]
-            where = _where(machine, others, places)
+            where = _describe_place(machine, others, places)
             yield Remedy(f"a line along {axis.name} at {where}", begin, end)
     for corner in itertools.product((0, 1), repeat=max(linear - 1, 0)):
         side = np.array([0, *corner])
@@ -104,7 +106,9 @@ def _lines(machine: Machine) -> Iterator[Remedy]:
         yield Remedy(_diagonal(machine, begin, end), begin, end)
 
 
-def _where(machine: Machine, columns: list[int], places: tuple[str, ...]) -> str:
+def _describe_place(
+    machine: Machine, columns: list[int], places: tuple[str, ...]
+) -> str:
     ends = {"low": "the low end of {}", "middle": "the middle of {}"}
     words = [
         ends.get(place, "the high end of {}").format(machine.axes[k].name)
@@ -117,12 +121,14 @@ def _diagonal(
     machine: Machine, begin: Float64[np.ndarray, " a"], end: Float64[np.ndarray, " a"]
 ) -> str:
     def place(q: Float64[np.ndarray, " a"]) -> str:
-        return " ".join(_shown(a, v) for a, v in zip(machine.axes, q, strict=True))
+        return " ".join(
+            _format_position(a, v) for a, v in zip(machine.axes, q, strict=True)
+        )
 
     return f"the diagonal from {place(begin)} to {place(end)}"
 
 
-def _shown(axis: Axis, value: float) -> str:
+def _format_position(axis: Axis, value: float) -> str:
     return f"{axis.name}{value:.0f}{'°' if position_unit(axis) == 'deg' else ''}"
 
 

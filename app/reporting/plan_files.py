@@ -17,7 +17,7 @@ from app.motion.nc_programs.programs import (
     name_file,
     write_program,
 )
-from app.planning.plan import Planned
+from app.planning.plan import Plan
 from app.reporting.plan_report import render_plan_report
 from app.results.updated_effects import predicted_effects_json
 from drivers.interfaces.records import Path
@@ -26,7 +26,7 @@ SCHEMA = "plan/1"
 _PER_UNIT = {"um": 1e3, "urad": 1e6}
 
 
-def plan_document(planned: Planned) -> dict[str, Any]:
+def plan_document(planned: Plan) -> dict[str, Any]:
     """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
     request, found = planned.request, planned.forecast
     target_um = request.target_um
@@ -78,7 +78,7 @@ def _model_json(model: PriorModel) -> dict[str, Any]:
     }
 
 
-def unobservable(planned: Planned) -> tuple[str, ...]:
+def unobservable(planned: Plan) -> tuple[str, ...]:
     """Return what the plan cannot tell, in words."""
     said = planned.forecast.unobservable
     turning = [axis.name for axis in planned.machine.rotary_axes]
@@ -92,7 +92,7 @@ def unobservable(planned: Planned) -> tuple[str, ...]:
 
 
 def write_plan(
-    planned: Planned, folder: FilePath, controls: Sequence[str] = ()
+    planned: Plan, folder: FilePath, controls: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Write the files of a plan and return the content of `plan.json`.
 
@@ -125,7 +125,7 @@ def _both(standard_um: float) -> dict[str, float]:
     }
 
 
-def _errors(planned: Planned) -> dict[str, dict[str, float]]:
+def _errors(planned: Plan) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for symbol, sigma in planned.forecast.motion_sigmas().items():
         single = symbol in SQUARENESS or is_location(symbol)

@@ -7,7 +7,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.measurement.messages import PartRequested
-from app.planning.part_choice import Part
+from app.planning.adaptive_plan import Part
 from drivers.interfaces.records import Path
 
 REQUEST = {"kind": "measure-adaptive", "target_um": 2.0}

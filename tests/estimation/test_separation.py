@@ -19,7 +19,7 @@ from app.kinematics.machine import (
 )
 from app.planning.default_path import default_path
 from app.planning.grade import grade
-from app.planning.rehearsal import expected_information, rehearsed
+from app.planning.predicted_cells import predict_cells, predict_information
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")
@@ -39,9 +39,9 @@ def statements(machine, **options):
 
 
 def table_sigma(machine, path, symbol):
-    seen = rehearsed(machine, path, STATION_MM)
+    seen = predict_cells(machine, path, STATION_MM)
     model, _ = identifiable_model(machine, seen.at.offset_mm, intervals=10)
-    data = expected_information(seen, model)
+    data = predict_information(seen, model)
     prior = np.diag(np.full(model.size + 6, 1e-2))
     prior[: model.size, : model.size] = usual_precision_matrix(model)
     part = model.slices[symbol]

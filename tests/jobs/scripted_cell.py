@@ -27,7 +27,7 @@ from app.measurement.messages import (
 from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
 from app.motion.configurations import Configurations
-from app.planning.part_choice import Part
+from app.planning.adaptive_plan import Part
 from drivers.interfaces.records import Identity, Path, TrackerSamples
 from simulators.scenario import load_machine
 

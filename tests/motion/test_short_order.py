@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from app.motion.short_order import short_order
+from app.motion.short_order import find_short_order
 
 
 def test_a_short_order_has_no_stretch_that_is_better_turned_round(rng):
     at = rng.uniform(size=(40, 2))
     time_s = np.linalg.norm(at[:, None] - at, axis=2)
-    order = short_order(time_s)
+    order = find_short_order(time_s)
     assert order[0] == 0
     assert sorted(order) == list(range(40))
     length = time_s[order[:-1], order[1:]].sum()

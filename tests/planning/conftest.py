@@ -11,19 +11,19 @@ import pytest
 from app.kinematics.machine import Machine, linear_part
 from app.motion.motion_times import drive_of
 from app.motion.workspace import Workspace
-from app.planning.outlook import Outlook
-from app.planning.outlooks import line_outlook, point_outlook
+from app.planning.design_state import DesignState
+from app.planning.initial_design import start_line_design, start_point_design
 from app.planning.planner import Planner
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 
 
 @cache
-def outlook_of(machine: Machine, kind: str, perpendicular_only: bool) -> Outlook:
+def design_of(machine: Machine, kind: str, perpendicular_only: bool) -> DesignState:
     """What the estimator believes of a machine before the first line or point."""
     if kind == "points":
-        return point_outlook(machine, STAND_MM)
-    return line_outlook(machine, STAND_MM, perpendicular_only=perpendicular_only)
+        return start_point_design(machine, STAND_MM)
+    return start_line_design(machine, STAND_MM, perpendicular_only=perpendicular_only)
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +42,7 @@ def planner() -> Callable[..., Planner]:
         dwell_s = 0.4 if kind == "lines" else 1.0
         return Planner(
             machine,
-            outlook_of(machine, kind, perpendicular_only),
+            design_of(machine, kind, perpendicular_only),
             workspace or Workspace(),
             drive_of(part, acceleration_mm_s2=1000.0, dwell_s=dwell_s),
             feeds,

@@ -19,8 +19,8 @@ from app.kinematics.machine import (
 from app.motion.motion_times import drive_of
 from app.motion.paths import check_travel, travel_time_s
 from app.planning.default_path import FASTEST_DEG_MIN, default_path
-from app.planning.outlook import inverse
-from app.planning.outlooks import line_outlook
+from app.planning.design_state import inverse
+from app.planning.initial_design import start_line_design
 from drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
@@ -57,10 +57,10 @@ def at_corner(path: Path) -> np.ndarray:
 def left_mm(machine: Machine, path: Path) -> float:
     """Volumetric uncertainty that a path leaves, by the planner's own criterion."""
     drive = drive_of(machine, acceleration_mm_s2=1000.0, dwell_s=0.35)
-    known = line_outlook(machine, STATION_MM, target="")
+    known = start_line_design(machine, STATION_MM, target="")
     precision = known.precision
     for target in machine.targets:
-        known = line_outlook(machine, STATION_MM, target=target.name)
+        known = start_line_design(machine, STATION_MM, target=target.name)
         rows = [r for r in range(1, len(path)) if measures(path, r, target.name)]
         begin, end = (path.position[np.array(rows) - k] for k in (1, 0))
         found = known.rows(begin, end, path.feed_mm_min[rows], drive)

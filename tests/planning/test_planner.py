@@ -11,17 +11,17 @@ from app.motion.paths import line_times_s
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace
 from app.planning.default_path import default_path
-from app.planning.leg_choice import Effort, LegChoice, Region
-from app.planning.outlook import inverse
-from app.planning.outlooks import line_outlook, mismatch_sigma_s
+from app.planning.design_state import inverse
+from app.planning.initial_design import predict_lag_sigmas_s, start_line_design
+from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 
 
 def left_mm(planner, plan):
     """Volumetric uncertainty that a plan leaves, by the planner's own criterion."""
-    outlook = planner.measured(plan).outlook
-    return float(np.sum(inverse(outlook.precision) * outlook.gram)) ** 0.5
+    design = planner.measured(plan).design
+    return float(np.sum(inverse(design.precision) * design.gram)) ** 0.5
 
 
 @pytest.fixture(scope="module")
@@ -70,21 +70,21 @@ def test_the_default_path_leaves_little_more_than_a_plan_of_the_same_time(
 def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
     made = planner(mill)
     low, high = inner_travel(mill)
-    region = Region(low, high, lambda begin, end: np.ones(len(begin), bool))
+    region = SearchRegion(low, high, lambda begin, end: np.ones(len(begin), bool))
 
     def left(rounds):
         choice = LegChoice(
-            made.outlook,
+            made.design,
             made.drive,
             region,
             (6000.0,),
             np.random.default_rng(1),
-            Effort(rounds=rounds),
+            SearchEffort(rounds=rounds),
         )
         stops = choice.stops(low, 60.0)
-        told = made.outlook.information(stops.position, stops.feed_mm_min, made.drive)
-        C = inverse(made.outlook.precision + told)
-        return float(np.sum(C * made.outlook.gram)) ** 0.5
+        told = made.design.information(stops.position, stops.feed_mm_min, made.drive)
+        C = inverse(made.design.precision + told)
+        return float(np.sum(C * made.design.gram)) ** 0.5
 
     assert left(2) < 0.95 * left(0)
 
@@ -108,12 +108,12 @@ def test_several_feeds_have_their_share_of_the_lines(planner, mill):
 
 
 def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
-    outlook = line_outlook(mill, np.array([250.0, -900.0, 100.0]), dynamic=True)
+    design = start_line_design(mill, np.array([250.0, -900.0, 100.0]), dynamic=True)
     drive = drive_of(mill, acceleration_mm_s2=1000.0, dwell_s=0.4)
 
     def known(*feeds):
-        made = Planner(mill, outlook, Workspace(), drive, feeds)
-        lags = mismatch_sigma_s(made.measured(made.plan(120.0)).outlook)
+        made = Planner(mill, design, Workspace(), drive, feeds)
+        lags = predict_lag_sigmas_s(made.measured(made.plan(120.0)).design)
         return np.mean(list(lags.values()))
 
     assert known(3000.0, 6000.0, 12_000.0) < 0.95 * known(6000.0)
@@ -131,9 +131,9 @@ def test_after_some_lines_the_rest_is_planned_from_where_the_machine_is(planner,
 
 def test_a_louder_tracker_is_planned_for_with_a_new_outlook(planner, mill):
     made = planner(mill)
-    noise = made.outlook.noise
+    noise = made.design.noise
     louder = replace(noise, density_s=tuple(9.0 * d for d in noise.density_s))
-    loud = replace(made, outlook=replace(made.outlook, noise=louder))
+    loud = replace(made, design=replace(made.design, noise=louder))
     plan = loud.plan(45.0)
     assert left_mm(loud, plan) > 1.5 * left_mm(made, plan)
 
@@ -163,14 +163,14 @@ def test_points_are_approached_from_both_sides(planner, mill):
 
 def test_an_approach_from_one_side_tells_less(points, planner, mill, rng):
     made = planner(mill, "points")
-    outlook, at = made.outlook, points.position
-    motions = [e.name for e in outlook.model.effects if e.name.startswith("backlash-")]
-    part = np.r_[tuple(outlook.model.slices[name] for name in motions)]
+    design, at = made.design, points.position
+    motions = [e.name for e in design.model.effects if e.name.startswith("backlash-")]
+    part = np.r_[tuple(design.model.slices[name] for name in motions)]
 
     def variances(begin):
-        rows = outlook.rows(begin, at, np.full(len(at), 6000.0), made.drive)
+        rows = design.rows(begin, at, np.full(len(at), 6000.0), made.drive)
         flat = rows.reshape(-1, rows.shape[2])
-        C = inverse(outlook.precision + flat.T @ flat)
+        C = inverse(design.precision + flat.T @ flat)
         return np.diag(C)[part]
 
     from_both = variances(at - 10.0 * rng.choice([-1.0, 1.0], at.shape))

@@ -40,7 +40,7 @@ class ExpectedNoise:
 
 
 @dataclass(frozen=True)
-class Outlook(ABC):
+class DesignState(ABC):
     """What is known so far, and how legs are measured.
 
     model : effects of the machine, then the tracker's pose

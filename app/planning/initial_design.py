@@ -1,4 +1,4 @@
-"""The planner's outlook from the estimator: its model, prior, noise and criterion.
+"""The planner's design state from the estimator: its model, prior, noise and criterion.
 
 Planning comes before estimation, so what is believed of a machine is handed to it from
 here: the motions that the targets can tell, with few knots, and how each depends on the
@@ -30,11 +30,15 @@ from app.kinematics.model import MachineModel
 from app.motion.corner_path import corner_path
 from app.motion.paths import DEFAULT_FEED_MM_MIN
 from app.motion.workspace import Workspace
+from app.planning.design_state import DesignState, ExpectedNoise, inverse
 from app.planning.forecast import guess_prior_precision
-from app.planning.line_outlook import LineOutlook
-from app.planning.outlook import ExpectedNoise, Outlook, inverse
-from app.planning.point_outlook import PointOutlook
-from app.planning.rehearsal import EXPECTED_NOISE, rehearsed, usual_stations_mm
+from app.planning.line_design_state import LineDesignState
+from app.planning.point_design_state import PointDesignState
+from app.planning.predicted_cells import (
+    EXPECTED_NOISE,
+    assume_stations_mm,
+    predict_cells,
+)
 
 INTERVALS = 6  # of the knots: enough to choose by, the forecast takes them all
 _ANY_POSE = {"mm": 1e2, "rad": 1e-1}  # nobody knows where the tracker stands
@@ -42,24 +46,24 @@ _ANY_LAG_S = 1e-3  # of an axis behind its command
 _JITTER_CELL_S = 0.2  # over which the feed's own jitter is stated
 
 
-def mismatch_sigma_s(outlook: Outlook) -> dict[str, float]:
+def predict_lag_sigmas_s(design: DesignState) -> dict[str, float]:
     """Return how well each axis' lag against the mean of all is known, by axis.
 
     The lag that all have in common only makes a line late, which its own unknown phase
-    takes up. Nothing where the outlook has no lags.
+    takes up. Nothing where the design has no lags.
     """
-    model = outlook.model
+    model = design.model
     lags = {e.lag_axis: e.name for e in model.effects if e.lag_axis}
     if not lags:
         return {}
     at = [model.slices[name].start for name in lags.values()]
-    own = inverse(outlook.precision)[np.ix_(at, at)]
+    own = inverse(design.precision)[np.ix_(at, at)]
     against_mean = np.eye(len(at)) - 1.0 / len(at)
     sigma = np.sqrt(np.diag(against_mean @ own @ against_mean.T))
     return {axis: float(v) for axis, v in zip(lags, sigma, strict=True)}
 
 
-class _Believed(TypedDict):
+class _DesignFields(TypedDict):
     model: MachineModel
     target: Target
     precision: NDArray[np.float64]
@@ -72,10 +76,10 @@ def choose_station(machine: Machine, workspace: Workspace) -> NDArray[np.float64
     """Return where the tracker stands: as stated, or a usual place."""
     if workspace.tracker_mm is not None:
         return np.array(workspace.tracker_mm, np.float64)
-    return usual_stations_mm(machine)[2]
+    return assume_stations_mm(machine)[2]
 
 
-def line_outlook(
+def start_line_design(
     machine: Machine,
     station_mm: NDArray[np.float64],
     *,
@@ -85,7 +89,7 @@ def line_outlook(
     dynamic: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
     prior_precision: Mapping[str, float] | None = None,
-) -> LineOutlook:
+) -> LineDesignState:
     """Return what is believed before the first line of a machine.
 
     target : that is measured while all axes move; if left out, the first one while the
@@ -105,10 +109,10 @@ def line_outlook(
         noise = replace(noise, along_sigma_mm=np.inf)
     known = known or KnownEffects()
     lags = tuple(_lags(part, known)) if dynamic else ()
-    believed = _believed(
+    believed = _start_design(
         part, offsets, one, station_mm, noise, prior_precision, known, lags
     )
-    return LineOutlook(**believed)
+    return LineDesignState(**believed)
 
 
 def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
@@ -118,7 +122,7 @@ def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
     yield from map(ServoMismatch, missing)
 
 
-def point_outlook(
+def start_point_design(
     machine: Machine,
     station_mm: NDArray[np.float64],
     target: str = "",
@@ -126,19 +130,21 @@ def point_outlook(
     known: KnownEffects | None = None,
     noise: NoiseModel = EXPECTED_NOISE,
     prior_precision: Mapping[str, float] | None = None,
-) -> PointOutlook:
+) -> PointDesignState:
     """Return what is believed before the first standstill of a target.
 
     known : effects that an earlier measurement has told, to be told apart as well
     """
     offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
     one, known = machine.target(target), known or KnownEffects()
-    return PointOutlook(
-        **_believed(machine, offsets, one, station_mm, noise, prior_precision, known)
+    return PointDesignState(
+        **_start_design(
+            machine, offsets, one, station_mm, noise, prior_precision, known
+        )
     )
 
 
-def _believed(
+def _start_design(
     machine: Machine,
     offsets_mm: NDArray[np.float64],
     target: Target,
@@ -147,7 +153,7 @@ def _believed(
     prior_precision: Mapping[str, float] | None,
     known: KnownEffects,
     lags: tuple[ServoMismatch, ...] = (),
-) -> _Believed:
+) -> _DesignFields:
     motions, _ = identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = add_half_widths(known.extend(motions))
     model = motions.with_effects(*lags, _pose_of(machine))
@@ -158,18 +164,18 @@ def _believed(
     )
     prior[known.locate(motions), known.locate(motions)] += known.precision_matrix()
     gram = np.zeros((model.size, model.size))
-    gram[:size, :size] = compute_volumetric_gram(motions) + _in_motion(motions, known)
-    return _Believed(
+    gram[:size, :size] = compute_volumetric_gram(motions) + _motion_gram(motions, known)
+    return _DesignFields(
         model=model,
         target=target,
         precision=block_diag(prior, np.eye(len(lags)) / _ANY_LAG_S**2, pose),
         gram=gram,
         station_mm=station_mm,
-        noise=_expected(noise, machine.tracker.rate_hz),
+        noise=_expect_noise(noise, machine.tracker.rate_hz),
     )
 
 
-def _in_motion(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
+def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
     """Return the Gram matrix of known effects that are nothing at a standstill.
 
     What lost motion, a lag or a spike does on lines between the corners counts as the
@@ -180,7 +186,7 @@ def _in_motion(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:
         return gram
     machine = model.machine
     path = corner_path(machine, DEFAULT_FEED_MM_MIN, 0.0)
-    at = rehearsed(machine, path, usual_stations_mm(machine)[0]).at
+    at = predict_cells(machine, path, assume_stations_mm(machine)[0]).at
     still = standstill(machine, at.position_mm, at.offset_mm)
     for effect in known.effects:
         if not effect.jacobian(still).any():
@@ -197,7 +203,7 @@ def _pose_of(machine: Machine) -> TrackerPose:
     return TrackerPose((x, y, z))
 
 
-def _expected(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
+def _expect_noise(noise: NoiseModel, rate_hz: float) -> ExpectedNoise:
     """Return all noise as white: over seconds the correlated part averages too."""
     beam, across = (
         white**2 / rate_hz + 2.0 * noise.ou_time_s * ou**2

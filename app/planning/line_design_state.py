@@ -16,7 +16,7 @@ from app.estimation.elimination import project_out_white
 from app.kinematics.conditions import Conditions, RecordedState
 from app.kinematics.machine import LinearAxis
 from app.motion.motion_times import Drive
-from app.planning.outlook import Outlook
+from app.planning.design_state import DesignState
 from drivers.interfaces.records import Path
 
 _PLACES = 10  # along a line: error motions of few knots bend less often
@@ -25,7 +25,7 @@ _MIDDLES = (np.arange(_PLACES) + 0.5) / _PLACES - 0.5  # of the steady part
 
 
 @dataclass(frozen=True)
-class LineOutlook(Outlook):
+class LineDesignState(DesignState):
     """What is known so far, and what lines would add."""
 
     def rows(

@@ -21,11 +21,11 @@ from app.measurement.progress import schedule_rows
 from app.motion.configurations import Commanded, Configurations
 from app.motion.motion_times import Drive, drive_of
 from app.motion.paths import ACCELERATION_MM_S2
-from app.planning.outlook import Outlook, inverse
-from app.planning.outlooks import line_outlook, point_outlook
+from app.planning.design_state import DesignState, inverse
+from app.planning.initial_design import start_line_design, start_point_design
 from app.planning.plan import LINE_DWELL_S, POINT_DWELL_S, PlanRequest
 from app.planning.planner import Planner
-from app.planning.rehearsal import EXPECTED_NOISE
+from app.planning.predicted_cells import EXPECTED_NOISE
 from drivers.interfaces.records import Path
 
 LINES_AHEAD, POINTS_AHEAD = 3, 1  # of the longest: two or three times as many
@@ -47,7 +47,7 @@ class Part:
     predicted_sigma_mm: float = 0.0
 
 
-class PartChoice:
+class AdaptivePlanner:
     """Chooses part after part. One thread.
 
     commanded : all rows so far
@@ -62,7 +62,7 @@ class PartChoice:
         self._on_the_fly = request.mode == "otf"
         self._machine = machine
         self._moving = linear_part(machine) if self._on_the_fly else machine
-        self._known = request.known(machine)
+        self._known_effects = request.known(machine)
         self._number = 0
 
     def next(self, found: LiveFindings, sigma_mm: float) -> Part:
@@ -70,10 +70,10 @@ class PartChoice:
 
         sigma_mm : volumetric, by the live estimate
         """
-        planner = self._planner(found)
+        planner = self._make_planner(found)
         here = self.commanded.position[-1, : len(self._moving.axes)]
         left_s = 60.0 * (self._request.minutes or np.inf) - self._used_s
-        budget_s = min(self._ahead_s, left_s)
+        budget_s = min(self._horizon_s, left_s)
         self._number += 1
         try:
             seed = self._request.seed + self._number
@@ -81,7 +81,7 @@ class PartChoice:
         except PlanningError:
             return Part(None)  # nothing that is allowed fits in any more
         told = planner.measured(planned if self._on_the_fly else _rows(planned, 2))
-        ratio = _criterion(told.outlook) / _criterion(planner.outlook)
+        ratio = _criterion(told.design) / _criterion(planner.design)
         part = planned if self._on_the_fly else _rows(planned, 2, first=1)
         before_s = self._used_s
         self.commanded = append_part(self.commanded, part)
@@ -89,45 +89,45 @@ class PartChoice:
         predicted_mm = sigma_mm * float(np.sqrt(ratio))
         return Part(part, rows, self._used_s - before_s, predicted_mm)
 
-    def _planner(self, found: LiveFindings) -> Planner:
-        outlook, request = self._outlook(found), self._request
+    def _make_planner(self, found: LiveFindings) -> Planner:
+        design, request = self._make_design(found), self._request
         feeds, drive = request.feeds_mm_min, self._drive
-        told = np.zeros_like(outlook.precision)
-        for row in sorted(self._measured(found)):
+        told = np.zeros_like(design.precision)
+        for row in sorted(self._recognised_rows(found)):
             legs = self.commanded.position[max(row - 1, 0) : row + 1]
             feed = np.full(len(legs), feeds[0])
             if isinstance(self.commanded, Path):
                 feed = self.commanded.feed_mm_min[max(row - 1, 0) : row + 1]
-            told += outlook.information(legs[:, : len(self._moving.axes)], feed, drive)
-        known = replace(outlook, precision=outlook.precision + told)
+            told += design.information(legs[:, : len(self._moving.axes)], feed, drive)
+        known = replace(design, precision=design.precision + told)
         return Planner(self._machine, known, request.workspace, drive, feeds)
 
-    def _measured(self, found: LiveFindings) -> set[int]:
+    def _recognised_rows(self, found: LiveFindings) -> set[int]:
         """Return the rows that have told something.
 
         The last one may wait for samples that come after it.
         """
         return set(found.rows) | {len(self.commanded) - 1}
 
-    def _outlook(self, found: LiveFindings) -> Outlook:
+    def _make_design(self, found: LiveFindings) -> DesignState:
         # Few lines may show no jitter of the feed at all; there is always some.
         least_mm = _LEAST_JITTER * EXPECTED_NOISE.along_sigma_mm
         along_mm = max(found.noise.along_sigma_mm, least_mm)
         noise = replace(found.noise, along_sigma_mm=along_mm)
         if self._on_the_fly:
-            return line_outlook(
+            return start_line_design(
                 self._machine,
                 found.station_mm,
-                known=self._known,
+                known=self._known_effects,
                 perpendicular_only=self._request.perpendicular_only,
                 noise=noise,
                 prior_precision=found.prior_precision,
             )
-        return point_outlook(
+        return start_point_design(
             self._machine,
             found.station_mm,
             self.commanded.target[-1] if self.commanded.target else "",
-            known=self._known,
+            known=self._known_effects,
             noise=noise,
             prior_precision=found.prior_precision,
         )
@@ -141,7 +141,7 @@ class PartChoice:
         )
 
     @property
-    def _ahead_s(self) -> float:
+    def _horizon_s(self) -> float:
         """How far ahead is looked: so many of the longest legs."""
         low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
         slowest = np.array([min(self._request.feeds_mm_min)])
@@ -164,6 +164,6 @@ def _rows(points: Commanded, count: int, *, first: int = 0) -> Configurations:
     )
 
 
-def _criterion(outlook: Outlook) -> float:
+def _criterion(design: DesignState) -> float:
     """Return J, the integrated variance (brunn-hanebeck-2005, eq. 34)."""
-    return float(np.sum(inverse(outlook.precision) * outlook.gram))
+    return float(np.sum(inverse(design.precision) * design.gram))

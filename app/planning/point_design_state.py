@@ -10,15 +10,15 @@ from jaxtyping import Bool, Float64
 from app.motion.configurations import Configurations
 from app.motion.motion_times import Drive
 from app.numerics.design_criteria import Belief
-from app.planning.next_configuration import climbed_from, search_space
-from app.planning.outlook import Outlook
+from app.planning.design_state import DesignState
+from app.planning.next_configuration import climb_from, search_space
 
 _LEAST_MOVE_MM = 1.0  # else standstills look like one
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 
 
 @dataclass(frozen=True)
-class PointOutlook(Outlook):
+class PointDesignState(DesignState):
     """What is known so far, and what standstills would add."""
 
     def rows(
@@ -89,7 +89,7 @@ class PointOutlook(Outlook):
         told = self.roots(self.conditions(here[None], np.zeros((1, len(here)))))[0]
         variance = 3.0 / (drive.dwell_s * float(np.sum(told**2)))
         known = Belief(covariance, self.gram)
-        top = climbed_from(known, rows, search_space(self.model), variance, here)
+        top = climb_from(known, rows, search_space(self.model), variance, here)
         return top.position[None]
 
     def _least_turn_deg(self) -> Float64[np.ndarray, " r"]:

@@ -52,7 +52,7 @@ class _Stretch:
     rate: float = 0.0
 
 
-def rehearsed(
+def predict_cells(
     machine: Machine,
     commanded: Path | Configurations,
     station_mm: Float64[np.ndarray, "3"],
@@ -89,7 +89,7 @@ def rehearsed(
     return with_surroundings(seen, commanded)
 
 
-def expected_information(
+def predict_information(
     seen: Observations, model: MachineModel, *, perpendicular_only: bool = False
 ) -> Information:
     """Return what the cells would tell of model and tracker pose, timing left out."""
@@ -171,7 +171,7 @@ def _conditions(
     )
 
 
-def usual_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
+def assume_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
     """Return four usual places of a tracker: a metre off each side, at middle height.
 
     For when nobody has said where it will stand.
