@@ -1,8 +1,6 @@
-"""Paths and points to measure when nobody has planned better ones, and their checks.
+"""Standstill points when nobody has planned better ones, travel times, travel checks.
 
-They are made in a tenth of a second, by what this room knows alone: the service makes
-them while it answers. A plan that rests on the estimator's own prior and noise takes
-seconds, and tells a few per cent more in the same time.
+The points need no estimator and no time: the service makes them while it answers.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from drivers.interfaces.records import Path
 DEFAULT_FEED_MM_MIN = 6000.0
 DEFAULT_POINTS = 60  # some four minutes on a small mill
 POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
-ACCELERATION_MM_S2 = 1000.0  # of a usual machine; times are foretold with it
+ACCELERATION_MM_S2 = 1000.0  # of a usual machine; times are predicted with it
 
 
 def default_points(
