@@ -83,7 +83,7 @@ def _try_line(
         return _Trials(time_s, width_s, width_s)
     at = data.conditions_of(term)
     terms = [term.with_value(at, float(t)) for t in time_s]
-    blocks = data.lines.offered_along(
+    blocks = data.lines.collect_blocks_along(
         [t.effect for t in beside], [t.effect for t in terms], line
     )
     remainder = integrate_out(blocks, prior_precision(data.precision, beside), terms)

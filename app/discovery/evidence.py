@@ -20,7 +20,7 @@ from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
 from app.estimation.information import Information, compute_posterior
-from app.estimation.term_equations import FoldedSums, Offered
+from app.estimation.term_equations import CandidateBlocks, FoldedSums
 from app.kinematics.effects.candidate_term import CandidateTerm
 
 _FREE = 100.0  # times the usual size: a fitted term has hardly a prior
@@ -69,7 +69,7 @@ def log_bayes(
 
 
 def integrate_out(
-    blocks: Offered,
+    blocks: CandidateBlocks,
     precision: Float64[np.ndarray, "p p"],
     terms: Sequence[CandidateTerm],
 ) -> Remainder:

@@ -85,7 +85,7 @@ def locate_residual(
     segments = [_segment(seen, residual_mm, part) for part in parts]
     segments.sort(key=lambda s: -s.rms_um)
     shares = {
-        name: _explained_share(residual_mm, seen.count, group)
+        name: _find_share(residual_mm, seen.count, group)
         for name, group in _groups(seen).items()
     }
     ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
@@ -162,7 +162,7 @@ def _bin(
     return np.asarray(np.searchsorted(edges, values, side="right"), np.int64)
 
 
-def _explained_share(
+def _find_share(
     residual_mm: Float64[np.ndarray, "n 3"],
     weight: Float64[np.ndarray, " n"],
     group: Int64[np.ndarray, " n"],

@@ -46,7 +46,7 @@ class TermData:
 
         beside : terms that are integrated out with machine and poses
         """
-        blocks = self.lines.offered(
+        blocks = self.lines.collect_blocks(
             [t.effect for t in beside], [t.effect for t in terms]
         )
         return integrate_out(blocks, prior_precision(self.precision, beside), terms)

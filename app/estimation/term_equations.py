@@ -59,7 +59,7 @@ class FoldedSums:
 
 
 @dataclass(frozen=True)
-class Offered:
+class CandidateBlocks:
     """Sums over all lines of effects on offer, each beside what is known.
 
     known : (q, q) on machine, poses, known effects, data
@@ -148,16 +148,20 @@ class Lines:
             total[:-1], self._freedom, total[-1], self._log_determinant, *fast
         )
 
-    def offered(self, known: Sequence[Effect], offers: Sequence[Effect]) -> Offered:
+    def collect_blocks(
+        self, known: Sequence[Effect], offers: Sequence[Effect]
+    ) -> CandidateBlocks:
         """Return the sums of effects on offer, each for itself beside what is known."""
         total = self.sums(known).total()
         beside = self._terms_of(known)
         pairs = [self._beside(beside, term) for term in self._terms_of(offers)]
-        return Offered(total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs))
+        return CandidateBlocks(
+            total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs)
+        )
 
-    def offered_along(
+    def collect_blocks_along(
         self, known: Sequence[Effect], offers: Sequence[Effect], number: int
-    ) -> Offered:
+    ) -> CandidateBlocks:
         """Return the sums of effects on offer that differ on one line alone."""
         line, beside = self._lines[number], self._terms_of(known)
         first = self._terms_of(offers[:1])[0]
@@ -165,15 +169,15 @@ class Lines:
         fixed = [self._base.between(*here), *(t.blocks.between(*here) for t in beside)]
         cross, own = self._beside(beside, first)
         old = first.blocks.between(*here)
-        cross, own = cross - _crossed(fixed, old), own - old.multiply(old)
+        cross, own = cross - _cross(fixed, old), own - old.multiply(old)
         at = self.runs[line.run].observations.at
         at = at.select(np.arange(int(line.cells.start), int(line.cells.stop)))
         rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
         new, width = line.whiten(rows), first.blocks.width
-        crossed = _crossed(fixed, new)
+        crossed = _cross(fixed, new)
         parts = [slice(k, k + width) for k in range(0, new.width, width)]
         each = [new.select(part) for part in parts]
-        return Offered(
+        return CandidateBlocks(
             self.sums(known).total(),
             tuple(cross + crossed[:, part] for part in parts),
             tuple(own + one.multiply(one) for one in each),
@@ -249,13 +253,13 @@ class Lines:
         found = {e: self._known.pop(e) for e in set(effects) & set(self._known)}
         new = [e for e in dict.fromkeys(effects) if e not in found]
         if new:
-            found |= dict(zip(new, self._made(new), strict=True))
+            found |= dict(zip(new, self._build_terms(new), strict=True))
         self._known |= {e: found[e] for e in effects}  # the newest are last
         for key in list(self._known)[: max(len(self._known) - _KEPT, 0)]:
             del self._known[key]
         return [found[e] for e in effects]
 
-    def _made(self, effects: Sequence[Effect]) -> Iterator[_Term]:
+    def _build_terms(self, effects: Sequence[Effect]) -> Iterator[_Term]:
         """Yield the columns of effects, whitened and multiplied together."""
         rows = [
             np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
@@ -293,7 +297,7 @@ def build_lines(
     return Lines([place_run(run, seen, baseline) for run, seen in pairs], _FOLDS)
 
 
-def _crossed(
+def _cross(
     fixed: Sequence[WhitenedBlocks], offers: WhitenedBlocks
 ) -> Float64[np.ndarray, "q p"]:
     """Return sums of base and known effects with offers; data are the last row."""

@@ -60,11 +60,11 @@ class Within:
         """Return precision times deviation."""
         return np.einsum("nij,nj->ni", self.precision[self.cell], self.deviation_mm)
 
-    def straightened(
+    def straighten(
         self, columns: Float64[np.ndarray, "n p"]
     ) -> Float64[np.ndarray, "n p"]:
         """Return columns without mean and slope in each cell."""
-        return _straightened(columns, self.cell, self.lag, len(self.line))
+        return _straighten(columns, self.cell, self.lag, len(self.line))
 
     def sums(
         self, effects: Sequence[Effect], folds: int
@@ -102,19 +102,19 @@ class Within:
 
     def _of(self, effect: Effect) -> _Fast | None:
         """Return a fast effect's columns, made once while it is looked at."""
-        found = self._known.pop(effect, None) or self._made(effect)
+        found = self._known.pop(effect, None) or self._build(effect)
         if found is not None:
             self._known[effect] = found  # the newest is last
         if len(self._known) > _KEPT:
             del self._known[next(iter(self._known))]
         return found
 
-    def _made(self, effect: Effect) -> _Fast | None:
+    def _build(self, effect: Effect) -> _Fast | None:
         columns = effect.in_time(self.time_s) if self._is_here(effect) else None
         if columns is None:
             return None
         size = columns.shape[2]
-        plain = self.straightened(columns.reshape(len(columns), -1))
+        plain = self.straighten(columns.reshape(len(columns), -1))
         plain = plain.reshape(columns.shape)
         weighted = self.precision[self.cell] @ plain
         return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))
@@ -169,7 +169,7 @@ def within_cells(run: Run, seen: Observations, base: Linearisation) -> Within | 
         samples = each.first + np.flatnonzero(valid[each.first : each.last])
         if len(samples) > 3 * (last - first):
             parts.append(_part(run, seen, base, samples, slice(first, last), number))
-    return _joined(parts) if parts else None
+    return _join(parts) if parts else None
 
 
 def _bends(seen: Observations, cell: int) -> bool:
@@ -193,12 +193,12 @@ def _part(
     cell = ((time_s - time_s[0]) / span * count).astype(np.int64)
     lag = _lag(time_s, cell, count)
     local = run.tracker.position_mm[samples] @ base.pose.rotation
-    off = _straightened(local - local[0], cell, lag, count)
+    off = _straighten(local - local[0], cell, lag, count)
     precision = _precision(seen, base, cells)
     size = np.sqrt(np.einsum("ni,nij,nj->n", off, precision[cell], off))
     good = size < _OUTLIER * max(1.0, float(np.median(size)))
     lag = _lag(time_s[good], cell[good], count)
-    off = _straightened((local - local[0])[good], cell[good], lag, count)
+    off = _straighten((local - local[0])[good], cell[good], lag, count)
     line = np.full(count, number)
     rate_hz = run.machine.tracker.rate_hz
     return Within(
@@ -206,7 +206,7 @@ def _part(
     )
 
 
-def _joined(blocks: list[Within]) -> Within:
+def _join(blocks: list[Within]) -> Within:
     begin = np.cumsum([0, *(len(b.line) for b in blocks[:-1])])
     return Within(
         np.concatenate([b.time_s for b in blocks]),
@@ -230,7 +230,7 @@ def _lag(
     return lag / np.sqrt(np.maximum(square, 1e-300))[cell]
 
 
-def _straightened(
+def _straighten(
     columns: Float64[np.ndarray, "n p"],
     cell: Int64[np.ndarray, " n"],
     lag: Float64[np.ndarray, " n"],
