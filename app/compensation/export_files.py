@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from app.compensation.error_map import map_errors
 from app.compensation.export import SPACING_MM, export_result, find_suffix
+from app.files.file_model import encode_json
 from app.files.result_file import read_result
 from app.files.whole_files import replace_file
 
@@ -45,6 +45,5 @@ def export_files(
         written.append(target)
     account = {**export.account, "files": [str(path) for path in written]}
     beside = place.parent / f"{place.stem}{ACCOUNT}"
-    text = json.dumps(account, ensure_ascii=False, indent=1, allow_nan=False)
-    replace_file(beside, f"{text}\n".encode())
+    replace_file(beside, encode_json(account, indent=1))
     return account

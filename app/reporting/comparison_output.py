@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from app.files.file_model import encode_json
 from app.files.reference_file import decode_reference
 from app.files.result_file import read_result
 from app.files.whole_files import replace_file
@@ -42,6 +42,5 @@ def compare_files(
     place.mkdir(parents=True, exist_ok=True)
     replace_file(place / TABLE, comparison_csv(comparison).encode())
     replace_file(place / PAGE, page.encode())
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False)
-    replace_file(place / COMPARISON, f"{text}\n".encode())
+    replace_file(place / COMPARISON, encode_json(content))
     return content

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from app.discovery.discover import Discovery, discover
 from app.discovery.open_questions import design_discrimination
 from app.estimation.prior_model import PriorModel
 from app.files.commanded_file import encode_commanded
+from app.files.file_model import encode_json
 from app.files.run import Run
 from app.files.whole_files import replace_file
 from app.planning.discrimination_lines import DiscriminationDesign
@@ -78,8 +78,7 @@ def write_discovery(discovered: Discovered, folder: str | Path) -> None:
         (MODEL, discovered.model.content),
         (DISCOVERY, discovered.content),
     ):
-        text = json.dumps(content, ensure_ascii=False, allow_nan=False)
-        replace_file(place / name, f"{text}\n".encode())
+        replace_file(place / name, encode_json(content))
 
 
 def _write_ask(discovered: Discovered, file: Path) -> None:
