@@ -10,7 +10,7 @@ Commands import what they need when they run, so that `truepath --help` answers 
     command             the list of commands
     *_commands          the commands of a group: their options, and what they do
     options, terminal   options, progress and tables that commands share
-    summary, effects    a result, and an effect, in a few lines
+    summary             a result, and an effect, in a few lines
     failures            from an error to one line and an exit status
     demo, following     a measurement on simulated devices, without a service
     truth               a result against the true errors of a simulated machine

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from app.cli.computing import compute_on_one_thread
 from app.cli.options import (
     Json,
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
+    compute_on_one_thread,
     require_folder,
 )
 from app.cli.summary import print_result, summarise_result

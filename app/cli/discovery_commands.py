@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.computing import compute_on_one_thread
-from app.cli.effects import describe_effect
-from app.cli.options import Json, OutputFolder, require_folder
+from app.cli.options import Json, OutputFolder, compute_on_one_thread, require_folder
+from app.cli.summary import describe_effect
 from app.cli.terminal import print_files, print_json, show_progress
 
 

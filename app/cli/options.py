@@ -1,7 +1,8 @@
-"""Options and arguments that several commands share, with one wording each."""
+"""What commands share: options with one wording each, checks, process settings."""
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 from typing import Annotated
 
@@ -31,3 +32,17 @@ def require_folder(output: Path, content: str) -> None:
     """Raise BadInput where a file is in the place of an output folder."""
     if output.exists() and not output.is_dir():
         raise BadInput(f"{output}: is a file; name a folder for {content}")
+
+
+def compute_on_one_thread() -> None:
+    """Keep linear algebra to one thread; call it before NumPy is imported.
+
+    On busy cores the threads of a BLAS wait for each other and take several times the
+    processor time of one.
+    """
+    from app.child_process import limit_own_threads
+
+    limit_own_threads()
+    # Imports make many objects that stay; looking through them again and again for
+    # cycles costs a command that soon ends a twentieth of its time.
+    gc.set_threshold(100_000, 50, 50)

@@ -9,9 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.computing import compute_on_one_thread
-from app.cli.effects import describe_effect
-from app.cli.options import Json, OutputFolder, PerpendicularOnly, require_folder
+from app.cli.options import (
+    Json,
+    OutputFolder,
+    PerpendicularOnly,
+    compute_on_one_thread,
+    require_folder,
+)
+from app.cli.summary import describe_effect
 from app.cli.terminal import print_files, print_json, print_table, show_progress
 from app.errors import BadInput
 

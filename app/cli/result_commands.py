@@ -8,8 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.computing import compute_on_one_thread
-from app.cli.options import Json, OutputFolder, ResultFile, require_folder
+from app.cli.options import (
+    Json,
+    OutputFolder,
+    ResultFile,
+    compute_on_one_thread,
+    require_folder,
+)
 from app.cli.terminal import list_files, print_files, print_json, print_table, say
 
 _UNITS = (("um", "µm"), ("urad", "µrad"))

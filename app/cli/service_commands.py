@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.computing import compute_on_one_thread
-from app.cli.options import Json, OutputFolder
+from app.cli.options import Json, OutputFolder, compute_on_one_thread
 
 
 def serve(

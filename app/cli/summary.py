@@ -1,4 +1,4 @@
-"""What a result says in a few numbers: an object for scripts, tables for a person."""
+"""A result in a few numbers, and an effect in a line: for scripts and for a person."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from app.cli.effects import describe_effect
 from app.cli.terminal import list_files, print_files, print_table
 
 Result = Mapping[str, Any]
 _UNITS = {"um": "µm", "urad": "µrad"}
+_EFFECT_KEYS = (
+    "name",
+    "axis",
+    "motion",
+    "by",
+    "plane",
+    "symbol",
+    "direction",
+    "circle",
+)
 _KINDS = ("lowest", "highest", "uncertainty")
 
 
@@ -97,3 +106,18 @@ def _yield_spans(result: Result) -> Iterator[tuple[str, str, float, float, float
         unit = "um" if "value_um" in table else "urad"
         value, uncertainty = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
         yield symbol, unit, min(value), max(value), max(uncertainty)
+
+
+def describe_effect(effect: Mapping[str, Any]) -> str:
+    """Return name, keys and numbers of an effect as `discovery.json` states it."""
+    keys = [effect[key] for key in _EFFECT_KEYS if key in effect]
+    numbers = [_describe_number(name, m) for name, m in effect["parameters"].items()]
+    return f"{' '.join(keys)}: {', '.join(numbers)} (k = 2)"
+
+
+def _describe_number(name: str, measured: Mapping[str, Any]) -> str:
+    values, sigmas = measured["value"], measured["uncertainty"]
+    if not isinstance(values, list):
+        values, sigmas = [values], [sigmas]
+    texts = [f"{v:.3g} ± {2.0 * s:.2g}" for v, s in zip(values, sigmas, strict=True)]
+    return f"{name} {', '.join(texts)}"
