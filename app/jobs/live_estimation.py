@@ -5,9 +5,9 @@ time, and counts it: a slow estimate never delays the measurement, and the analy
 the closed Run misses nothing. What fails in there ends the live estimate and nothing
 else.
 
-Showing is not solving: an estimate is shown as soon as it is made, and again every
-`PERIOD_S` with its age until a newer one is there. However long a solve takes, whoever
-looks on hears more than twice a second, and knows how old it is what he sees.
+An estimate is shown as soon as it is made, and again every `PERIOD_S` with its age until
+there is a newer one. However long a solve takes, clients receive an estimate more than
+twice a second and know how old it is.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ Show = Callable[[Mapping[str, Any]], None]
 class LiveEstimation:
     """One measurement followed by one process, from `start` to `close`.
 
-    show : told every estimate, in the words of `GET /jobs/{id}/estimate`; from a thread
-        of its own; must return at once
+    show : receives every estimate in the words of `GET /jobs/{id}/estimate`, from a
+        thread of its own; must return at once
     newest : the newest estimate in the same words, None before the first
     """
 
@@ -60,11 +60,13 @@ class LiveEstimation:
         self._queue: queue.Queue[TrackerSamples | ChoosePart | EndOfStream]
         self._queue = queue.Queue(WAITING_BLOCKS)
         self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
-        self._shown = _Shown(show, lambda: self.dropped_blocks)
+        self._publisher = _Publisher(show, lambda: self.dropped_blocks)
         self._threads = (
             threading.Thread(target=self._feed, name="live-feeder", daemon=True),
             threading.Thread(target=self._listen, name="live-listener", daemon=True),
-            threading.Thread(target=self._shown.run, name="live-teller", daemon=True),
+            threading.Thread(
+                target=self._publisher.run, name="live-publisher", daemon=True
+            ),
         )
         self.dropped_blocks = 0
         self.newest: Mapping[str, Any] | None = None
@@ -85,7 +87,7 @@ class LiveEstimation:
     @property
     def is_over(self) -> bool:
         """Whether no estimate and no part follows."""
-        return self._shown.ended.is_set()
+        return self._publisher.ended.is_set()
 
     def ask(self, timeout_s: float = FINISH_S) -> None:
         """Ask what to drive next, once the blocks so far have been looked at."""
@@ -102,7 +104,7 @@ class LiveEstimation:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
             self._queue.put(EndOfStream(), timeout=timeout_s)
-            self._shown.ended.wait(timeout_s)
+            self._publisher.ended.wait(timeout_s)
 
     def close(self) -> None:
         """End the process, whatever it does. Idempotent."""
@@ -132,15 +134,15 @@ class LiveEstimation:
                 match self._process.link.recv():
                     case Estimated(body):
                         self.newest = body
-                        self._shown.renew(body)
+                        self._publisher.publish(body)
                     case PartChosen(part):
                         self._parts.put(part)
                     case EstimateFailed(reason):
                         log.warning("no live estimate any more", reason=reason)
-        self._shown.end()
+        self._publisher.end()
 
 
-class _Shown:
+class _Publisher:
     """Shows the newest estimate at once, and again until there is a newer one."""
 
     def __init__(self, show: Show, dropped_blocks: Callable[[], int]) -> None:
@@ -151,7 +153,7 @@ class _Shown:
         self._is_new = self._is_over = False
         self.ended = threading.Event()
 
-    def renew(self, body: Mapping[str, Any]) -> None:
+    def publish(self, body: Mapping[str, Any]) -> None:
         """Take the newest estimate."""
         with self._changed:
             self._body, self._made_s, self._is_new = body, time.monotonic(), True

@@ -10,7 +10,7 @@ class StreamTimeouts:
     """For how long, in seconds that the host has run, a stream may be less than good.
 
     late_s : what counts at most of a time in which the host did not run: a suspended or
-        starved process hears nothing, and finds it all waiting when it wakes up
+        starved process reads nothing, and finds all data waiting afterwards
     """
 
     silent_s: float = 0.5

@@ -107,7 +107,7 @@ STILL_HELD = Fault(
 
 
 def make_held_fault(reason: str) -> Fault:
-    """Return why a machine stands that nobody has told to stand."""
+    """Return the fault of a machine that is held without a request of ours."""
     return Fault(
         "held-at-machine",
         f"the feed is held at the machine: {reason}",

@@ -1,8 +1,8 @@
-"""What is wished of a measurement, and its one state. Every method: any thread.
+"""The state of one measurement, and the reasons to hold the feed. For any thread.
 
-Verbs are absolute and idempotent. A wish to stand is a set of reasons; the machine may
-move only while the set is empty. A hold that has begun is seen through: the machine
-stands before it goes on, so that a late hold never overtakes the resume after it.
+Verbs are absolute and idempotent. The machine may move only while there is no reason to
+hold. A hold that has begun is completed: the machine stands before it goes on, so that a
+late hold never overtakes the resume after it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _OWN_HOLDS = frozenset({"", "command"})
 class MeasurementState:
     """State of one measurement.
 
-    changed : told every new state with a text, by the thread that caused it
+    changed : receives every new state with a text, in the thread that caused it
     """
 
     def __init__(self, changed: Callable[[CellState, str], None]) -> None:
@@ -72,7 +72,7 @@ class MeasurementState:
         return reason in self._holds
 
     def hold(self, reason: HoldReason, text: str) -> bool:
-        """Wish to stand; tell whether this is news."""
+        """Request a hold; tell whether it is a new one."""
         with self._lock:
             if reason in self._holds or self._state in ENDS:
                 return False
@@ -82,7 +82,7 @@ class MeasurementState:
             return True
 
     def release(self, *reasons: HoldReason, text: str) -> None:
-        """Wish to go on as far as these reasons go.
+        """Give up these reasons to hold.
 
         Only who names the machine as well may undo a hold of its own.
         """
@@ -93,7 +93,7 @@ class MeasurementState:
                 self._enter(CellState.RESUMING, text)
 
     def observe(self, motion: MotionState, hold_reason: str) -> None:
-        """Compare the wishes with what the controller does, and move on."""
+        """Compare the reasons with what the controller does, and change the state."""
         with self._lock:
             held = motion is MotionState.HELD
             running = motion is MotionState.RUNNING

@@ -106,7 +106,7 @@ class ProgressEstimator:
             self.row = min(max(self.row, row), self._schedule.total)
 
     def end(self) -> None:
-        """All rows are done; tell so at once."""
+        """All rows are done; report it at once."""
         self.stage, self._reported_s = "closing", -np.inf
 
     def pass_time(self, *, active: bool) -> None:
@@ -117,7 +117,7 @@ class ProgressEstimator:
         self._received_s = now_s
 
     def next_report(self) -> MeasurementProgress | None:
-        """Return what there is to tell, None if it was told a moment ago."""
+        """Return the progress, None if the last report is only a moment old."""
         now_s = self._clock()
         if now_s - self._reported_s < self._period_s:
             return None
