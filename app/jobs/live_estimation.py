@@ -5,9 +5,9 @@ time, and counts it: a slow estimate never delays the measurement, and the analy
 the closed Run misses nothing. What fails in there ends the live estimate and nothing
 else.
 
-An estimate is shown as soon as it is made, and again every `PERIOD_S` with its age until
-there is a newer one. However long a solve takes, clients receive an estimate more than
-twice a second and know how old it is.
+An estimate is shown as soon as it is made, and again every `PERIOD_S` with its age
+until there is a newer one. However long a solve takes, clients receive an estimate more
+than twice a second and know how old it is.
 """
 
 from __future__ import annotations
