@@ -1,8 +1,8 @@
 """The state of one measurement, and the reasons to hold the feed. For any thread.
 
 Verbs are absolute and idempotent. The machine may move only while there is no reason to
-hold. A hold that has begun is completed: the machine stands before it goes on, so that a
-late hold never overtakes the resume after it.
+hold. A hold that has begun is completed: the machine stands before it goes on, so that
+a late hold never overtakes the resume after it.
 """
 
 from __future__ import annotations
