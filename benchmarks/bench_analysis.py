@@ -45,7 +45,7 @@ def paper(folder: Path) -> tuple[int, np.ndarray]:
     tables = paper_method.solve(seen, SPACING_MM)
     machine = seen.at.machine
     at = standstill(machine, _points(machine))
-    return len(seen), paper_method.error_mm(tables, at, machine)
+    return len(seen), paper_method.error_mm(tables, at)
 
 
 def main() -> None:

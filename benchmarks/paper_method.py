@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.alignment.observations import Observations
-from app.kinematics.chain import lever_mm
-from app.kinematics.symbols import DIRECTION, error_motions, is_turn
+from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.symbols import error_motions
 from app.numerics.rigid import fit_rigid
 
 
@@ -39,9 +39,9 @@ def solve(seen: Observations, spacing_mm: float) -> PaperTables:
     return PaperTables(columns, entries, spread @ C @ spread.T)
 
 
-def error_mm(tables: PaperTables, seen_at, machine) -> np.ndarray:
+def error_mm(tables: PaperTables, seen_at) -> np.ndarray:
     """Return the volumetric error of the tables under given conditions."""
-    MB = _rows(seen_at, machine, tables.columns)
+    MB = _rows(seen_at, tables.columns)
     return (MB.reshape(-1, MB.shape[2]) @ tables.entries).reshape(-1, 3)
 
 
@@ -63,17 +63,14 @@ def _table_matrix(seen: Observations, spacing_mm: float):
         count = round((axis.max_mm - axis.min_mm) / spacing_mm) + 1
         knots = np.linspace(axis.min_mm, axis.max_mm, count)
         columns += [(symbol, knots) for symbol in error_motions(axis.name)]
-    rows = _rows(seen.at, seen.at.machine, columns)
+    rows = _rows(seen.at, columns)
     return tuple(columns), rows.reshape(-1, rows.shape[2])
 
 
-def _rows(at, machine, columns) -> np.ndarray:
+def _rows(at, columns) -> np.ndarray:
     parts = []
     for symbol, knots in columns:
-        arm = np.tile(np.eye(3)[DIRECTION[symbol[1]]], (len(at), 1))
-        if is_turn(symbol):
-            lever = lever_mm(machine, symbol[2], at.position_mm, at.offset_mm)
-            arm = np.cross(arm, lever)
+        arm = arm_of(symbol, at)
         hats = _hats(at.axis_mm(symbol[2]), knots)
         parts.append(arm[:, :, None] * hats[:, None, :])
     return np.concatenate(parts, axis=2)

@@ -65,7 +65,7 @@ def evaluate_effects(
     tabulate : makes the tables that the format writes; correction : of its files
     """
     position = sample_positions(errors)
-    for effect in errors.result.model.catalogued:
+    for effect in errors.result.model.catalogue_effects:
         other = _remove_effect(errors, effect)
         reread = kind.read(kind.write(tabulate(other)), errors.machine)
         own = [

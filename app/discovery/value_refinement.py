@@ -54,11 +54,14 @@ class ValueDerivative(Effect):
         """Return the central difference of the displacement."""
         return self._difference(self.before.jacobian(at), self.after.jacobian(at))
 
-    def in_time(
+    def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 1"] | None:
         """Return the same at single moments."""
-        before, after = self.before.in_time(time_s), self.after.in_time(time_s)
+        before, after = (
+            self.before.jacobian_in_time(time_s),
+            self.after.jacobian_in_time(time_s),
+        )
         if before is None or after is None:
             return None
         return self._difference(before, after)

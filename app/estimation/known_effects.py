@@ -120,7 +120,7 @@ def extract_known_effects(
     covariance: Float64[np.ndarray, "p p"],
 ) -> KnownEffects:
     """Return the effects of the catalogue that a model has, all else integrated out."""
-    effects = model.catalogued
+    effects = model.catalogue_effects
     numbers = np.arange(model.size)
     kept = np.concatenate(
         [np.zeros(0, np.int64), *(numbers[model.slices[e.name]] for e in effects)]

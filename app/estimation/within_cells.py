@@ -110,7 +110,9 @@ class Within:
         return found
 
     def _build(self, effect: Effect) -> _Fast | None:
-        columns = effect.in_time(self.time_s) if self._is_here(effect) else None
+        columns = (
+            effect.jacobian_in_time(self.time_s) if self._is_here(effect) else None
+        )
         if columns is None:
             return None
         size = columns.shape[2]
@@ -121,7 +123,10 @@ class Within:
 
     def shows(self, effect: Effect) -> bool:
         """Tell whether an effect is fast, and of this Run."""
-        return self._is_here(effect) and effect.in_time(self.time_s[:1]) is not None
+        return (
+            self._is_here(effect)
+            and effect.jacobian_in_time(self.time_s[:1]) is not None
+        )
 
     def _is_here(self, effect: Effect) -> bool:
         return effect.own_run in (None, self.run)

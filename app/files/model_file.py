@@ -269,7 +269,7 @@ def model_to_json(
     model, theta, covariance = _select_machine_effects(model, theta, covariance)
     G = build_number_rows(model)
     values = G @ theta
-    catalogued = {e.name: e for e in model.catalogued}
+    catalogued = {e.name: e for e in model.catalogue_effects}
     effects: list[dict[str, Any]] = []
     begin = 0
     for effect in model.effects:

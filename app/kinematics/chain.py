@@ -1,35 +1,180 @@
-"""Lever arms of a serial chain: what a turn of one axis moves."""
+"""How an error at one axis moves the target where the tracker stands, to first order.
+
+The chain is p = T_1 … T_n t from the workpiece to the tool. An error sits at the side
+of its joint that faces the base for a rotary axis (about the axis' origin), behind the
+joint for a linear one; it is of the tool relative to the workpiece. A displacement E
+and a turn ω there move the target by F (E + ω × L): L from the error's point to it, F
+the nominal turn of everything between the error and the observer. The tracker on the
+workpiece sees all axes move the tool; on the base it sees those of the tool side move
+the tool and those of the workpiece side move the workpiece, backwards.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Float64
+from dataclasses import dataclass
+from functools import cached_property
 
-from app.kinematics.machine import Machine
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
+from app.kinematics.rotary_axes import turn_matrices
 from app.kinematics.symbols import LINEAR
 
 
-def lever_mm(
-    machine: Machine,
-    axis: str,
-    position_mm: Float64[np.ndarray, "n a"],
-    offset_mm: Float64[np.ndarray, "n 3"],
-) -> Float64[np.ndarray, "n 3"]:
-    """Return L_i(q): the target's offset plus the positions of all later axes."""
-    lever = offset_mm.copy()
-    order, columns = machine.order, machine.axis_names
-    for later in order[order.index(axis) + 1 :]:
-        lever[:, LINEAR.index(later)] += position_mm[:, columns.index(later)]
-    return lever
+@dataclass(frozen=True)
+class AxisLever:
+    """Lever and turn of one axis' errors at n moments.
+
+    lever_mm : (n, 3) L; frame : (n, 3, 3) F, 0 where the error does not show
+    """
+
+    lever_mm: Float64[np.ndarray, "n 3"]
+    frame: Float64[np.ndarray, "n 3 3"]
+
+    def displace(
+        self, direction: Float64[np.ndarray, "n 3"], *, is_turn: bool
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return F d, or F (d × L) for a turn."""
+        arm = np.cross(direction, self.lever_mm) if is_turn else direction
+        return np.einsum("nij,nj->ni", self.frame, arm)
 
 
-def nominal_point_mm(
-    machine: Machine,
-    position_mm: Float64[np.ndarray, "n a"],
-    offset_mm: Float64[np.ndarray, "n 3"],
-) -> Float64[np.ndarray, "n 3"]:
-    """Return the nominal target point in the workpiece frame, q + offset."""
-    point = offset_mm.copy()
-    for column, axis in enumerate(machine.axis_names):
-        point[:, LINEAR.index(axis)] += position_mm[:, column]
-    return point
+@dataclass(frozen=True)
+class NominalChain:
+    """The nominal machine at n moments, as seen from where the tracker stands.
+
+    on_workpiece : (n,) the target is on the workpiece; observer : on workpiece or base
+    """
+
+    machine: Machine
+    position: Float64[np.ndarray, "n a"]
+    offset_mm: Float64[np.ndarray, "n 3"]
+    on_workpiece: Bool[np.ndarray, " n"]
+    observer: str
+
+    @property
+    def point_mm(self) -> Float64[np.ndarray, "n 3"]:
+        """Where the target is."""
+        if self.observer == "base":
+            return self._base_mm
+        seen = self._through(self.machine.workpiece_side, self._base_mm)
+        return np.where(self.on_workpiece[:, None], self.offset_mm, seen)
+
+    def lever(self, name: str) -> AxisLever:
+        """Return how errors at an axis show."""
+        if name not in self._levers:  # the same for every error of the axis
+            self._levers[name] = self._find_lever(name)
+        return self._levers[name]
+
+    @cached_property
+    def _levers(self) -> dict[str, AxisLever]:
+        return {}
+
+    def _find_lever(self, name: str) -> AxisLever:
+        machine, axis = self.machine, self._axis(name)
+        if name in machine.workpiece_side:
+            side = machine.workpiece_side
+            begin = side.index(name) + 1
+            lever = self._through(side[begin:], self._base_mm) - _origin(axis)
+            frame = self._compose_turns(side[:begin])
+            if self.observer == "base":
+                frame = -np.swapaxes(self._compose_turns(side[begin:]), 1, 2)
+            return AxisLever(lever, self._where(frame, self.observer == "base"))
+        side = machine.tool_side
+        begin = side.index(name)
+        behind = side[begin + (0 if isinstance(axis, RotaryAxis) else 1) :]
+        lever = self._through(behind, self.offset_mm) - _origin(axis)
+        frame = self._to_observer(self._compose_turns(side[:begin]))
+        return AxisLever(lever, self._where(frame, False))
+
+    @cached_property
+    def tool_frame(self) -> Float64[np.ndarray, "n 3 3"]:
+        """Turn of the tool; 0 where the target is not on it."""
+        turned = self._compose_turns(self.machine.tool_side)
+        return self._where(self._to_observer(turned), False)
+
+    @cached_property
+    def workpiece_frame(self) -> Float64[np.ndarray, "n 3 3"]:
+        """Turn of the workpiece seen from the base; 0 where the target is not on it."""
+        if self.observer != "base":
+            return np.zeros((len(self.position), 3, 3))
+        turned = np.swapaxes(self._compose_turns(self.machine.workpiece_side), 1, 2)
+        return self._where(turned, True)
+
+    @cached_property
+    def _base_mm(self) -> Float64[np.ndarray, "n 3"]:
+        """Where the target is in the base."""
+        tool = self._through(self.machine.tool_side, self.offset_mm)
+        if not self.on_workpiece.any():
+            return tool
+        part = self._back_through(self.machine.workpiece_side, self.offset_mm)
+        return np.where(self.on_workpiece[:, None], part, tool)
+
+    def _where(
+        self, frame: Float64[np.ndarray, "n 3 3"], on_workpiece: bool
+    ) -> Float64[np.ndarray, "n 3 3"]:
+        shows = self.on_workpiece == on_workpiece
+        return frame * shows[:, None, None]
+
+    def _to_observer(
+        self, frame: Float64[np.ndarray, "n 3 3"]
+    ) -> Float64[np.ndarray, "n 3 3"]:
+        if self.observer == "base":
+            return frame
+        return self._compose_turns(self.machine.workpiece_side) @ frame
+
+    def _axis(self, name: str) -> LinearAxis | RotaryAxis:
+        return self.machine.axes[self.machine.axis_names.index(name)]
+
+    def _column(self, name: str) -> Float64[np.ndarray, " n"]:
+        return self.position[:, self.machine.axis_names.index(name)]
+
+    def turn(self, name: str) -> Float64[np.ndarray, "n 3 3"]:
+        """Return the nominal turn of a rotary axis, from tool to workpiece."""
+        axis = self._axis(name)
+        if isinstance(axis, LinearAxis):
+            return np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
+        backwards = name in self.machine.workpiece_side
+        angle = np.radians(self._column(name)) * (-1.0 if backwards else 1.0)
+        return turn_matrices(axis, angle)
+
+    def _compose_turns(self, names: tuple[str, ...]) -> Float64[np.ndarray, "n 3 3"]:
+        product = np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
+        for name in names:
+            if isinstance(self._axis(name), RotaryAxis):
+                product = product @ self.turn(name)
+        return product
+
+    def _through(
+        self, names: tuple[str, ...], point_mm: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the points after the joints, the last of them first."""
+        point = point_mm.copy()
+        for name in reversed(names):
+            axis = self._axis(name)
+            if isinstance(axis, LinearAxis):
+                point[:, LINEAR.index(name)] += self._column(name)
+            else:
+                arm = point - _origin(axis)
+                point = _origin(axis) + np.einsum("nij,nj->ni", self.turn(name), arm)
+        return point
+
+    def _back_through(
+        self, names: tuple[str, ...], point_mm: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the points that the joints would bring to the given ones."""
+        point = point_mm.copy()
+        for name in names:
+            axis = self._axis(name)
+            if isinstance(axis, LinearAxis):
+                point[:, LINEAR.index(name)] -= self._column(name)
+            else:
+                arm = point - _origin(axis)
+                point = _origin(axis) + np.einsum("nji,nj->ni", self.turn(name), arm)
+        return point
+
+
+def _origin(axis: LinearAxis | RotaryAxis) -> Float64[np.ndarray, "3"]:
+    """Return the point about which errors of an axis turn, in its own frame."""
+    return np.array(axis.origin_mm) if isinstance(axis, RotaryAxis) else np.zeros(3)

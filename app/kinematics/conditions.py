@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.kinematics.chain import nominal_point_mm
+from app.kinematics.chain import NominalChain
 from app.kinematics.machine import Machine
-from app.kinematics.reach import NominalChain
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,17 +86,7 @@ class Conditions:
     @cached_property
     def point_mm(self) -> Float64[np.ndarray, "n 3"]:
         """Nominal target point where the observer stands, (n, 3)."""
-        if self.is_plain:
-            return nominal_point_mm(self.machine, self.position_mm, self.offset_mm)
         return self.chain.point_mm
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether straight axes move a tool that is seen from the workpiece."""
-        aside = self.on_workpiece is not None and bool(self.on_workpiece.any())
-        return (
-            self.observer == "workpiece" and not aside and not self.machine.rotary_axes
-        )
 
     @cached_property
     def chain(self) -> NominalChain:

@@ -1,37 +1,50 @@
-"""Which error motions the measured targets can tell apart, decided from geometry alone.
+"""Which error motions the measured targets can tell, decided from geometry alone.
 
-With one tool offset only 14 of the 18 error motions of a three-axis machine move the
-target in ways of their own: turns of the last axis merge with its straightness, and the
-turn of the last but one about the last axis' direction merges likewise. Two tool
-lengths give 16, three offsets off one line 18. What merges is left out of the solve and
-named; a pseudo-inverse would return it as a silent zero.
+Asked of any serial chain, of targets on tool and workpiece, and of a tracker on either
+side. With one tool offset only 14 of the 18 error motions of a three-axis machine move
+the target in ways of their own: turns of the last axis are confounded with its
+straightness, and so is the turn of the last but one about the last axis' direction. Two
+tool lengths give 16, three offsets off one line 18. What is confounded is left out of
+the solve and named; a pseudo-inverse would return it as a silent zero.
+
+A motion is confounded if at every position of its axis its arm is a combination of the
+arms of motions that are kept. Squarenesses, locations of rotary axes and how the
+targets sit enter one by one where they add a shape that pose and motions do not make
+yet.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import block_diag
 
 from app.kinematics.conditions import Conditions, standstill
+from app.kinematics.effects.axis_location import axis_locations
+from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import arm_of, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.effects.tool_orientation import tool_orientation
-from app.kinematics.identifiable_chain import told_by
-from app.kinematics.machine import Axis, Machine, RotaryAxis
+from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.workpiece_placement import workpiece_placement
+from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import error_motions, is_turn, meaning
-from app.numerics.splines import natural_spline
 
 # Of an error motion. How much it bends is for the prior to say: closer knots only cost
 # time.
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
 _SAME_TARGET_MM = 1e-6  # rounding
-_PROBE = 400  # configurations that stand for the whole volume
-_SHAPES = 5  # knots of the shapes that motions are told apart by
-_NEW_SHAPE = 1e-6  # relative size of a new singular value
+_PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
+_PROBE = 700  # configurations that stand for the whole volume
+_INTERVALS = 8  # shapes of motions against which single numbers are held
+_SAME_ARM = 1e-6
+_NEW_SHAPE = 0.02  # splines make a sine to a hundredth
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,82 +71,34 @@ def identifiable_model(
     knot_spacing_mm: float = KNOT_SPACING_MM,
     intervals: int | None = None,
 ) -> tuple[MachineModel, tuple[Confounded, ...]]:
-    """Return the model of what these targets can tell, and what merged.
+    """Return the model of what these targets can tell, and what is confounded.
 
     offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
     intervals : the same number of knot intervals on every axis, instead of a spacing
     """
-    each_run = [np.unique(offsets, axis=0) for offsets in offsets_mm]
-    if not _is_plain(machine):
-        return _chain_model(machine, each_run, knot_spacing_mm, intervals)
-    symbols = [s for axis in machine.linear_axes for s in error_motions(axis.name)]
-    # Displacements first: where a turn merges with one, the displacement is kept.
-    symbols.sort(key=is_turn)
-    travels = {axis.name: axis for axis in machine.linear_axes}
-    probe = _probe(machine, np.unique(np.concatenate(each_run), axis=0))
-    columns = {s: _columns(s, travels[s[2]], probe) for s in symbols}
-    kept: list[str] = []
-    merged: list[Confounded] = []
-    for symbol in symbols:
-        partners = _absorbed_by(symbol, kept, columns)
-        if partners is None:
-            kept.append(symbol)
-        else:
-            merged.append(Confounded(symbol, partners))
-    ordered = [
-        s for axis in machine.linear_axes for s in error_motions(axis.name) if s in kept
-    ]
-    motions = tuple(
-        error_motion(
-            s, travels[s[2]], intervals or _intervals(travels[s[2]], knot_spacing_mm)
-        )
-        for s in ordered
-    )
-    squareness = squareness_between(tuple(travels))
-    tool = [
-        effect
-        for run, targets in enumerate(each_run)
-        for effect in tool_orientation(machine, targets, run)
-    ]
-    return MachineModel(machine, (*motions, *squareness, *tool)), tuple(merged)
-
-
-def _is_plain(machine: Machine) -> bool:
-    """Tell whether straight axes move targets on a tool seen from the workpiece."""
-    on_tool = all(t.on == "tool" for t in machine.targets)
-    from_workpiece = machine.tracker.stands_on == "workpiece"
-    return on_tool and from_workpiece and not machine.rotary_axes
-
-
-def _chain_model(
-    machine: Machine,
-    each_run: list[Float64[np.ndarray, "_ 3"]],
-    knot_spacing_mm: float,
-    intervals: int | None,
-) -> tuple[MachineModel, tuple[Confounded, ...]]:
-    told = told_by(
-        machine,
-        tuple(
-            tuple(t for t in machine.targets if _is_among(t.offset_mm, measured))
-            for measured in each_run
-        ),
-    )
+    runs = tuple(_targets_at(machine, offsets) for offsets in offsets_mm)
+    symbols, others, confounded = _find_identifiable(machine, runs)
     axes = {axis.name: axis for axis in machine.axes}
     motions = [
         error_motion(
             s, axes[s[2]], intervals or _intervals(axes[s[2]], knot_spacing_mm)
         )
-        for s in told.motions
+        for s in symbols
     ]
-    merged = tuple(Confounded(symbol, mates) for symbol, mates in told.merged)
-    return MachineModel(machine, (*motions, *told.others)), merged
+    return MachineModel(machine, (*motions, *others)), confounded
 
 
-def _is_among(
-    offset_mm: tuple[float, float, float], measured: Float64[np.ndarray, "t 3"]
-) -> bool:
-    away = np.abs(measured - np.array(offset_mm)).max(axis=1)
-    return bool(away.min() < _SAME_TARGET_MM)
+def _targets_at(
+    machine: Machine, offsets_mm: Float64[np.ndarray, "_ 3"]
+) -> tuple[Target, ...]:
+    """Return the targets at offsets; on the tool where the machine states none."""
+    offsets_mm = np.unique(offsets_mm, axis=0)
+    stated = np.array([t.offset_mm for t in machine.targets]).reshape(-1, 3)
+    away = np.abs(offsets_mm[:, None] - stated).max(axis=2, initial=0.0)
+    same = away < _SAME_TARGET_MM
+    known = [machine.targets[k] for k in np.flatnonzero(same.any(axis=0))]
+    others = offsets_mm[~same.any(axis=1)]
+    return (*known, *(Target("", "tool", (x, y, z)) for x, y, z in others.tolist()))
 
 
 def _intervals(axis: Axis, spacing_mm: float) -> int:
@@ -143,42 +108,150 @@ def _intervals(axis: Axis, spacing_mm: float) -> int:
     return max(3, round((axis.max_mm - axis.min_mm) / spacing_mm))
 
 
-def _probe(machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"]) -> Conditions:
-    rng = np.random.default_rng(0)
-    low = np.array([a.min_mm for a in machine.linear_axes])
-    high = np.array([a.max_mm for a in machine.linear_axes])
-    position = rng.uniform(low, high, (_PROBE, len(low)))
-    offset = offsets_mm[np.arange(_PROBE) % len(offsets_mm)]
-    return standstill(machine, position, offset)
+@lru_cache(maxsize=16)  # asked anew by every stage of an estimate
+def _find_identifiable(
+    machine: Machine, runs: tuple[tuple[Target, ...], ...]
+) -> tuple[tuple[str, ...], tuple[Effect, ...], tuple[Confounded, ...]]:
+    """Return motions, single numbers and placements, and what is confounded.
+
+    runs : the targets measured in each Run
+    """
+    targets = list(dict.fromkeys(target for run in runs for target in run))
+    symbols = [s for axis in machine.axes for s in error_motions(axis.name)]
+    kept: list[str] = []
+    confounded: list[Confounded] = []
+    # Displacements first: where a turn is confounded with one, the turn is left out.
+    for symbol in sorted(symbols, key=is_turn):
+        partners = _find_partners(symbol, kept, machine, targets)
+        if partners is None:
+            kept.append(symbol)
+        else:
+            confounded.append(Confounded(symbol, partners))
+    others, left_out = _single_numbers(machine, runs, kept)
+    motions = tuple(s for s in symbols if s in kept)
+    return motions, tuple(others), (*confounded, *left_out)
 
 
-def _columns(symbol: str, axis: Axis, probe: Conditions) -> Float64[np.ndarray, "m p"]:
-    """Return what a motion does to the target; a few smooth shapes stand for all."""
-    spline = natural_spline(np.linspace(axis.low, axis.high, _SHAPES))
-    rows = spline.basis(probe.axis_mm(axis.name))
-    arm = arm_of(symbol, probe)[:, :, None] * rows[:, None, :]
-    columns = arm.reshape(-1, spline.size)
-    return columns / 100.0 if is_turn(symbol) else columns
-
-
-def _absorbed_by(
-    symbol: str, kept: list[str], columns: dict[str, Float64[np.ndarray, "m p"]]
+def _find_partners(
+    symbol: str, kept: list[str], machine: Machine, targets: Sequence[Target]
 ) -> tuple[str, ...] | None:
     """Return the kept motions that make all of this one's shapes already, or None."""
     mates = [k for k in kept if k[2] == symbol[2]]
-    own = columns[symbol]
-    if np.abs(own).max() < _NEW_SHAPE:
+    share, seen, left = np.zeros(len(mates)), 0.0, 0.0
+    for place in range(_PLACES):
+        at = _probe(machine, targets, _AROUND, place, symbol[2])
+        own = _scaled_arm(symbol, at)
+        others = np.stack([_scaled_arm(m, at) for m in mates] or [0.0 * own], axis=1)
+        solution, *_ = np.linalg.lstsq(others, own, rcond=1e-10)
+        seen = max(seen, float(np.abs(own).max()))
+        left = max(left, float(np.abs(own - others @ solution).max()))
+        if mates:
+            share = np.maximum(share, np.abs(solution))
+    if seen < _SAME_ARM:
         return ()
-    if not mates:
+    if left > _SAME_ARM * seen:
         return None
-    others = np.hstack([columns[m] for m in mates])
-    solution, *_ = np.linalg.lstsq(others, own, rcond=1e-10)
-    left = np.linalg.norm(own - others @ solution) / np.linalg.norm(own)
-    if left > _NEW_SHAPE:
-        return None
-    size = own.shape[1]
-    share = [
-        float(np.abs(solution[i * size : (i + 1) * size]).max())
-        for i in range(len(mates))
+    pairs = zip(mates, share.tolist(), strict=True)
+    return tuple(m for m, s in pairs if s > 1e-3 * share.max())
+
+
+def _scaled_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, " m"]:
+    arm = arm_of(symbol, at).ravel()
+    return arm / 100.0 if is_turn(symbol) else arm
+
+
+def _probe(
+    machine: Machine, targets: Sequence[Target], count: int, seed: int, fixed: str = ""
+) -> Conditions:
+    """Draw configurations at which each target is seen; one axis may stand still."""
+    rng = np.random.default_rng(seed)
+    low = np.array([axis.low for axis in machine.axes])
+    high = np.array([axis.high for axis in machine.axes])
+    position = rng.uniform(low, high, (count * len(targets), len(low)))
+    if fixed:
+        column = machine.axis_names.index(fixed)
+        position[:, column] = position[0, column]
+    offset = np.tile([t.offset_mm for t in targets], (count, 1)).astype(np.float64)
+    on_workpiece = np.tile([t.on == "workpiece" for t in targets], count)
+    at = standstill(machine, position, offset)
+    return at.view_from(machine.tracker.stands_on, on_workpiece)
+
+
+def _single_numbers(
+    machine: Machine, runs: Sequence[Sequence[Target]], kept: list[str]
+) -> tuple[list[Effect], list[Confounded]]:
+    each_run = [
+        replace(_probe(machine, targets, _PROBE, run), run=run)
+        for run, targets in enumerate(runs)
     ]
-    return tuple(m for m, s in zip(mates, share, strict=True) if s > 1e-3 * max(share))
+    axes = {axis.name: axis for axis in machine.axes}
+    known: list[Effect] = [error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
+    blocks = [_pose_columns(each_run), *(_columns(e, each_run) for e in known)]
+    basis, _ = np.linalg.qr(np.hstack(blocks))
+    added: list[Effect] = []
+    confounded: list[Confounded] = []
+    for effect in _candidates(machine, runs):
+        own = _columns(effect, each_run)
+        size = float(np.linalg.norm(own))
+        new = own - basis @ (basis.T @ own)
+        new = new - basis @ (basis.T @ new)
+        if size > 0.0 and np.linalg.norm(new) > _NEW_SHAPE * size:
+            more, _ = np.linalg.qr(new)
+            basis = np.hstack([basis, more])
+            added.append(effect)
+        elif effect.role is Role.MACHINE:
+            mates = _nearest(own, [*known, *added], each_run) if size > 0.0 else ()
+            confounded.append(Confounded(effect.name, mates))
+    return added, confounded
+
+
+def _candidates(machine: Machine, runs: Sequence[Sequence[Target]]) -> list[Effect]:
+    """Return single numbers; how the targets sit before what could be mistaken."""
+    found: list[Effect] = [*squareness_between(machine.axis_names)]
+    for run, targets in enumerate(runs):
+        tool, part = _offsets(targets, "tool"), _offsets(targets, "workpiece")
+        if len(part) and machine.tracker.stands_on == "base":
+            found += workpiece_placement(part, run)
+        if len(tool):
+            found += tool_orientation(machine, tool, run)
+    for axis in machine.rotary_axes:
+        found += axis_locations(axis)
+    return found
+
+
+def _offsets(targets: Sequence[Target], side: str) -> Float64[np.ndarray, "t 3"]:
+    rows = [t.offset_mm for t in targets if t.on == side]
+    return np.array(rows, np.float64).reshape(-1, 3)
+
+
+def _pose_columns(each_run: Sequence[Conditions]) -> Float64[np.ndarray, "m q"]:
+    """Return the columns of the tracker's poses, a pose a Run."""
+    poses: list[Float64[np.ndarray, "_ 6"]] = []
+    for at in each_run:
+        x, y, z = (float(v) for v in at.point_mm.mean(axis=0))
+        poses.append(_columns(TrackerPose((x, y, z)), [at]))
+    return np.asarray(block_diag(*poses), np.float64)
+
+
+def _columns(
+    effect: Effect, each_run: Sequence[Conditions]
+) -> Float64[np.ndarray, "m p"]:
+    J = np.concatenate([effect.jacobian(at) for at in each_run])
+    return J.reshape(-1, J.shape[2])
+
+
+def _nearest(
+    own: Float64[np.ndarray, "m 1"], known: list[Effect], each_run: Sequence[Conditions]
+) -> tuple[str, ...]:
+    """Return the effects that make most of a shape."""
+    blocks = [_columns(e, each_run) for e in known]
+    scale = [1.0 / max(float(np.linalg.norm(b)), 1e-12) for b in blocks]
+    stacked = np.hstack([b * s for b, s in zip(blocks, scale, strict=True)])
+    solution, *_ = np.linalg.lstsq(stacked, own, rcond=1e-6)
+    ends = np.cumsum([b.shape[1] for b in blocks])
+    part = [float(np.linalg.norm(p)) for p in np.split(solution, ends[:-1])]
+    return tuple(
+        e.name
+        for e, p in zip(known, part, strict=True)
+        if p > 0.2 * max(part) and e.role is Role.MACHINE
+    )

@@ -61,7 +61,7 @@ class MachineModel:
         return len(self.error_motions) == 6 * len(self.machine.axes)
 
     @cached_property
-    def catalogued(self) -> tuple[CatalogueEffect, ...]:
+    def catalogue_effects(self) -> tuple[CatalogueEffect, ...]:
         """The effects of the catalogue, in the order of θ."""
         return tuple(e for e in self.effects if isinstance(e, CatalogueEffect))
 

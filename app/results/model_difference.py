@@ -76,7 +76,7 @@ def _cut_direction(name: str) -> str:
 
 def _describe_effect(state: EstimatedModel, effect: Effect, kind: str) -> Change:
     theta, covariance = state.part(effect.name)
-    catalogued = {e.name: e for e in state.model.catalogued}
+    catalogued = {e.name: e for e in state.model.catalogue_effects}
     if known := catalogued.get(effect.name):
         found = known.state(theta, covariance)
         numbers = [in_words(n, m.value, m.uncertainty) for n, m in found.items()]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from app.kinematics.chain import lever_mm, nominal_point_mm
 from app.kinematics.conditions import Conditions, standstill
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.effects.squareness import Squareness, squareness_between
@@ -74,8 +73,8 @@ def test_the_lever_is_the_target_and_all_axes_to_the_right(side, rng):
         expected = offset.copy()
         for later in m.order[place + 1 :]:
             expected[:, "XYZ".index(later)] += q[:, "XYZ".index(later)]
-        assert np.allclose(lever_mm(m, axis, q, offset), expected)
-    assert np.allclose(nominal_point_mm(m, q, offset), q + offset)
+        assert np.allclose(standstill(m, q).chain.lever(axis).lever_mm, expected)
+    assert np.allclose(standstill(m, q).point_mm, q + offset)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from app.kinematics.effects.axis_location import axis_locations
 from app.kinematics.effects.error_motion import ErrorMotion, error_motion
 from app.kinematics.effects.squareness import squareness_between
 from app.kinematics.model import MachineModel
+from app.kinematics.rotary_axes import local_directions
 from app.kinematics.symbols import error_motions, locations, meaning, unit
-from app.kinematics.turning import local_directions
 from simulators.machine_file import parse_machine
 from simulators.rotary_joint import local_frame
 from simulators.scenario import load_machine

@@ -17,8 +17,8 @@ from jaxtyping import Float64
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.machine import RotaryAxis
+from app.kinematics.rotary_axes import local_directions
 from app.kinematics.symbols import DIRECTION, TURNS, locations
-from app.kinematics.turning import local_directions
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,8 @@ class AxisLocation(Effect):
         else:
             direction = unit - np.einsum("nij,j->ni", turn, unit)
         is_turn = self.symbol[0] in TURNS
-        return chain.reach(self.axis.name).moved(direction, is_turn=is_turn)[:, :, None]
+        lever = chain.lever(self.axis.name)
+        return lever.displace(direction, is_turn=is_turn)[:, :, None]
 
 
 def axis_locations(axis: RotaryAxis) -> tuple[AxisLocation, ...]:

@@ -111,7 +111,7 @@ class Effect(ValueEquality, ABC):
         """Return the quadratic form of its prior, or None for no prior."""
         return None
 
-    def in_time(
+    def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 p"] | None:
         """Return its columns at single moments if it is a fast function of time alone.

@@ -59,7 +59,7 @@ class CandidateTerm:
     @property
     def is_fast(self) -> bool:
         """Whether the effect changes within cells."""
-        return self.candidate.effect.in_time(np.zeros(1)) is not None
+        return self.candidate.effect.jacobian_in_time(np.zeros(1)) is not None
 
     def scan(self, at: Conditions) -> Scan | None:
         """Return the values to be scanned, or None."""

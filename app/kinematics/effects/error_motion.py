@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
-from app.kinematics.chain import lever_mm
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis
+from app.kinematics.rotary_axes import local_directions
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
-from app.kinematics.turning import local_directions
 from app.numerics.splines import cyclic_spline, natural_spline
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
@@ -81,19 +80,10 @@ class ErrorMotion(ErrorCurve, Effect):
 
 def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Return what a unit of the error moves the target by: e_d, or e_d × L."""
-    if not at.is_plain:
-        return _arm_in_chain(symbol, at)
-    unit = np.eye(3)[DIRECTION[symbol[1]]]
-    if not is_turn(symbol):
-        return np.tile(unit, (len(at), 1))
-    return np.cross(unit, lever_mm(at.machine, symbol[2], at.position_mm, at.offset_mm))
-
-
-def _arm_in_chain(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
     local = local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
     direction = np.tile(local[:, DIRECTION[symbol[1]]], (len(at), 1))
-    return at.chain.reach(axis.name).moved(direction, is_turn=is_turn(symbol))
+    return at.chain.lever(axis.name).displace(direction, is_turn=is_turn(symbol))
 
 
 def spline_parameters(name: str, symbol: str, count: int) -> tuple[Parameter, ...]:

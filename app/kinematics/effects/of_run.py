@@ -45,11 +45,11 @@ class EffectOfRun(Effect):
             return np.zeros((len(at), 3, len(self.parameters)))
         return self.effect.jacobian(at)
 
-    def in_time(
+    def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 p"] | None:
         """Return those of the effect, at moments of its own Run."""
-        return self.effect.in_time(time_s)
+        return self.effect.jacobian_in_time(time_s)
 
     def prior(self) -> QuadraticPrior | None:
         """Return that of the effect."""

@@ -31,12 +31,9 @@ class Squareness(Effect):
         """Return the lean: a displacement in proportion to the axis' position."""
         name, direction, sign = _LEAN[self.symbol]
         axis = next(a for a in at.machine.linear_axes if a.name == name)
-        columns = np.zeros((len(at), 3, 1))
-        travel = at.axis_mm(name) - reference_position_mm(axis)
-        columns[:, direction, 0] = sign * travel
-        if at.is_plain:
-            return columns
-        return at.chain.reach(name).frame @ columns
+        lean = np.zeros((len(at), 3))
+        lean[:, direction] = sign * (at.axis_mm(name) - reference_position_mm(axis))
+        return at.chain.lever(name).displace(lean, is_turn=False)[:, :, None]
 
 
 def squareness_between(axes: tuple[str, ...]) -> tuple[Squareness, ...]:

@@ -55,7 +55,7 @@ class ToolOrientation(Effect):
         if at.run != self.run:
             return np.zeros((len(at), 3, self.turns.shape[1]))
         columns = cross_matrix(at.offset_mm - np.array(self.about_mm)) @ self.turns
-        return columns if at.is_plain else at.chain.tool_frame @ columns
+        return at.chain.tool_frame @ columns
 
 
 def tool_orientation(

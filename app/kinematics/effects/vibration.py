@@ -53,7 +53,7 @@ class Vibration(Effect):
         waves = average_over_cells(self._angle(at.time_s), rate, at)
         return columns_along(self.direction, waves)
 
-    def in_time(
+    def jacobian_in_time(
         self, time_s: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""

@@ -1,0 +1,114 @@
+"""The effect of docs/write-an-effect.md goes the whole way, its own keys with it."""
+
+import importlib.util
+import json
+import re
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from app import plugins
+from app.estimation.prior_model import PriorModel
+from app.files.result_file import result_from_json
+from app.kinematics.effects.conformance import CHECKS, example_conditions
+from app.planning.plan import PlanRequest, make_plan
+from app.reporting.analysis_files import render_analysis
+from app.reporting.discovery_files import discover_runs
+from app.reporting.plan_files import plan_document
+from app.reporting.plan_report import render_plan_report
+from app.results.analysis import analyse
+from app.web.catalogues import catalogue
+from simulators.hidden.elastic_sag import ElasticSag
+from simulators.synthetic import Setting
+
+PAGE = Path(__file__).parents[2] / "docs" / "write-an-effect.md"
+KEYS = {"beam": "X", "load": "Y", "toward": "Z"}
+NAME, TITLE = "bending-beam", "Bending beam of X under Y toward Z"
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """The module that the page shows."""
+    (source, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)
+    file = tmp_path_factory.mktemp("third-party") / "bending_beam.py"
+    file.write_text(source, encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("bending_beam", file)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["bending_beam"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["bending_beam"]
+
+
+@pytest.fixture(scope="module")
+def installed(example):
+    """Install the example by entry point, in place of all others."""
+    point = EntryPoint(NAME, "bending_beam:BendingBeamFamily", "truepath.effects")
+    found = plugins.entry_points
+
+    def list_points(group):
+        return [point] if group == "truepath.effects" else found(group=group)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "entry_points", list_points)
+        yield example
+
+
+@pytest.fixture(scope="module")
+def run(record):
+    hidden = ElasticSag("X", "Y", "Z", 14.0)
+    return record(7, rows=60, setting=Setting(hidden=(hidden,)))[0]
+
+
+@pytest.fixture(scope="module")
+def discovered(installed, run):
+    return discover_runs([run])
+
+
+@pytest.fixture(scope="module")
+def model(discovered) -> PriorModel:
+    """The model, as it comes back from disk."""
+    content = json.loads(json.dumps(discovered.model.content))
+    return PriorModel(result_from_json(content, file="model.json"), "model.json", "ab")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_the_example_of_the_page_conforms(check, example):
+    check(example.BendingBeamFamily(), example_conditions())
+
+
+def test_it_is_discovered_with_its_own_keys_and_words(discovered):
+    (effect,) = discovered.content["effects"]
+    assert effect["name"] == NAME
+    assert {key: effect[key] for key in KEYS} == KEYS
+    assert effect["cause"].startswith("A beam bends")
+    assert TITLE in discovered.report_html
+
+
+def test_its_keys_survive_the_model_file(installed, model):
+    (effect,) = model.result.model.catalogue_effects
+    assert dict(effect.keys) == KEYS
+    assert effect.title == TITLE
+
+
+def test_an_analysis_estimates_it_and_its_report_names_it(installed, run, model):
+    found = render_analysis(analyse(run, model=model))
+    (effect,) = found.result["effects"]
+    assert {key: effect[key] for key in KEYS} == KEYS
+    assert TITLE in found.report_html
+
+
+def test_a_plan_tells_it_apart_and_names_it(installed, run, model):
+    plan = make_plan(run.machine, PlanRequest(minutes=1.0, model=model))
+    document = plan_document(plan)
+    (effect,) = document["predicted"]["effects"]
+    assert {key: effect[key] for key in KEYS} == KEYS
+    assert TITLE in render_plan_report(document)
+
+
+def test_the_page_has_its_words(installed):
+    german = catalogue("de")
+    assert german[f"effect.{NAME}"] == "Biegung eines Balkens"
+    assert german[f"effect.{NAME}.cause"].startswith("Ein Balken")
