@@ -15,7 +15,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, Strict, model_validator
 
 from app.files.file_model import (
     FileModel,
@@ -69,9 +69,9 @@ class WorkspaceFile(FileModel):
     """A workspace file."""
 
     schema_: Literal["workspace/1"] = Field("workspace/1", alias="schema")
-    keep_out: tuple[BoxFile, ...] = ()
+    keep_out: Annotated[tuple[BoxFile, ...], Strict(False)] = ()
     tracker: TrackerPlaceFile | None = None
-    blocks_sight: tuple[BoxFile, ...] = ()
+    blocks_sight: Annotated[tuple[BoxFile, ...], Strict(False)] = ()
 
     @model_validator(mode="after")
     def _require_tracker_of_sight(self) -> WorkspaceFile:
