@@ -41,7 +41,7 @@ def build_baseline_models(
     if reference is None:
         model, _ = identifiable_model(machine, *offsets_mm)
         return model, build_coarse_model(machine, offsets_mm, (), slow)
-    beside = (*slow, *reference.catalogued)
+    beside = (*slow, *reference.catalogue_effects)
     return reference, build_coarse_model(reference.machine, offsets_mm, (), beside)
 
 
