@@ -22,7 +22,6 @@ from app.files.file_model import (
     Text,
     Vector,
     parse_json,
-    quote,
     refuse,
     validate,
 )
@@ -40,8 +39,11 @@ class BoxFile(FileModel):
     @model_validator(mode="after")
     def _require_order(self) -> BoxFile:
         if any(h <= low for h, low in zip(self.max_mm, self.min_mm, strict=True)):
-            remedy = f"each must exceed min_mm, {list(self.min_mm)}"
-            raise refuse(f"is {quote(self.max_mm)}", remedy, "max_mm")
+            low, high = (
+                "[" + ", ".join(f"{v:g}" for v in place) + "]"
+                for place in (self.min_mm, self.max_mm)
+            )
+            raise refuse(f"is {high}", f"each must exceed min_mm, {low}", "max_mm")
         return self
 
     def box(self) -> Box:
