@@ -78,7 +78,7 @@ class Fanuc(CompensationFormat):
         }
 
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the sums that the controller adds, straight between points."""
+        """Return the sums that the controller adds."""
         data = next(text for name, text in files.items() if "-pitch" in name)
         settings = next(text for name, text in files.items() if "-parameters" in name)
         return add_tables(

@@ -125,8 +125,8 @@ def _read_blocks(
 
     The second axis is empty for a block of one argument.
     """
-    plain = [line for line in text.splitlines() if not line.startswith("//")]
-    for block in "\n".join(plain).split("#"):
+    lines = [line for line in text.splitlines() if not line.startswith("//")]
+    for block in "\n".join(lines).split("#"):
         head, *rows = [line.split() for line in block.splitlines() if line.strip()]
         by = head.pop(0) if len(head) > 1 and head[1] in LINEAR else ""
         axis = head[0]

@@ -89,11 +89,11 @@ def _draw_runs(
     colour: str,
 ) -> Markup:
     """Return a cross at each position, with a bar over the spread of the runs."""
-    known = np.isfinite(value)
-    if not known.any():
+    measured = np.isfinite(value)
+    if not measured.any():
         return Markup()
-    at, middle = x.place(position_mm[known]), y.place(value[known])
-    low, high = (y.place(value[known] + k * spread[known]) for k in (-1.0, 1.0))
+    at, middle = x.place(position_mm[measured]), y.place(value[measured])
+    low, high = (y.place(value[measured] + k * spread[measured]) for k in (-1.0, 1.0))
     bars = draw_segments(
         np.column_stack([at, low]), np.column_stack([at, high]), colour, width=0.7
     )

@@ -42,26 +42,28 @@ class Covariate:
     values: Float64[np.ndarray, " n"]
 
 
-def covariates(seen: Observations) -> dict[str, Covariate]:
+def list_covariates(observations: Observations) -> dict[str, Covariate]:
     """Return what the disagreement is located by, under the names of its shares."""
-    at, around = seen.at, seen.at.recorded
+    at, around = observations.at, observations.at.recorded
     begin = float(at.time_s.min())
-    found = [
-        Covariate("line", "row of the path", seen.row.astype(np.float64)),
+    listed = [
+        Covariate("line", "row of the path", observations.row.astype(np.float64)),
         Covariate("time", "time, s", at.time_s - begin),
-        Covariate("beam", "length of the beam, mm", _measure_length(seen.tracker_mm)),
-        Covariate("feed", "feed, mm/min", 60.0 * _measure_length(at.velocity_mm_s)),
+        Covariate(
+            "beam", "length of the beam, mm", _measure_lengths(observations.tracker_mm)
+        ),
+        Covariate("feed", "feed, mm/min", 60.0 * _measure_lengths(at.velocity_mm_s)),
     ]
     for column, axis in enumerate(at.machine.axes):
         unit = f"{axis.name}, {position_unit(axis)}"
         position, approach = at.position_mm[:, column], at.approach[:, column]
-        found.append(Covariate(f"position of {axis.name}", unit, position))
+        listed.append(Covariate(f"position of {axis.name}", unit, position))
         name = f"direction of {axis.name}"
-        found.append(Covariate(name, f"direction of {axis.name}", approach))
+        listed.append(Covariate(name, f"direction of {axis.name}", approach))
     if around is not None and around.temperature_degc is not None:
         for name, column in zip(around.sensors, around.temperature_degc.T, strict=True):
-            found.append(Covariate(f"temperature of {name}", f"{name}, °C", column))
-    return {c.name: c for c in found}
+            listed.append(Covariate(f"temperature of {name}", f"{name}, °C", column))
+    return {c.name: c for c in listed}
 
 
 def draw_gap(gap: Gap) -> Markup:
@@ -97,14 +99,14 @@ def draw_gap(gap: Gap) -> Markup:
     return draw_image(76.0, "Gap on held-out lines, before and after", parts)
 
 
-def draw_along_run(shown: RunResidual) -> Markup:
-    """Draw what is left along the Run, before and after, on one scale."""
-    seen = shown.observations
-    time_s = seen.at.time_s - seen.at.time_s.min()
+def draw_along_run(residual: RunResidual) -> Markup:
+    """Draw the residual along the Run, before and after, on one scale."""
+    observations = residual.observations
+    time_s = observations.at.time_s - observations.at.time_s.min()
     edges = np.linspace(0.0, float(time_s.max()) + 1e-9, _POINTS + 1)
     drawn = [
-        _bin_means(time_s, 1e3 * left, seen.count, edges)
-        for left in (shown.before_mm, shown.after_mm)
+        _bin_means(time_s, 1e3 * residual_mm, observations.count, edges)
+        for residual_mm in (residual.before_mm, residual.after_mm)
     ]
     reach = 1.05 * max(float(np.abs(mean).max()) for _, mean in drawn)
     parts: list[Markup] = []
@@ -148,49 +150,53 @@ def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
     parts: list[Markup] = []
     for row, (name, share) in enumerate(before.items()):
         top = frame.top + _BARS * row
-        end, left = _place(x, share), after.get(name, 0.0)
+        end, rest = _place(x, share), after.get(name, 0.0)
         parts += [
             write_label(
                 frame.left - 6.0, top + 9.0, name, anchor="end", colour=Colour.INK
             ),
             fill_box(frame.left, top, end - frame.left, 6.0, Colour.MUTED),
             fill_box(
-                frame.left, top + 6.0, _place(x, left) - frame.left, 5.0, Colour.ACCENT
+                frame.left, top + 6.0, _place(x, rest) - frame.left, 5.0, Colour.ACCENT
             ),
             write_label(
-                max(end, _place(x, left)) + 5.0,
+                max(end, _place(x, rest)) + 5.0,
                 top + 9.0,
-                f"{100 * share:.0f} %, after {100 * left:.0f} %",
+                f"{100 * share:.0f} %, after {100 * rest:.0f} %",
                 size=NUMBER,
             ),
         ]
     return draw_image(frame.bottom + 4.0, "Share explained by each grouping", parts)
 
 
-def draw_profiles(shown: RunResidual) -> Markup:
+def draw_profiles(residual: RunResidual) -> Markup:
     """Draw the mean disagreement against what explains most of it, before."""
-    known = covariates(shown.observations)
-    chosen = [known[name] for name in shown.before.shares if name in known][:_PROFILES]
+    by_name = list_covariates(residual.observations)
+    chosen = [by_name[name] for name in residual.before.shares if name in by_name][
+        :_PROFILES
+    ]
     parts: list[Markup] = []
     for number, covariate in enumerate(chosen):
         row, column = divmod(number, 3)
         width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
         left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW
         frame = Frame(left, top, left + width, top + _HEIGHT)
-        parts.append(_draw_profile(frame, shown, covariate))
+        parts.append(_draw_profile(frame, residual, covariate))
     rows = -(-len(chosen) // 3)
     return draw_image(_TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
 
 
-def _draw_profile(frame: Frame, shown: RunResidual, covariate: Covariate) -> Markup:
-    seen = shown.observations
+def _draw_profile(frame: Frame, residual: RunResidual, covariate: Covariate) -> Markup:
+    observations = residual.observations
     edges = np.unique(np.quantile(covariate.values, np.linspace(0.0, 1.0, _BINS + 1)))
     if len(edges) <= _BINS // 2:  # few values: a bin for each
         own = np.unique(covariate.values)
         middle = 0.5 * (own[1:] + own[:-1])
         edges = np.concatenate([[own[0] - 1.0], middle, [own[-1] + 1.0]])
     edges[-1] += 1e-9 * max(abs(float(edges[-1])), 1.0)
-    at, mean = _bin_means(covariate.values, 1e3 * shown.before_mm, seen.count, edges)
+    at, mean = _bin_means(
+        covariate.values, 1e3 * residual.before_mm, observations.count, edges
+    )
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())
     x = frame.make_x(low, high, margin=0.03)
@@ -238,13 +244,13 @@ def _bin_means(
     """Return weighted means of place and values of the bins that hold anything."""
     index = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(edges) - 2)
     total = np.bincount(index, weight, len(edges) - 1)
-    told = total > 0.0
+    filled = total > 0.0
     sums = [np.bincount(index, weight * v, len(total)) for v in (at, *values.T)]
-    place, *means = (s[told] / total[told] for s in sums)
+    place, *means = (s[filled] / total[filled] for s in sums)
     return place, np.stack(means, axis=1)
 
 
-def _measure_length(vector: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def _measure_lengths(vector: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     return np.linalg.norm(vector, axis=1)
 
 

@@ -29,40 +29,40 @@ from app.results.model_difference import in_words
 from app.results.model_file import NextModel
 from app.results.number_format import format_number
 
-CLOSED = 1.05  # gap over noise up to which nothing is left to explain
+CLOSED = 1.05  # gap over noise up to which the model explains the Run
 _WORST = 8
 
 
 def render_discovery_report(
-    found: Discovery,
+    discovery: Discovery,
     model: NextModel,
-    asked: DiscriminationDesign | None,
+    design: DiscriminationDesign | None,
     ask_file: str,
 ) -> str:
     """Return the report.
 
-    asked : lines to drive next, None where nothing is asked; in `ask_file` beside it
+    design : lines to drive next, in `ask_file` beside it; None if no question is open
     """
-    named = [f for f in found.findings if f.structure is None]
+    named = [f for f in discovery.findings if f.structure is None]
     provenance, parent = model.content["provenance"], model.content["parent"]
     created = datetime.fromisoformat(provenance["created"])
     return render_page(
         "discovery.html",
         {
-            "machine": found.baseline.model.machine.name,
-            "names": found.run_names,
+            "machine": discovery.baseline.model.machine.name,
+            "names": discovery.run_names,
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
             "titles": [title(f.candidate) for f in named],
-            "findings": [_describe_finding(f, found, model) for f in named],
-            "unnamed": _describe_unnamed(found.findings),
-            "compared": found.compared,
-            "ask": None if asked is None else describe_ask(asked, ask_file),
-            "gap": _describe_gap(found),
+            "findings": [_describe_finding(f, discovery, model) for f in named],
+            "unnamed": _describe_unnamed(discovery.findings),
+            "compared": discovery.compared,
+            "ask": None if design is None else describe_ask(design, ask_file),
+            "gap": _describe_gap(discovery),
             "runs": [
                 {"name": aligned.run.name, **_describe_run(residual)}
                 for aligned, residual in zip(
-                    found.aligned, found.residuals, strict=True
+                    discovery.aligned, discovery.residuals, strict=True
                 )
             ],
             "version": model.content["version"],
@@ -72,32 +72,32 @@ def render_discovery_report(
             ],
             "software": provenance["software_version"],
             "digest": provenance["input_sha256"],
-            "cells": sum(len(one.observations) for one in found.aligned),
-            "samples": sum(one.observations.used for one in found.aligned),
+            "cells": sum(len(one.observations) for one in discovery.aligned),
+            "samples": sum(one.observations.used for one in discovery.aligned),
         },
     )
 
 
-def describe_ask(asked: DiscriminationDesign, file: str) -> View:
+def describe_ask(design: DiscriminationDesign, file: str) -> View:
     """Return the open questions, and the lines that decide them.
 
     file : the path of the lines, beside the report
     """
-    questions = zip(asked.questions, asked.expected, strict=True)
+    questions = zip(design.questions, design.expected, strict=True)
     return {
-        "reason": reason(asked),
-        "decides": asked.decides,
+        "reason": reason(design),
+        "decides": design.decides,
         "questions": [
             (_word_question(q), format_number(factor)) for q, factor in questions
         ],
         "decided": f"{DECIDED:.0f}",
-        "axes": [f"{n}, {'mm' if n in 'XYZ' else '°'}" for n in asked.path.axes],
-        "rows": _list_waypoints(asked),
+        "axes": [f"{n}, {'mm' if n in 'XYZ' else '°'}" for n in design.path.axes],
+        "rows": _list_waypoints(design),
         "file": file,
     }
 
 
-def _describe_finding(finding: Finding, found: Discovery, model: NextModel) -> View:
+def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) -> View:
     evidence = finding.evidence
     return {
         "title": title(finding.candidate),
@@ -127,8 +127,8 @@ def _describe_unnamed(findings: Sequence[Finding]) -> list[View]:
     ]
 
 
-def _describe_gap(found: Discovery) -> View:
-    gap = found.gap
+def _describe_gap(discovery: Discovery) -> View:
+    gap = discovery.gap
     return {
         "before_um": format_number(gap.before_um, 2),
         "after_um": format_number(gap.after_um, 2),
@@ -140,14 +140,14 @@ def _describe_gap(found: Discovery) -> View:
     }
 
 
-def _describe_run(shown: RunResidual) -> View:
+def _describe_run(residual: RunResidual) -> View:
     """Return where a Run and its simulation disagree."""
-    before, after = shown.before, shown.after
+    before, after = residual.before, residual.after
     return {
-        "along": draw_along_run(shown),
+        "along": draw_along_run(residual),
         "shares": draw_shares(before.shares, after.shares),
         "by_line": draw_by_line(before.segments, after.segments),
-        "profiles": draw_profiles(shown),
+        "profiles": draw_profiles(residual),
         "worst": [_state_segment(s) for s in before.segments[:_WORST]],
     }
 
@@ -169,9 +169,9 @@ def _word_question(question: Question) -> str:
     return f"{question.left}, or {question.right}?"
 
 
-def _list_waypoints(asked: DiscriminationDesign) -> list[tuple[str, ...]]:
+def _list_waypoints(design: DiscriminationDesign) -> list[tuple[str, ...]]:
     """Return the waypoints; the lines begin at the first."""
-    path = asked.path
+    path = design.path
     return [
         (
             str(number),

@@ -28,11 +28,11 @@ _DRAWN = 121  # positions of a curve
 _BINS = 41
 
 
-def draw_error_motions(found: Findings, axis: Axis) -> Markup:
+def draw_error_motions(findings: Findings, axis: Axis) -> Markup:
     """Draw the six error motions of an axis, each with its band of ±2u."""
 
     def draw(frame: Frame, symbol: str, name: str) -> Markup:
-        table = _make_fine_table(found, symbol)
+        table = _make_fine_table(findings, symbol)
         if table is None:
             return frame.draw_empty("not observable\nwith the measured target")
         return _draw_motion(frame, table, name)
@@ -41,7 +41,7 @@ def draw_error_motions(found: Findings, axis: Axis) -> Markup:
 
 
 def draw_residuals(run: RunFindings) -> Markup:
-    """Draw what is left on each line against the noise, and its distribution."""
+    """Draw the residual of each line against the noise, and its distribution."""
     left = Frame(LEFT, TOP, 436.0, 152.0)
     right = Frame(486.0, TOP, WIDTH - EDGE, 152.0)
     return draw_image(
@@ -54,7 +54,7 @@ def draw_residuals(run: RunFindings) -> Markup:
 def draw_legend(
     frame: Frame, entries: tuple[tuple[str, str], ...], *, from_right: float = 0.0
 ) -> Markup:
-    """Name curves by their colours, in the upper left or so far from the right."""
+    """Draw the names of curves, at the upper left or at a distance from the right."""
     x = frame.right - from_right if from_right else frame.left + 6.0
     rows = [(frame.top + 7.0 + 11.0 * i, *entry) for i, entry in enumerate(entries)]
     return join_shapes(
@@ -64,9 +64,9 @@ def draw_legend(
     )
 
 
-def _make_fine_table(found: Findings, symbol: str) -> ErrorTable | None:
+def _make_fine_table(findings: Findings, symbol: str) -> ErrorTable | None:
     """Return an error motion as densely as it is drawn."""
-    estimate = found.estimate
+    estimate = findings.estimate
     part = estimate.model.slices.get(symbol)
     motions = {m.symbol: m for m in estimate.model.error_motions}
     motion = motions.get(symbol)

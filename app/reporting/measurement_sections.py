@@ -48,7 +48,7 @@ def describe_machine(findings: Findings) -> View:
 
 
 def describe_residuals(findings: Findings) -> View:
-    """Return what the model leaves, and the noise found in each Run."""
+    """Return the residual of the model, and the noise of each Run."""
     return {
         "rms_um": UM_PER_MM * findings.estimate.rms_mm,
         "floor_um": UM_PER_MM * findings.estimate.floor_mm,

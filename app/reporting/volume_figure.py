@@ -47,24 +47,24 @@ _BAR = Frame(70.0, 230.0, 270.0, 236.0)
 _CHART = Frame(396.0, 16.0, WIDTH - 7.0, 236.0)
 
 
-def draw_volume(found: Findings) -> Markup:
+def draw_volume(findings: Findings) -> Markup:
     """Draw the deformed volume, and how the error is spread before and after."""
     return draw_image(
         _HEIGHT,
         "Left: the working volume with its errors exaggerated. Right: share of the "
         "volume within a given error, before and after compensation",
-        [_draw_volume(found), _draw_distribution(_CHART, found)],
+        [_draw_volume(findings), _draw_distribution(_CHART, findings)],
     )
 
 
-def _draw_volume(found: Findings) -> Markup:
-    model = found.estimate.model
+def _draw_volume(findings: Findings) -> Markup:
+    model = findings.estimate.model
     axes = model.machine.linear_axes
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
     error = UM_PER_MM * build_volumetric_map(model).error_mm(
         standstill(model.machine, add_rotary_axes(model.machine, flat)),
-        found.estimate.theta,
+        findings.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)
     largest = max(float(size.max()), 1e-6)
@@ -176,9 +176,9 @@ def _draw_colour_bar(largest_um: float) -> Iterator[Markup]:
     yield write_label(middle, _BAR.bottom + 21.0, label, anchor="middle")
 
 
-def _draw_distribution(frame: Frame, found: Findings) -> Markup:
-    before = np.sort(np.linalg.norm(found.volumetric.error_um, axis=1))
-    after = found.volumetric.after_lengths_um
+def _draw_distribution(frame: Frame, findings: Findings) -> Markup:
+    before = np.sort(np.linalg.norm(findings.volumetric.error_um, axis=1))
+    after = findings.volumetric.after_lengths_um
     lowest = round_down(max(float(np.quantile(after, 0.02)), 1e-3))
     highest = max(1.25 * float(max(before[-1], after[-1])), 10.0 * lowest)
     x = frame.make_x(lowest, highest, logarithmic=True)

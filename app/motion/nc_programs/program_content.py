@@ -44,7 +44,7 @@ class ProgramRow:
 
 @dataclass(frozen=True, slots=True)
 class ProgramContent:
-    """A whole program: its name, its header in plain capitals, its rows."""
+    """A whole program: its name, its header in ASCII capitals, its rows."""
 
     name: str
     axes: tuple[str, ...]
