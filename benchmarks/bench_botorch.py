@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from app.numerics.design_criteria import Belief, best_place
+from app.numerics.design_criteria import IntegratedVariance, find_best_place
 from app.numerics.splines import CubicSpline, natural_spline
 
 KNOTS = np.linspace(0.0, 6.0, 7)
@@ -47,17 +47,17 @@ def case(spline: CubicSpline, seed: int, theirs) -> tuple[float, float, float, f
     rng = np.random.default_rng(seed)
     prior = np.diag(rng.uniform(0.5, 2.0, spline.size))
     measured = rng.uniform(KNOTS[0], KNOTS[-1], 1 + seed % 6)
-    known = Belief(prior, spline.gram())
+    known = IntegratedVariance(prior, spline.gram())
     for row in spline.basis(measured):
-        known = known.after(row, VARIANCE)
+        known = known.update(row, VARIANCE)
     begin = time.perf_counter()
-    best = best_place(known, spline.basis, KNOTS, VARIANCE)
+    best = find_best_place(known, spline.basis, KNOTS, VARIANCE)
     ours_s = time.perf_counter() - begin
     places = np.linspace(KNOTS[0], KNOTS[-1], PLACES)
     begin = time.perf_counter()
     at = theirs(spline, prior, measured, places, VARIANCE, seed)
     theirs_s = time.perf_counter() - begin
-    drop = known.drops(spline.basis(np.array([at])), VARIANCE)[0]
+    drop = known.compute_drops(spline.basis(np.array([at])), VARIANCE)[0]
     return ours_s, theirs_s, best.drop, float(drop)
 
 

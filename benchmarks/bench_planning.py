@@ -24,8 +24,8 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
+from app.estimation.poorly_observable import usual_precision_matrix
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.estimation.weak_shapes import usual_precision_matrix
 from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import identifiable_model
@@ -35,7 +35,7 @@ from app.motion.corner_path import corner_path
 from app.motion.motion_times import Drive, drive_of
 from app.motion.paths import line_times_s
 from app.motion.workspace import Workspace
-from app.numerics.design_criteria import Belief, best_place
+from app.numerics.design_criteria import IntegratedVariance, find_best_place
 from app.numerics.splines import natural_spline
 from app.planning.design_state import DesignState, inverse
 from app.planning.initial_design import choose_station, start_point_design
@@ -153,10 +153,12 @@ def one_axis(seed: int) -> tuple[float, float, float]:
     rng = np.random.default_rng(seed)
     knots = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, 6))])
     spline = natural_spline(knots)
-    known = Belief(np.diag(rng.uniform(0.5, 2.0, spline.size)), spline.gram())
+    known = IntegratedVariance(
+        np.diag(rng.uniform(0.5, 2.0, spline.size)), spline.gram()
+    )
     for row in spline.basis(rng.uniform(0.0, knots[-1], int(rng.integers(0, 8)))):
-        known = known.after(row, 1e-2)
-    exact_s, best = timed(lambda: best_place(known, spline.basis, knots, 1e-2), 5)
+        known = known.update(row, 1e-2)
+    exact_s, best = timed(lambda: find_best_place(known, spline.basis, knots, 1e-2), 5)
     at = np.linspace(0.0, knots[-1], DENSE)
 
     def searched() -> float:
@@ -173,12 +175,12 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
     """
     offsets = np.array([target.offset_mm for target in machine.targets])
     model, _ = identifiable_model(machine, offsets, intervals=intervals)
-    known = Belief(
+    known = IntegratedVariance(
         inverse(usual_precision_matrix(model)), compute_volumetric_gram(model)
     )
     axes, rows = search_space(model), point_rows(model)
     for row in rows(axes.draws(10, seed=1)):
-        known = known.after(row, VARIANCE)
+        known = known.update(row, VARIANCE)
     ours_s, best = timed(lambda: next_configuration(known, rows, axes, VARIANCE), 3)
     ticks = [np.linspace(axis.low, axis.high, grid) for axis in machine.axes]
     places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)

@@ -14,7 +14,7 @@ from document import table, write_section
 from figures import plt
 from stochastic_splines import bending, drawn, independent, learnt, sigma
 
-from app.numerics.design_criteria import Belief, best_place
+from app.numerics.design_criteria import IntegratedVariance, find_best_place
 from app.numerics.splines import natural_spline
 
 KNOTS = np.linspace(0.0, 6.0, 7)
@@ -32,7 +32,7 @@ class Course:
     shortfall : largest share by which the exact optimum lies below a dense search
     """
 
-    beliefs: list[Belief]
+    beliefs: list[IntegratedVariance]
     places: list[float]
     truth: np.ndarray
     measured: list[np.ndarray]
@@ -57,13 +57,13 @@ def procedure(prior) -> Course:
     truth = drawn(belief, rng, DRAWS)
     course = Course([belief], [], truth, [], [np.zeros_like(truth)], 0.0)
     for _ in range(MEASUREMENTS):
-        best = best_place(belief, spline.basis, KNOTS, VARIANCE)
-        dense = float(belief.drops(spline.basis(DENSE), VARIANCE).max())
+        best = find_best_place(belief, spline.basis, KNOTS, VARIANCE)
+        dense = float(belief.compute_drops(spline.basis(DENSE), VARIANCE).max())
         row = spline.basis(np.array([best.at]))[0]
         noise = np.sqrt(VARIANCE) * rng.standard_normal(DRAWS)
         measured = truth @ row + noise
         estimate = learnt(belief, course.estimates[-1], row, VARIANCE, measured)
-        belief = belief.after(row, VARIANCE)
+        belief = belief.update(row, VARIANCE)
         course.beliefs.append(belief)
         course.places.append(best.at)
         course.measured.append(measured)
@@ -87,7 +87,7 @@ def straightness_of_fall(variance: np.ndarray) -> float:
     return float(np.corrcoef(count, variance[:8])[0, 1] ** 2)
 
 
-def ripple(belief: Belief) -> float:
+def ripple(belief: IntegratedVariance) -> float:
     """Return the lowest variance between control points over that at their sides."""
     spline = natural_spline(KNOTS)
     at_knots = sigma(belief, spline.basis(KNOTS)) ** 2

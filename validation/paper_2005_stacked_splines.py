@@ -14,7 +14,7 @@ from document import table, write_section
 from figures import plt
 from stochastic_splines import bending, drawn, independent, learnt, sigma, stacked
 
-from app.numerics.design_criteria import Belief
+from app.numerics.design_criteria import IntegratedVariance
 from app.numerics.splines import natural_spline
 from app.planning.next_configuration import SearchSpace, next_configuration
 
@@ -33,7 +33,7 @@ TICKS = 41
 class Course:
     """A measurement procedure on many drawn machines; one entry a measurement."""
 
-    beliefs: list[Belief]
+    beliefs: list[IntegratedVariance]
     positions: list[np.ndarray]
     truth: np.ndarray
     estimates: list[np.ndarray]
@@ -65,11 +65,11 @@ def procedure(prior) -> Course:
         best = next_configuration(
             belief, height, axes, VARIANCE, starts=STARTS, seed=number
         )
-        dense = float(belief.drops(_dense_rows(), VARIANCE).max())
+        dense = float(belief.compute_drops(_dense_rows(), VARIANCE).max())
         row = height(best.position[None])[0]
         measured = truth @ row + np.sqrt(VARIANCE) * rng.standard_normal(DRAWS)
         estimate = learnt(belief, course.estimates[-1], row, VARIANCE, measured)
-        belief = belief.after(row, VARIANCE)
+        belief = belief.update(row, VARIANCE)
         course.beliefs.append(belief)
         course.positions.append(best.position)
         course.estimates.append(estimate)
@@ -77,7 +77,7 @@ def procedure(prior) -> Course:
     return course
 
 
-def unseen_variance(belief: Belief) -> float:
+def unseen_variance(belief: IntegratedVariance) -> float:
     """Return the J that no height ever tells: constants that the axes trade."""
     sums = np.kron(np.eye(AXES), np.ones((POINTS, 1)))
     difference = sums @ np.linalg.svd(np.ones((1, AXES)))[2][1:].T
@@ -144,7 +144,7 @@ def _figure_7(name: str, course: Course) -> None:
             part = slice(axis * POINTS, (axis + 1) * POINTS)
             belief = course.beliefs[count]
             spread = 2.0 * sigma(
-                Belief(belief.covariance[part, part], SPLINE.gram()), rows
+                IntegratedVariance(belief.covariance[part, part], SPLINE.gram()), rows
             )
             estimate = course.estimates[count][SHOWN, part]
             middle = rows @ estimate

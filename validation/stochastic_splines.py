@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.numerics.design_criteria import Belief
+from app.numerics.design_criteria import IntegratedVariance
 from app.numerics.splines import CubicSpline
 
 
-def independent(spline: CubicSpline) -> Belief:
+def independent(spline: CubicSpline) -> IntegratedVariance:
     """Return independent control points of variance 1."""
-    return Belief(np.eye(spline.size), spline.gram())
+    return IntegratedVariance(np.eye(spline.size), spline.gram())
 
 
-def bending(spline: CubicSpline) -> Belief:
+def bending(spline: CubicSpline) -> IntegratedVariance:
     """Return a beam whose bending energy is charged for, ends of variance 1."""
     ends = np.column_stack(
         [np.linspace(1.0, 0.0, spline.size), np.linspace(0.0, 1.0, spline.size)]
@@ -27,10 +27,12 @@ def bending(spline: CubicSpline) -> Belief:
     beam[1:-1, 1:-1] = np.linalg.inv(spline.bending()[1:-1, 1:-1])
     gram = spline.gram()
     wanted = np.trace(gram) - np.trace(gram @ ends @ ends.T)
-    return Belief(ends @ ends.T + wanted / np.trace(gram @ beam) * beam, gram)
+    return IntegratedVariance(
+        ends @ ends.T + wanted / np.trace(gram @ beam) * beam, gram
+    )
 
 
-def stacked(beliefs: list[Belief]) -> Belief:
+def stacked(beliefs: list[IntegratedVariance]) -> IntegratedVariance:
     """Return what is believed of several splines together."""
     size = sum(len(b.gram) for b in beliefs)
     covariance, gram = np.zeros((size, size)), np.zeros((size, size))
@@ -39,24 +41,26 @@ def stacked(beliefs: list[Belief]) -> Belief:
         part = slice(begin, begin + len(belief.gram))
         covariance[part, part], gram[part, part] = belief.covariance, belief.gram
         begin = part.stop
-    return Belief(covariance, gram)
+    return IntegratedVariance(covariance, gram)
 
 
-def drawn(belief: Belief, rng: np.random.Generator, count: int) -> np.ndarray:
+def drawn(
+    belief: IntegratedVariance, rng: np.random.Generator, count: int
+) -> np.ndarray:
     """Draw control values, (count, p)."""
     value, vector = np.linalg.eigh(belief.covariance)
     root = vector * np.sqrt(np.maximum(value, 0.0))
     return rng.standard_normal((count, len(value))) @ root.T
 
 
-def sigma(belief: Belief, rows: np.ndarray) -> np.ndarray:
+def sigma(belief: IntegratedVariance, rows: np.ndarray) -> np.ndarray:
     """Return the standard deviation of each row's value."""
     variance = np.einsum("np,pq,nq->n", rows, belief.covariance, rows)
     return np.sqrt(np.maximum(variance, 0.0))
 
 
 def learnt(
-    before: Belief,
+    before: IntegratedVariance,
     estimate: np.ndarray,
     row: np.ndarray,
     noise_variance: float,

@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.alignment.cleaning import valid_samples
-from app.alignment.course import Course, course_of
+from app.alignment.cell_blocks import (
+    CellBlock,
+    join_blocks,
+    reduce_pass,
+    reduce_standstills,
+    uses_standstills,
+)
+from app.alignment.cleaning import find_valid_samples
+from app.alignment.nominal_path import NominalPath, compute_nominal_path
 from app.alignment.observations import Observations
 from app.alignment.plausibility import require_units
 from app.alignment.reduction import CELL_MM
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
 from app.alignment.stops import find_stops
-from app.alignment.stretches import (
-    Stretch,
-    joined,
-    looks_at_standstills,
-    moving_stretch,
-    standing_stretches,
-)
 from app.errors import AlignmentError
 from app.files.run import Run
 
@@ -33,33 +33,33 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     cell_mm : longest cell on a line; shorter ones show shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
-    valid = np.flatnonzero(valid_samples(run.tracker))
+    valid = np.flatnonzero(find_valid_samples(run.tracker))
     if len(valid) < _FEWEST_SAMPLES:
         raise AlignmentError(
             f"the stream holds {len(valid)} valid samples; check beam and status"
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    course = course_of(run.machine, run.commanded)
+    nominal = compute_nominal_path(run.machine, run.commanded)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
-    _require_motion(course, commanded)
-    require_units(time_s, tracker_mm, course.place_mm, run.machine.tracker.rate_hz)
-    stops = find_stops(time_s, tracker_mm, course.slowest_mm_s)
-    matching = match_stops(stops, course.place_mm, ordered_by=commanded)
+    _require_motion(nominal, commanded)
+    require_units(time_s, tracker_mm, nominal.place_mm, run.machine.tracker.rate_hz)
+    stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
+    matching = match_stops(stops, nominal.place_mm, ordered_by=commanded)
     stream = Stream(time_s, tracker_mm, matching.pose)
-    parts: list[Stretch] = []
-    if looks_at_standstills(run):
-        parts = standing_stretches(run, stops, matching, stream, course)
+    parts: list[CellBlock] = []
+    if uses_standstills(run):
+        parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
-        return joined(run, _some_standing(parts), matching.pose, ())
-    passes = cut_into_passes(stream, stops, matching, course)
+        return join_blocks(run, _some_standing(parts), matching.pose, ())
+    passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
         raise AlignmentError(
             "no stretch at constant feed was found between the standstills; use longer "
             "lines or a lower feed"
         )
     parts += [
-        moving_stretch(run, line, each, stream, course.curve(each.row), cell_mm)
+        reduce_pass(run, line, each, stream, nominal.curve(each.row), cell_mm)
         for line, each in enumerate(passes)
     ]
     parts.sort(key=lambda part: float(part.cells.time_s[0]))
@@ -67,10 +67,10 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         replace(p, first=int(valid[p.first]), last=int(valid[p.last - 1]) + 1)
         for p in passes
     )
-    return joined(run, parts, matching.pose, in_run)
+    return join_blocks(run, parts, matching.pose, in_run)
 
 
-def _some_standing(parts: list[Stretch]) -> list[Stretch]:
+def _some_standing(parts: list[CellBlock]) -> list[CellBlock]:
     if not parts:
         raise AlignmentError(
             "the machine never stood still long enough; dwell at least 0.2 s at a point"
@@ -78,9 +78,9 @@ def _some_standing(parts: list[Stretch]) -> list[Stretch]:
     return parts
 
 
-def _require_motion(course: Course, commanded: str) -> None:
+def _require_motion(nominal: NominalPath, commanded: str) -> None:
     """Refuse what moves no target: the rotary axes turn about it, or on other sides."""
-    if len(course.first) < 3:
+    if len(nominal.first) < 3:
         raise AlignmentError(
             f"{commanded} hardly moves the target where the tracker stands: it is on "
             "the axis that turns, or not carried by the axes that move; measure a "

@@ -11,7 +11,7 @@ _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 
 
-def valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
+def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
     """Tell which samples are measurements: status 0, finite, not a lone spike."""
     valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
     for _ in range(_ROUNDS):

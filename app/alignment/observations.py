@@ -57,7 +57,7 @@ class Observations:
     def __len__(self) -> int:
         return len(self.tracker_mm)
 
-    def taken(self, cells: Int64[np.ndarray, " m"]) -> Observations:
+    def select(self, cells: Int64[np.ndarray, " m"]) -> Observations:
         """Return some of the cells."""
         return replace(
             self,
@@ -67,3 +67,12 @@ class Observations:
             direction=self.direction[cells],
             row=self.row[cells],
         )
+
+
+def find_lines(observations: Observations) -> list[tuple[int, int]]:
+    """Return first cell and one past the last of each line or standstill."""
+    line, row = observations.at.line, observations.row
+    new = (np.diff(line) != 0) | (np.diff(row) != 0)
+    begin = np.flatnonzero(np.concatenate([[True], new]))
+    end = np.append(begin[1:], len(observations))
+    return list(zip(begin.tolist(), end.tolist(), strict=True))

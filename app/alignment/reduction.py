@@ -43,7 +43,7 @@ class Cells:
     freedom: Float64[np.ndarray, "2"]
 
 
-def cell_count(
+def count_cells(
     span_s: float,
     speed_mm_s: float = 0.0,
     turn_deg_s: float = 0.0,
@@ -70,14 +70,14 @@ def reduce_to_cells(
     cell = ((time_s - time_s[0]) / span * cells).astype(np.int64)
     rest_mm = tracker_mm - way(time_s)
     good = np.ones(len(time_s), bool)
-    means, scatter = _reduced(time_s, rest_mm, cell, good, way, noise)
+    means, scatter = _reduce(time_s, rest_mm, cell, good, way, noise)
     for _ in range(_ROUNDS):
         limit = _OUTLIER * np.maximum(1.0, 1.4826 * np.median(np.abs(scatter), axis=0))
         inside = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
         if (inside == good).all():
             break
         good = inside
-        means, scatter = _reduced(time_s, rest_mm, cell, good, way, noise)
+        means, scatter = _reduce(time_s, rest_mm, cell, good, way, noise)
     scatter = scatter[good]
     filled = means.count > 0
     free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
@@ -101,7 +101,7 @@ class _Means:
     count: Float64[np.ndarray, " c"]
 
 
-def _reduced(
+def _reduce(
     time_s: Float64[np.ndarray, " n"],
     rest_mm: Float64[np.ndarray, "n 3"],
     cell: Int64[np.ndarray, " n"],

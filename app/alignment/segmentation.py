@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.course import HARDLY_MM, Course, Curve
+from app.alignment.nominal_path import HARDLY_MM, Curve, NominalPath
 from app.alignment.observations import Pass
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence, speed_mm_s
@@ -59,16 +59,16 @@ class _Part:
 
 
 def cut_into_passes(
-    stream: Stream, stops: StopSequence, matching: Matching, course: Course
+    stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> tuple[Pass, ...]:
     """Return the passes in the order of time; `first` and `last` index `stream`."""
-    parts = _parts(stream, stops, matching, course)
-    passes = (_steady_part(stream, part, course.curve(part.row)) for part in parts)
+    parts = _parts(stream, stops, matching, nominal)
+    passes = (_steady_part(stream, part, nominal.curve(part.row)) for part in parts)
     return tuple(p for p in passes if p is not None)
 
 
 def _parts(
-    stream: Stream, stops: StopSequence, matching: Matching, course: Course
+    stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> Iterator[_Part]:
     """Yield what was driven between neighbouring standstills."""
     matched = dict(zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True))
@@ -81,19 +81,19 @@ def _parts(
             if last - first < 3:
                 continue
             if b == a + 1:
-                row = int(course.first[b])
+                row = int(nominal.first[b])
                 yield _Part(row, first, last, int(stops.last[here]))
             else:
-                rows = range(int(course.last[a]) + 1, int(course.first[b]) + 1)
-                yield from _told_by_place(stream, first, last, course, rows)
+                rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
+                yield from _split_by_place(stream, first, last, nominal, rows)
 
 
-def _told_by_place(
-    stream: Stream, first: int, last: int, course: Course, rows: range
+def _split_by_place(
+    stream: Stream, first: int, last: int, nominal: NominalPath, rows: range
 ) -> Iterator[_Part]:
     """Yield the stretches of lines whose corners are lost."""
     points = stream.points_mm(first, last)
-    away = np.stack([course.curve(row).nearest(points)[1] for row in rows])
+    away = np.stack([nominal.curve(row).nearest(points)[1] for row in rows])
     nearest = np.argmin(away, axis=0)
     nearest[away.min(axis=0) > _ON_LINE_MM] = -1
     for k, row in enumerate(rows):
@@ -108,15 +108,15 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
         return None  # the target changed, or hardly moves
     first, last = part.first, part.last
     time, points = stream.time_s[first:last], stream.points_mm(first, last)
-    share, away = curve.nearest(points, _travelled_mm(stream, part, curve))
+    share, away = curve.nearest(points, _path_length_mm(stream, part, curve))
     on = away < _ON_LINE_MM
     if on.sum() < _FEWEST_SAMPLES or time[-1] - time[0] < _SHORTEST_S:
         return None
     speed, pace = speed_mm_s(time, points), curve.pace(share)
-    told = on & (pace > _SLOW_PACE)
-    middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & told
+    counted = on & (pace > _SLOW_PACE)
+    middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted
     if middle.sum() < 10:
-        middle = told
+        middle = counted
     if not middle.any():
         return None
     plateau = float(np.median(speed[middle] / pace[middle]))
@@ -138,7 +138,7 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     return Pass(part.row, a, b, mean_speed, middle_share)
 
 
-def _travelled_mm(
+def _path_length_mm(
     stream: Stream, part: _Part, curve: Curve
 ) -> Float64[np.ndarray, " n"] | None:
     """Return how far the target has gone since its line began, if that is asked."""

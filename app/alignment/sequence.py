@@ -79,7 +79,7 @@ def _longest_chain(
                 take = fits & (better > score[i, a])
                 score[i, a[take]] = better[take]
                 back[i, a[take]] = np.column_stack([np.full(take.sum(), j), b[take]])
-    return _traced(score, back)
+    return _trace_back(score, back)
 
 
 def _fits_two_back(
@@ -96,7 +96,7 @@ def _fits_two_back(
     return (earlier < 0) | (np.abs(nominal[a, waypoint] - distance) < TOLERANCE_MM)
 
 
-def _traced(
+def _trace_back(
     score: Float64[np.ndarray, "m w"], back: Int64[np.ndarray, "m w 2"]
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
     if score.size == 0:

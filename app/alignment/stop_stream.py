@@ -12,7 +12,7 @@ from app.alignment.stops import (
     SAME_PLACE_MM,
     SPEED_BLOCK,
     StopSequence,
-    left_in_between,
+    leaves_between,
     rest_position_mm,
     speed_mm_s,
     standstill_speed_mm_s,
@@ -142,7 +142,7 @@ class StopStream:
         if float(np.linalg.norm(stop.position_mm - before.position_mm)) > SAME_PLACE_MM:
             return True
         between = self.part(max(before.last, self._dropped), stop.first)[1]
-        return left_in_between(between, before.position_mm)
+        return leaves_between(between, before.position_mm)
 
 
 def as_stops(stops: list[Stop], origin: int) -> StopSequence:

@@ -62,7 +62,7 @@ def find_stops(
     where = np.array(
         [rest_position_mm(position_mm[a:b]) for a, b in zip(first, last, strict=True)]
     )
-    return _merged(first, last, where, position_mm)
+    return _merge(first, last, where, position_mm)
 
 
 def standstill_speed_mm_s(slowest_mm_s: float) -> float:
@@ -79,7 +79,7 @@ def rest_position_mm(
     return np.median(middle, axis=0)
 
 
-def left_in_between(
+def leaves_between(
     between_mm: Float64[np.ndarray, "n 3"], place_mm: Float64[np.ndarray, "3"]
 ) -> bool:
     """Tell whether the target was away between two standstills at one place.
@@ -92,7 +92,7 @@ def left_in_between(
     return bool(np.median(away) > SAME_PLACE_MM)
 
 
-def _merged(
+def _merge(
     first: Int64[np.ndarray, " m"],
     last: Int64[np.ndarray, " m"],
     where: Float64[np.ndarray, "m 3"],
@@ -101,7 +101,7 @@ def _merged(
     """Join neighbours at one place: a lost frame does not make two standstills."""
     moved = np.linalg.norm(np.diff(where, axis=0), axis=1) > SAME_PLACE_MM
     for k in np.flatnonzero(~moved):
-        moved[k] = left_in_between(position_mm[last[k] : first[k + 1]], where[k])
+        moved[k] = leaves_between(position_mm[last[k] : first[k + 1]], where[k])
     begins = np.flatnonzero(np.concatenate([[True], moved]))
     ends = np.append(begins[1:], len(first)) - 1
     longest = [

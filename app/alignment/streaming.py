@@ -12,19 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.alignment.cleaning import valid_samples
-from app.alignment.course import course_of
+from app.alignment.cell_blocks import (
+    CellBlock,
+    join_blocks,
+    reduce_pass,
+    reduce_standstills,
+    uses_standstills,
+)
+from app.alignment.cleaning import find_valid_samples
+from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import SKIP, TOLERANCE_MM, Matching, match_stops
 from app.alignment.stop_stream import StopStream, as_stops
-from app.alignment.stretches import (
-    Stretch,
-    joined,
-    looks_at_standstills,
-    moving_stretch,
-    standing_stretches,
-)
 from app.errors import AlignmentError
 from app.files.run import Run
 from app.kinematics.machine import Machine
@@ -46,10 +46,10 @@ class StreamingAlignment:
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        self._course = course_of(machine, commanded)
-        self._place_mm = self._course.place_mm
+        self._nominal = compute_nominal_path(machine, commanded)
+        self._place_mm = self._nominal.place_mm
         self._raw = TrackerSamples.empty()
-        self._stream = StopStream(self._course.slowest_mm_s)
+        self._stream = StopStream(self._nominal.slowest_mm_s)
         self._known = 0  # standstills that have been looked at
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._delivered = 0  # matched standstills up to which all is handed on
@@ -64,44 +64,44 @@ class StreamingAlignment:
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""
         self._run = replace(self._run, commanded=commanded)
-        self._course = course_of(self._run.machine, commanded)
-        self._place_mm = self._course.place_mm
+        self._nominal = compute_nominal_path(self._run.machine, commanded)
+        self._place_mm = self._nominal.place_mm
 
-    def taken(self, block: TrackerSamples) -> list[Stretch]:
+    def add(self, block: TrackerSamples) -> list[CellBlock]:
         """Take the next samples; return what they finish."""
         raw = TrackerSamples.join([self._raw, block])
-        valid = valid_samples(raw)
+        valid = find_valid_samples(raw)
         old = min(_CONTEXT + _HELD, len(self._raw)) - _HELD
         fresh = np.zeros(len(raw), bool)
         fresh[max(old, 0) : len(raw) - _HELD] = True
         self._raw = _rows(raw, slice(max(len(raw) - _CONTEXT - _HELD, 0), None))
-        return self._with_valid(raw, np.flatnonzero(fresh & valid))
+        return self._add_valid(raw, np.flatnonzero(fresh & valid))
 
-    def finished(self) -> list[Stretch]:
+    def finish(self) -> list[CellBlock]:
         """Nothing follows: return what was waiting for more."""
         held = np.arange(max(len(self._raw) - _HELD, 0), len(self._raw))
-        valid = valid_samples(self._raw)
-        found = self._with_valid(self._raw, held[valid[held]])
+        valid = find_valid_samples(self._raw)
+        found = self._add_valid(self._raw, held[valid[held]])
         self._stream.end()
-        found += self._recognised()
+        found += self._recognise()
         return found + self._last_standstill()
 
-    def observations(self, parts: Sequence[Stretch]) -> Observations:
+    def observations(self, parts: Sequence[CellBlock]) -> Observations:
         """Return the cells of stretches as one block, about the pose as it is now.
 
         `first` and `last` of its passes count valid samples.
         """
         if self.pose is None:
             raise AlignmentError("the standstills so far do not tell the pose")
-        return joined(self._run, list(parts), self.pose, tuple(self._passes))
+        return join_blocks(self._run, list(parts), self.pose, tuple(self._passes))
 
-    def _with_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[Stretch]:
+    def _add_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[CellBlock]:
         self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])
-        found = self._recognised()
-        self._let_go()
+        found = self._recognise()
+        self._forget()
         return found
 
-    def _recognised(self) -> list[Stretch]:
+    def _recognise(self) -> list[CellBlock]:
         """Look at new standstills; return what lies between matched ones."""
         stops = self._stream.stops
         for index in range(self._known, len(stops)):
@@ -110,7 +110,7 @@ class StreamingAlignment:
                 self._match_first()
             else:
                 self._match_by_place(index)
-        found: list[Stretch] = []
+        found: list[CellBlock] = []
         while self._delivered + 1 < len(self._matched):
             found += self._between(*self._matched[self._delivered :][:2])
             self._delivered += 1
@@ -152,7 +152,9 @@ class StreamingAlignment:
             places = np.array([stop.position_mm for stop in stops])
             self.pose = fit_rigid(self._place_mm[waypoints], places)
 
-    def _between(self, here: tuple[int, int], there: tuple[int, int]) -> list[Stretch]:
+    def _between(
+        self, here: tuple[int, int], there: tuple[int, int]
+    ) -> list[CellBlock]:
         """Return the passes between two matched standstills, or the first of them."""
         assert self.pose is not None  # noqa: S101 (they are matched)
         stops = self._stream.stops[here[0] : there[0] + 1]
@@ -164,26 +166,26 @@ class StreamingAlignment:
         ends = np.array([0, len(stops) - 1]), np.array([here[1], there[1]])
         matching = Matching(*ends, self.pose)
         block = as_stops(stops, origin)
-        found: list[Stretch] = []
-        if looks_at_standstills(self._run):
+        found: list[CellBlock] = []
+        if uses_standstills(self._run):
             first = Matching(ends[0][:1], ends[1][:1], self.pose)
-            found = standing_stretches(self._run, block, first, stream, self._course)
+            found = reduce_standstills(self._run, block, first, stream, self._nominal)
         if self._run.mode == "standstill":
             return found
-        for each in cut_into_passes(stream, block, matching, self._course):
-            line, curve = len(self._passes), self._course.curve(each.row)
-            found.append(moving_stretch(self._run, line, each, stream, curve))
+        for each in cut_into_passes(stream, block, matching, self._nominal):
+            line, curve = len(self._passes), self._nominal.curve(each.row)
+            found.append(reduce_pass(self._run, line, each, stream, curve))
             first, last = each.first + origin, each.last + origin
             self._passes.append(replace(each, first=first, last=last))
         return found
 
-    def _last_standstill(self) -> list[Stretch]:
-        if not looks_at_standstills(self._run) or not self._matched:
+    def _last_standstill(self) -> list[CellBlock]:
+        if not uses_standstills(self._run) or not self._matched:
             return []
         last = self._matched[-1]
         return self._between(last, last)
 
-    def _let_go(self) -> None:
+    def _forget(self) -> None:
         """Forget samples that nothing will ask for again."""
         stops = self._stream.stops
         if self.pose is not None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.files.run import Run
 from app.kinematics.conditions import Conditions
 
@@ -58,5 +58,5 @@ def _add_surroundings(
     """
     if run.mode == "standstill":
         later = np.flatnonzero(observations.row > 0)
-        observations = observations.taken(later)
-    return with_surroundings(observations, run.commanded, run.temperature, number)
+        observations = observations.select(later)
+    return add_surroundings(observations, run.commanded, run.temperature, number)

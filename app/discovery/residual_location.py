@@ -13,8 +13,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
-from app.estimation.design_matrix import find_lines
+from app.alignment.observations import Observations, find_lines
 from app.estimation.residual import Residual
 
 _BINS, _SIDE = 8, 4

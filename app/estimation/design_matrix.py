@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 
-from app.alignment.observations import Observations
+from app.alignment.observations import Observations, find_lines
 from app.alignment.reduction import beam_frame
 from app.estimation.noise import NoiseModel
 from app.kinematics.effects.base import Effect, Parameter
@@ -135,7 +135,7 @@ class Linearisation:
         first = 0
         for _, last in find_lines(observations):
             if last - first >= _CELLS or last == len(observations):
-                yield self.build(observations.taken(np.arange(first, last)))
+                yield self.build(observations.select(np.arange(first, last)))
                 first = last
 
     def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
@@ -174,15 +174,6 @@ def middle_of(observations: Observations) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def find_lines(observations: Observations) -> list[tuple[int, int]]:
-    """Return first cell and one past the last of each line or standstill."""
-    line, row = observations.at.line, observations.row
-    new = (np.diff(line) != 0) | (np.diff(row) != 0)
-    begin = np.flatnonzero(np.concatenate([[True], new]))
-    end = np.append(begin[1:], len(observations))
-    return list(zip(begin.tolist(), end.tolist(), strict=True))
-
-
 def _merge_cells(
     observations: Observations, local: Float64[np.ndarray, "n 3 q"], merge: int
 ) -> tuple[Observations, Float64[np.ndarray, "m 3 q"]]:
@@ -199,7 +190,7 @@ def _merge_cells(
         weighted = values * observations.count.reshape(shape)
         return np.add.reduceat(weighted, starts, axis=0) / count.reshape(shape)
 
-    at, firsts = observations.at, observations.taken(starts)
+    at, firsts = observations.at, observations.select(starts)
     travel = mean(observations.direction)  # on an arc it turns on the way
     speed = np.linalg.norm(travel, axis=1, keepdims=True)
     merged = replace(

@@ -23,13 +23,13 @@ class Observability:
     parameters : shapes of all error motions and squarenesses in the gauge of the tables
     rank : how many of them the data determine
     unobservable : statements in words, one for each thing that they do not
-    weak : statements in words, one for each shape that they determine only weakly
+    poorly_observable : statements in words, one for each shape hardly determined
     """
 
     parameters: int
     rank: int
     unobservable: tuple[str, ...]
-    weak: tuple[str, ...] = ()
+    poorly_observable: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,9 @@ class Variation:
 
 def find_measured_ranges(*observed: Observations) -> Ranges:
     """Return the range of every axis that the observations of all Runs cover."""
-    position = np.concatenate([seen.at.position_mm for seen in observed])
+    position = np.concatenate(
+        [observations.at.position_mm for observations in observed]
+    )
     names = observed[0].at.machine.axis_names
     pairs = zip(names, position.min(axis=0), position.max(axis=0), strict=True)
     return {name: (float(low), float(high)) for name, low, high in pairs}

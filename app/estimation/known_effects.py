@@ -106,12 +106,12 @@ def _compute_chance(
     """Return the chance of a move: its covariance is what the Run has taken away."""
     scale = np.sqrt(np.diag(before) + _EXACTLY**2)
     value, vector = np.linalg.eigh((before - after) / scale[:, None] / scale)
-    told = value > _TOLD
-    if not told.any():
+    is_measured = value > _TOLD
+    if not is_measured.any():
         return None
     along = vector.T @ (moved / scale)
-    square = float(np.sum(along[told] ** 2 / value[told]))
-    return float(chdtrc(int(told.sum()), square))
+    square = float(np.sum(along[is_measured] ** 2 / value[is_measured]))
+    return float(chdtrc(int(is_measured.sum()), square))
 
 
 def extract_known_effects(

@@ -44,7 +44,7 @@ def build_line(data: RunData, run: int, first: int, last: int) -> Line:
 
     run : which of the Runs; first, last : its first cell, and one past its last
     """
-    design = data.base.build(data.observations.taken(np.arange(first, last)))
+    design = data.base.build(data.observations.select(np.arange(first, last)))
     whitener = whiten(design, data.base.noise)
     blocks = WhitenedBlocks.build(whitener, design.rows)
     base = slice(design.fixed + 1)

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.cell_blocks import CellBlock, offsets_mm
 from app.alignment.observations import Observations
 from app.alignment.streaming import StreamingAlignment
-from app.alignment.stretches import Stretch, offsets_mm
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import Information, compute_posterior
@@ -116,7 +116,7 @@ class LiveEstimator:
         self._model = add_half_widths(self._known.extend(model))
         self._gram = compute_volumetric_gram(self._model)
         self._prior: BendingPrior = guess_prior(self._model)
-        self._parts: list[Stretch] = []
+        self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
         self._looked = 0  # stretches that pose and noise were last looked at with
 
@@ -139,11 +139,11 @@ class LiveEstimator:
 
     def take(self, block: TrackerSamples) -> bool:
         """Take the next samples; tell whether they have finished anything."""
-        return self._add(self._alignment.taken(block))
+        return self._add(self._alignment.add(block))
 
     def finish(self) -> bool:
         """Nothing follows: look at pose and noise with all there is."""
-        self._add(self._alignment.finished())
+        self._add(self._alignment.finish())
         if not self._parts:
             return False
         self._look_again(thoroughly=True)
@@ -169,7 +169,7 @@ class LiveEstimator:
             self._sums.time_s,
         )
 
-    def _add(self, parts: list[Stretch]) -> bool:
+    def _add(self, parts: list[CellBlock]) -> bool:
         if not parts:
             return False
         self._parts += parts
@@ -179,8 +179,8 @@ class LiveEstimator:
             self._sums = self._sums.add(self._observations(parts))
         return True
 
-    def _observations(self, parts: list[Stretch]) -> Observations:
-        return with_surroundings(self._alignment.observations(parts), self._commanded)
+    def _observations(self, parts: list[CellBlock]) -> Observations:
+        return add_surroundings(self._alignment.observations(parts), self._commanded)
 
     def _add_known(self, data: Information, about: Linearisation) -> Information:
         """Return data with the weak prior, and what was known before, in them."""

@@ -149,9 +149,9 @@ class _Solution:
 
     def _curvature(self) -> Float64[np.ndarray, "k k"]:
         moved = self._perturbed_data()
-        told = self.inverse.apply(moved).reshape(-1, moved.shape[2])
-        half = self.factor.solve_half(self.columns.T @ moved.reshape(told.shape))
-        return moved.reshape(told.shape).T @ told - half.T @ half
+        weighted = self.inverse.apply(moved).reshape(-1, moved.shape[2])
+        half = self.factor.solve_half(self.columns.T @ moved.reshape(weighted.shape))
+        return moved.reshape(weighted.shape).T @ weighted - half.T @ half
 
     def _perturbed_data(self) -> Float64[np.ndarray, "n 3 k"]:
         """Return ∂V P y for each parameter."""

@@ -142,7 +142,7 @@ def _select_lines(observations: Observations) -> Observations:
     if keep >= len(rows):
         return observations
     kept = rows[np.linspace(0, len(rows) - 1, keep).round().astype(np.int64)]
-    return observations.taken(np.flatnonzero(np.isin(observations.row, kept)))
+    return observations.select(np.flatnonzero(np.isin(observations.row, kept)))
 
 
 def _count_to_merge(observations: Observations) -> int:

@@ -8,10 +8,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.estimate import Observability
+from app.estimation.poorly_observable import (
+    find_poorly_observable,
+    usual_precision_matrix,
+)
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.separation import describe_confounded
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.estimation.weak_shapes import find_weak_shapes, usual_precision_matrix
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -22,25 +25,27 @@ _UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
 
 
 def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observability:
-    """Return rank, the named null space, and the shapes that are told only weakly."""
+    """Return rank, the named null space, and poorly observable shapes."""
     offsets_mm = [run.observations.at.offset_mm for run in runs]
     model, merged = identifiable_model(machine, *offsets_mm, intervals=_INTERVALS)
     found = collect_information(runs, model)
-    told = combine_runs(found).matrix
+    information = combine_runs(found).matrix
     alone = np.sum([np.diag(run.data.matrix)[: model.size] for run in found], 0)
     scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
-    value, vector = np.linalg.eigh(told * scale[:, None] * scale)
+    value, vector = np.linalg.eigh(information * scale[:, None] * scale)
     blind = value < _UNSEEN**2 * value[-1] + 1e-13
-    covariance = np.linalg.inv(told + usual_precision_matrix(model))
+    covariance = np.linalg.inv(information + usual_precision_matrix(model))
     every = np.concatenate(offsets_mm)
     said = describe_confounded(machine, every, merged, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
-    weak = find_weak_shapes(told, model, compute_volumetric_gram(model), blind=False)
+    poor = find_poorly_observable(
+        information, model, compute_volumetric_gram(model), blind=False
+    )
     return Observability(
         model.size + sum(_shapes(m.symbol, model.machine) for m in merged),
         int(model.size - blind.sum()),
         said,
-        tuple(str(shape) for shape in weak),
+        tuple(str(shape) for shape in poor),
     )
 
 

@@ -47,7 +47,7 @@ class RecursiveEstimator:
         sums = self.sums
         begins = np.flatnonzero(np.diff(line, prepend=line[:1] - 1))
         for cells in np.split(np.arange(len(observations)), begins[1:]):
-            design = self.linearisation.build(observations.taken(cells))
+            design = self.linearisation.build(observations.select(cells))
             sums = sums.add(design, self.linearisation.noise)
         return replace(
             self,

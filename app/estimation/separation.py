@@ -131,13 +131,13 @@ def _length_mm(
     Along each direction the turn is known to √2 u / ΔL; directions add information.
     """
     moves = np.cross(np.eye(3)[DIRECTION[symbol[1]]], way)
-    told = sum(
+    information = sum(
         (float(moves[DIRECTION[m.symbol[1]]]) / _sigma(m, model, covariance)) ** 2
         for m in _displacements(model, symbol[2])
     )
-    if told <= 0.0:
+    if information <= 0.0:
         return np.inf
-    exact = np.sqrt(2.0 / told) / wanted_rad
+    exact = np.sqrt(2.0 / information) / wanted_rad
     return float(max(_STEP_MM, _STEP_MM * np.ceil(exact / _STEP_MM)))
 
 

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
+from app.alignment.observations import Observations, find_lines
 from app.estimation.baseline import Baseline
-from app.estimation.design_matrix import find_lines
 from app.estimation.information import Information
 from app.estimation.line_blocks import Line, build_line
 from app.estimation.prior import diagonal_precision

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 
-from app.alignment.cleaning import valid_samples
-from app.alignment.observations import Observations
+from app.alignment.cleaning import find_valid_samples
+from app.alignment.observations import Observations, find_lines
 from app.alignment.reduction import beam_frame
-from app.estimation.design_matrix import Linearisation, find_lines
+from app.estimation.design_matrix import Linearisation
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import Wave
@@ -164,11 +164,11 @@ class Within:
 def within_cells(run: Run, seen: Observations, base: Linearisation) -> Within | None:
     """Return the deviations of a Run's samples on lines; None where there are none."""
     valid = np.zeros(len(run.tracker), bool)
-    valid[valid_samples(run.tracker)] = True
+    valid[find_valid_samples(run.tracker)] = True
     parts: list[Within] = []
     for number, (first, last) in enumerate(find_lines(seen)):
         line = int(seen.at.line[first])
-        if line < 0 or _bends(seen, first):
+        if line < 0 or _find_bends(seen, first):
             continue
         each = seen.passes[line]
         samples = each.first + np.flatnonzero(valid[each.first : each.last])
@@ -177,7 +177,7 @@ def within_cells(run: Run, seen: Observations, base: Linearisation) -> Within | 
     return _join(parts) if parts else None
 
 
-def _bends(seen: Observations, cell: int) -> bool:
+def _find_bends(seen: Observations, cell: int) -> bool:
     """Tell whether a line is an arc, which is straight in no cell."""
     around, machine = seen.at.recorded, seen.at.machine
     turning = [machine.axis_names.index(axis.name) for axis in machine.rotary_axes]

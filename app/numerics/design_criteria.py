@@ -1,6 +1,6 @@
 """What one more measurement is worth, and where on one axis it is worth most.
 
-A belief has a covariance C of control values; its quality is the integrated variance
+Control values have a covariance C; its quality is the integrated variance
 J = tr(G C), G the Gram matrix of the splines (brunn-hanebeck-2005, eq. 24–26, 34–36).
 A measurement of r values at once, with rows H and noise variance σ² each, lowers J by
 
@@ -38,7 +38,7 @@ _BEYOND = 1.0 / np.cos(np.pi / (2 * _DENSER))
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class IntegratedVariance:
     """How well control values are known: covariance C and Gram matrix G."""
 
     covariance: Float64[np.ndarray, "p p"]
@@ -49,7 +49,7 @@ class Belief:
         """J = tr(G C)."""
         return float(np.sum(self.gram * self.covariance))
 
-    def drops(
+    def compute_drops(
         self, rows: Float64[np.ndarray, "n *r p"], noise_variance: float = 1.0
     ) -> Float64[np.ndarray, " n"]:
         """Return by how much J falls for each measurement, made alone.
@@ -68,9 +68,9 @@ class Belief:
         spread += noise_variance * np.eye(rows.shape[1])
         return _traces(spread, gained @ np.swapaxes(moved, 1, 2))
 
-    def after(
+    def update(
         self, rows: Float64[np.ndarray, "*r p"], noise_variance: float = 1.0
-    ) -> Belief:
+    ) -> IntegratedVariance:
         """Return what is known after one measurement (eq. 22–23, 32–33).
 
         rows : (p,), or (r, p) for r values at once
@@ -81,7 +81,7 @@ class Belief:
         left = np.eye(H.shape[1]) - gain @ H
         covariance = left @ self.covariance @ left.T
         covariance += noise_variance * (gain @ gain.T)
-        return Belief((covariance + covariance.T) / 2.0, self.gram)
+        return IntegratedVariance((covariance + covariance.T) / 2.0, self.gram)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +92,8 @@ class BestPlace:
     drop: float
 
 
-def best_place(
-    known: Belief,
+def find_best_place(
+    known: IntegratedVariance,
     rows: Rows,
     borders: Float64[np.ndarray, " b"],
     noise_variance: float,
@@ -169,7 +169,7 @@ class _Pieces:
 
 
 def _pieces(
-    known: Belief,
+    known: IntegratedVariance,
     rows: Rows,
     borders: Float64[np.ndarray, " b"],
     noise_variance: float,

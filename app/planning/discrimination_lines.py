@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.kinematics.machine import Machine
 from app.motion.motion_times import Drive, drive_of
 from app.motion.paths import ACCELERATION_MM_S2, check_travel, travel_time_s
@@ -217,8 +217,8 @@ class LineChoice:
         """Return the observations that the last line of a path would give."""
         station_mm = self.pose.invert().apply(np.zeros((1, 3)))[0]
         seen = predict_cells(self.machine, path, station_mm)
-        seen = seen.taken(np.flatnonzero(seen.row == len(path) - 1))
+        seen = seen.select(np.flatnonzero(seen.row == len(path) - 1))
         seen = replace(
             seen, tracker_mm=self.pose.apply(seen.at.point_mm), pose=self.pose
         )
-        return with_surroundings(seen, path, None, self.run)
+        return add_surroundings(seen, path, None, self.run)

@@ -21,11 +21,11 @@ from app.estimation.information import compute_posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.observability import assess_observability
+from app.estimation.poorly_observable import usual_precision_matrix
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.recursive import RecursiveEstimator
 from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -118,7 +118,7 @@ def forecast(
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
     told = [0, *ends[np.unique(some)].tolist()]
     for first, last in pairwise(told):
-        sums = sums.add(seen.taken(np.arange(first, last)))
+        sums = sums.add(seen.select(np.arange(first, last)))
         covariance, sigma = judge.of(sums)
         rows.append(int(seen.row[last - 1]))
         sigmas.append(sigma)

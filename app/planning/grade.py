@@ -25,14 +25,14 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.information import Information, compute_posterior
+from app.estimation.poorly_observable import (
+    PoorlyObservableShape,
+    find_poorly_observable,
+    usual_precision_matrix,
+)
 from app.estimation.prior import diagonal_precision
 from app.estimation.separation import describe_confounded
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.estimation.weak_shapes import (
-    WeakShape,
-    find_weak_shapes,
-    usual_precision_matrix,
-)
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import Machine
@@ -92,7 +92,7 @@ class Grade:
     best: float
     improved: float | None
     weakest: tuple[WeakMotion, ...]
-    shapes: tuple[WeakShape, ...]
+    shapes: tuple[PoorlyObservableShape, ...]
     unobservable: tuple[str, ...]
 
 
@@ -213,7 +213,7 @@ def _grade_stations(
         min(one.number for one in every),
         _improve(worst, weakest[0].remedy, judge),
         weakest,
-        find_weak_shapes(
+        find_poorly_observable(
             refined.T @ worst.told @ refined, coarse, refined.T @ judge.gram @ refined
         ),
         describe_confounded(machine, offsets_mm, merged, model, worst.covariance),

@@ -17,9 +17,9 @@ from scipy.linalg import block_diag
 
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
+from app.estimation.poorly_observable import usual_precision_matrix
 from app.estimation.prior import diagonal_precision
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.estimation.weak_shapes import usual_precision_matrix
 from app.kinematics.coarse_model import add_half_widths
 from app.kinematics.conditions import standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch

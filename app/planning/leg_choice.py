@@ -19,7 +19,7 @@ from app.errors import PlanningError
 from app.motion.motion_times import Drive
 from app.motion.short_order import find_short_order
 from app.motion.travel import DECIMALS
-from app.numerics.design_criteria import Belief
+from app.numerics.design_criteria import IntegratedVariance
 from app.planning.design_state import DesignState, inverse
 
 Allowed = Callable[
@@ -153,8 +153,8 @@ class LegChoice:
             return None
         begin, ends, feed, times = begin[ok], ends[ok], feed[ok], times[ok]
         rows = self.design.rows(begin, ends, feed, self.drive)
-        known = Belief(inverse(precision), self.design.gram)
-        best = int(np.argmax(known.drops(rows) / times))
+        known = IntegratedVariance(inverse(precision), self.design.gram)
+        best = int(np.argmax(known.compute_drops(rows) / times))
         return ends[best], rows[best], float(times[best])
 
     def _exchange(self, stops: StopSequence) -> tuple[StopSequence, float]:
@@ -182,8 +182,8 @@ class LegChoice:
         if not len(places):
             return stops, total, cost
         rows, times = self._legs_that_meet(stops, k, places)
-        known = Belief(C, self.design.gram)
-        left = known.integrated_variance - known.drops(rows)
+        known = IntegratedVariance(C, self.design.gram)
+        left = known.integrated_variance - known.compute_drops(rows)
         costs = left * (rest_s + times)
         best = int(np.argmin(costs))
         if costs[best] >= cost * (1.0 - 1e-9):

@@ -19,7 +19,7 @@ from jaxtyping import Float64
 from app.kinematics.conditions import standstill
 from app.kinematics.machine import LinearAxis
 from app.kinematics.model import MachineModel
-from app.numerics.design_criteria import Belief, best_place
+from app.numerics.design_criteria import IntegratedVariance, find_best_place
 
 PositionRows = Callable[[Float64[np.ndarray, "n a"]], Float64[np.ndarray, "n *r p"]]
 
@@ -63,7 +63,7 @@ class NextConfiguration:
 
 
 def next_configuration(
-    known: Belief,
+    known: IntegratedVariance,
     rows: PositionRows,
     axes: SearchSpace,
     noise_variance: float,
@@ -77,7 +77,7 @@ def next_configuration(
         polynomials between its borders
     """
     places = axes.draw(_DRAWS * starts, seed)
-    drops = known.drops(rows(places), noise_variance)
+    drops = known.compute_drops(rows(places), noise_variance)
     first = np.argsort(-drops)[:starts]
     climb = _Climb(known, rows, axes, noise_variance)
     slopes = sorted((climb.climb_once(places[i]) for i in first), key=lambda s: -s.drop)
@@ -89,14 +89,14 @@ def next_configuration(
 
 
 def climb_from(
-    known: Belief,
+    known: IntegratedVariance,
     rows: PositionRows,
     axes: SearchSpace,
     noise_variance: float,
     start: Float64[np.ndarray, " a"],
 ) -> NextConfiguration:
     """Return the summit above a configuration that is already good."""
-    searched = float(known.drops(rows(start[None]), noise_variance)[0])
+    searched = float(known.compute_drops(rows(start[None]), noise_variance)[0])
     climb = _Climb(known, rows, axes, noise_variance)
     top = climb.climb_to_top(climb.climb_once(start))
     return NextConfiguration(top.position, top.drop, searched)
@@ -152,7 +152,7 @@ class _ClimbState:
 class _Climb:
     """Sets one axis after another to its optimum while the others stand."""
 
-    known: Belief
+    known: IntegratedVariance
     rows: PositionRows
     axes: SearchSpace
     noise_variance: float
@@ -173,7 +173,7 @@ class _Climb:
 
     def _optimise_axis(self, here: _ClimbState) -> _ClimbState:
         axis = here.turn % len(self.axes.borders)
-        best = best_place(
+        best = find_best_place(
             self.known,
             _along(self.rows, here.position, axis),
             self.axes.borders[axis],

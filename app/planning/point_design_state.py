@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64
 
 from app.motion.configurations import Configurations
 from app.motion.motion_times import Drive
-from app.numerics.design_criteria import Belief
+from app.numerics.design_criteria import IntegratedVariance
 from app.planning.design_state import DesignState
 from app.planning.next_configuration import climb_from, search_space
 
@@ -88,7 +88,7 @@ class PointDesignState(DesignState):
 
         told = self.roots(self.conditions(here[None], np.zeros((1, len(here)))))[0]
         variance = 3.0 / (drive.dwell_s * float(np.sum(told**2)))
-        known = Belief(covariance, self.gram)
+        known = IntegratedVariance(covariance, self.gram)
         top = climb_from(known, rows, search_space(self.model), variance, here)
         return top.position[None]
 

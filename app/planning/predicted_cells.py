@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.cell_blocks import approach_signs, offsets_mm, on_workpiece
 from app.alignment.observations import Observations
-from app.alignment.stretches import approach_signs, offsets_mm, on_workpiece
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.errors import PlanningError
 from app.estimation.design_matrix import linearise
 from app.estimation.information import Information
@@ -86,7 +86,7 @@ def predict_cells(
         int(count.sum()),
         int(count.sum()),
     )
-    return with_surroundings(seen, commanded)
+    return add_surroundings(seen, commanded)
 
 
 def predict_information(

@@ -20,7 +20,7 @@ from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
 from app.motion.travel import inner_travel
-from app.numerics.design_criteria import Belief
+from app.numerics.design_criteria import IntegratedVariance
 from app.planning.predicted_cells import EXPECTED_NOISE
 from drivers.interfaces.records import Path
 
@@ -57,7 +57,9 @@ def find_best_line(
     own[part, part] = gram[part, part]
     lines = list(_lines(model.machine))
     rows = np.stack([_rows(line, seen, model) for line in lines])
-    return lines[int(np.argmax(Belief(covariance, own).drops(rows)))]
+    return lines[
+        int(np.argmax(IntegratedVariance(covariance, own).compute_drops(rows)))
+    ]
 
 
 def append_line(

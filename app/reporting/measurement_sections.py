@@ -63,7 +63,7 @@ def describe_limits(findings: Findings) -> View:
     observability = findings.estimate.observability
     return {
         "unobservable": observability.unobservable,
-        "poorly_observable": observability.weak,
+        "poorly_observable": observability.poorly_observable,
         "rank": observability.rank,
         "parameters": observability.parameters,
         "extrapolated": _list_extrapolated(findings),

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.errors import AlignmentError, BundleError
 from app.estimation.batch import estimate
 from app.estimation.estimate import Estimate
@@ -135,7 +135,7 @@ def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:
 def _align(run: Run, name: str, count: int) -> Observations:
     """Align a Run, and name it if it cannot be and there are others."""
     try:
-        return with_surroundings(align(run), run.commanded, run.temperature)
+        return add_surroundings(align(run), run.commanded, run.temperature)
     except AlignmentError as error:
         if count == 1:
             raise

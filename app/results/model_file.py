@@ -178,5 +178,5 @@ def _observability_json(found: Discovery) -> dict[str, Any]:
         "rank": seen.rank,
         "parameters": seen.parameters,
         "unobservable": list(seen.unobservable),
-        "weak": list(seen.weak),
+        "weak": list(seen.poorly_observable),
     }

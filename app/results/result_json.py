@@ -67,7 +67,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             "rank": estimate.observability.rank,
             "parameters": estimate.observability.parameters,
             "unobservable": list(estimate.observability.unobservable),
-            "weak": list(estimate.observability.weak),
+            "weak": list(estimate.observability.poorly_observable),
         },
         "measured_range": ranges_json(
             found.estimate.measured, found.estimate.model.machine

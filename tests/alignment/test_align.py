@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.cleaning import valid_samples
+from app.alignment.cleaning import find_valid_samples
 from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
 from simulators.synthetic import ROUGH, Defects, Setting
@@ -186,7 +186,7 @@ def test_spikes_and_bad_status_are_not_samples(rng):
     position[50] += 0.5
     position[60] = np.nan
     samples = TrackerSamples(np.arange(n), np.arange(n) / 500.0, position, status)
-    assert np.flatnonzero(~valid_samples(samples)).tolist() == [10, 50, 60]
+    assert np.flatnonzero(~find_valid_samples(samples)).tolist() == [10, 50, 60]
 
 
 def test_a_spike_beside_a_larger_one_is_no_sample_either(rng):
@@ -196,7 +196,7 @@ def test_a_spike_beside_a_larger_one_is_no_sample_either(rng):
     position[51] += 0.3
     clean = np.zeros(n, np.int64)
     samples = TrackerSamples(np.arange(n), np.arange(n) / 500.0, position, clean)
-    assert np.flatnonzero(~valid_samples(samples)).tolist() == [50, 51]
+    assert np.flatnonzero(~find_valid_samples(samples)).tolist() == [50, 51]
 
 
 def test_a_target_that_creeps_is_not_at_a_standstill(record):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.course import course_of
+from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.streaming import StreamingAlignment
 from app.errors import AlignmentError
 from app.files.machine_file import machine_from_json
@@ -85,7 +85,7 @@ def test_cells_of_a_perfect_machine_lie_on_their_arcs(name, stands_on):
 def test_every_line_that_moves_its_target_is_found_once(name):
     run, _ = random_path(name)
     seen = align(run)
-    length = course_of(run.machine, run.commanded).length_mm
+    length = compute_nominal_path(run.machine, run.commanded).length_mm
     assert [p.row for p in seen.passes] == np.flatnonzero(length > 1.0).tolist()
     assert np.abs(off_mm(seen)).max() < 0.3
 
@@ -212,8 +212,8 @@ def test_lines_with_the_rotary_axes_held_in_any_pose_are_straight():
         rows += [[*end, b, c] for end in ends]
     program = rows_of(*rows, target="T2", feed_s=80.0)
     run, _ = recorded(load_machine("head-table"), program, setting=PERFECT)
-    course = course_of(run.machine, run.commanded)
-    assert set(course.bends) == {3}
+    nominal = compute_nominal_path(run.machine, run.commanded)
+    assert set(nominal.bends) == {3}
     seen = align(run)
     assert [p.row for p in seen.passes] == [1, 2, 3, 4, 5]
     assert np.abs(off_mm(seen)).max() < 1e-4
@@ -222,12 +222,12 @@ def test_lines_with_the_rotary_axes_held_in_any_pose_are_straight():
 def test_a_line_that_is_late_shifts_its_cells_along_the_arc():
     run, _ = random_path("head-table", setting=PERFECT)
     seen = align(run)
-    course = course_of(run.machine, run.commanded)
+    nominal = compute_nominal_path(run.machine, run.commanded)
     most = 0.0
     for line, each in enumerate(seen.passes):
         at = seen.at.select(np.flatnonzero(seen.at.line == line))
         step = np.diff(run.commanded.position[each.row - 1 : each.row + 1], axis=0)
-        share = 0.01 / course.length_mm[each.row]  # 0.01 mm of its mean way late
+        share = 0.01 / nominal.length_mm[each.row]  # 0.01 mm of its mean way late
         moved = replace(at, position_mm=at.position_mm + share * step)
         shift = TimingLaw((line,)).jacobian(at)[:, :, 0] * 0.01
         assert np.allclose(shift, moved.point_mm - at.point_mm, atol=1e-5)
@@ -241,7 +241,7 @@ def test_arcs_that_come_block_by_block_give_the_cells_of_the_whole_run(name):
     live, parts = StreamingAlignment(run.machine, run.commanded), []
     for begin in range(0, len(run.tracker), 50):
         rows = slice(begin, begin + 50)
-        parts += live.taken(
+        parts += live.add(
             TrackerSamples(
                 run.tracker.sequence[rows],
                 run.tracker.device_time_s[rows],
@@ -249,7 +249,7 @@ def test_arcs_that_come_block_by_block_give_the_cells_of_the_whole_run(name):
                 run.tracker.status[rows],
             )
         )
-    a, b = live.observations(parts + live.finished()), align(run)
+    a, b = live.observations(parts + live.finish()), align(run)
     assert (a.row == b.row).all()
     assert (a.at.line == b.at.line).all()
     # A rougher pose may move the ends of a pass by a sample.

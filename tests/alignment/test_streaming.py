@@ -29,9 +29,9 @@ def streamed(run, sizes):
     live, parts, begin, turn = StreamingAlignment(run.machine, run.commanded), [], 0, 0
     while begin < len(run.tracker):
         end = begin + sizes[turn % len(sizes)]
-        parts += live.taken(rows_of(run.tracker, slice(begin, end)))
+        parts += live.add(rows_of(run.tracker, slice(begin, end)))
         begin, turn = end, turn + 1
-    return live, parts + live.finished()
+    return live, parts + live.finish()
 
 
 def assert_same_cells(a, b, *, place_mm=0.02):
@@ -75,7 +75,7 @@ def test_a_line_is_handed_on_as_soon_as_the_machine_stands_at_its_end(record):
     run, _ = record(3)
     live, seen = StreamingAlignment(run.machine, run.commanded), {}
     for begin in range(0, len(run.tracker), 50):
-        for part in live.taken(rows_of(run.tracker, slice(begin, begin + 50))):
+        for part in live.add(rows_of(run.tracker, slice(begin, begin + 50))):
             seen[part.row] = (
                 run.tracker.device_time_s[begin + 49] - part.cells.time_s[-1]
             )
@@ -98,7 +98,7 @@ def test_samples_are_kept_for_a_line_or_so_however_long_the_run(record):
     run, _ = record(3)
     live, most = StreamingAlignment(run.machine, run.commanded), 0
     for begin in range(0, len(run.tracker), 50):
-        live.taken(rows_of(run.tracker, slice(begin, begin + 50)))
+        live.add(rows_of(run.tracker, slice(begin, begin + 50)))
         most = max(most, live.samples_kept)
     assert most < 0.4 * len(run.tracker)
 
@@ -109,7 +109,7 @@ def test_samples_that_wait_for_a_stop_in_vain_are_let_go(record, monkeypatch):
     live = StreamingAlignment(run.machine, run.commanded)
     for _ in range(20):
         moving = rows_of(run.tracker, slice(600, 900))  # in the middle of a line
-        live.taken(moving)
+        live.add(moving)
         assert live.samples_kept <= 2000
 
 

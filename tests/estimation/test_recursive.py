@@ -41,7 +41,7 @@ def all_at_once(about, seen):
 def added_in_parts(about, seen, cuts):
     sums = RecursiveEstimator.start(about)
     for part in np.split(np.arange(len(seen)), sorted(cuts)):
-        sums = sums.add(seen.taken(part))
+        sums = sums.add(seen.select(part))
     return sums
 
 
@@ -83,7 +83,7 @@ def test_a_line_at_a_time_gives_the_batch(moving, expected):
 def test_the_sums_do_not_grow_with_the_number_of_lines(moving):
     about = about_of(moving)
     one = RecursiveEstimator.start(about).add(
-        moving.taken(np.flatnonzero(moving.at.line == 0))
+        moving.select(np.flatnonzero(moving.at.line == 0))
     )
     every = RecursiveEstimator.start(about).add(moving)
     assert (
@@ -96,7 +96,7 @@ def test_the_sums_do_not_grow_with_the_number_of_lines(moving):
 def test_asking_on_the_way_changes_nothing(moving, expected):
     sums = RecursiveEstimator.start(about_of(moving))
     for part in np.array_split(np.arange(len(moving)), 7):
-        sums = sums.add(moving.taken(part))
+        sums = sums.add(moving.select(part))
         sums.information()
     assert_same(sums.information(), expected)
 
@@ -156,7 +156,7 @@ def test_across_the_travel_alone_timing_is_no_unknown(moving):
 
 def test_cells_out_of_order_are_refused(moving):
     sums = RecursiveEstimator.start(about_of(moving)).add(
-        moving.taken(np.arange(20, 30))
+        moving.select(np.arange(20, 30))
     )
     with pytest.raises(EstimationError, match="order of time"):
-        sums.add(moving.taken(np.arange(10)))
+        sums.add(moving.select(np.arange(10)))

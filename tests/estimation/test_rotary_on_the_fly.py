@@ -104,7 +104,7 @@ def test_arcs_and_stops_added_one_by_one_are_the_batch(rng):
     sums = RecursiveEstimator.start(about)
     cuts = np.sort(rng.choice(np.arange(1, len(seen)), 40, replace=False))
     for part in np.split(np.arange(len(seen)), cuts):
-        sums = sums.add(seen.taken(part))
+        sums = sums.add(seen.select(part))
     expected = compute_information(seen, about)
     found = sums.information()
     scale = 1.0 / np.sqrt(np.diag(expected.matrix))

@@ -184,7 +184,7 @@ def test_tools_of_separate_runs_are_told_apart_as_in_one(offsets, known, rank, j
 
 
 def test_a_run_that_is_too_short_alone_adds_to_another(moving, standing):
-    few = standing.taken(np.flatnonzero(standing.row < 5))
+    few = standing.select(np.flatnonzero(standing.row < 5))
     with pytest.raises(Unidentifiable):
         estimate(few)
     both = estimate(moving, few)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.course import course_of
+from app.alignment.nominal_path import compute_nominal_path
 from app.files.bundle import read_bundle, write_bundle
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
@@ -73,7 +73,7 @@ def measured(cell: Cell, order: MeasurementOrder) -> None:
 
 def test_lines_on_which_axes_turn_are_driven_and_recognised(run: Run) -> None:
     seen = align(run)
-    length = course_of(run.machine, run.commanded).length_mm
+    length = compute_nominal_path(run.machine, run.commanded).length_mm
     moving = np.flatnonzero(length > 1.0).tolist()
     found = [p.row for p in seen.passes]
     # On a busy computer the hastened stream ends a little before the motion.

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.numerics.design_criteria import Belief, best_place
+from app.numerics.design_criteria import IntegratedVariance, find_best_place
 from app.numerics.splines import cyclic_spline, natural_spline
 
 KNOTS = np.array([0.0, 1.0, 1.7, 3.0, 4.2, 5.0, 6.0])
@@ -14,9 +14,11 @@ SPLINE = natural_spline(KNOTS)
 
 def belief(rng, seen=0, variance=0.01):
     """Independent control points, then some measurements at random places."""
-    known = Belief(np.diag(rng.uniform(0.5, 2.0, SPLINE.size)), SPLINE.gram())
+    known = IntegratedVariance(
+        np.diag(rng.uniform(0.5, 2.0, SPLINE.size)), SPLINE.gram()
+    )
     for row in SPLINE.basis(rng.uniform(0.0, 6.0, seen)):
-        known = known.after(row, variance)
+        known = known.update(row, variance)
     return known
 
 
@@ -31,8 +33,8 @@ def test_integrated_variance_is_the_integral_of_the_variance_of_the_spline(rng):
 def test_a_measurement_lowers_the_integrated_variance_by_what_was_promised(rng):
     known = belief(rng, 2)
     row = SPLINE.basis(np.array([2.3]))
-    promised = known.drops(row, 0.01)[0]
-    after = known.after(row[0], 0.01)
+    promised = known.compute_drops(row, 0.01)[0]
+    after = known.update(row[0], 0.01)
     fell = known.integrated_variance - after.integrated_variance
     assert fell == pytest.approx(promised, rel=1e-12)
 
@@ -40,8 +42,8 @@ def test_a_measurement_lowers_the_integrated_variance_by_what_was_promised(rng):
 def test_the_order_of_measurements_does_not_matter(rng):
     known = belief(rng)
     a, b = SPLINE.basis(np.array([0.7, 4.9]))
-    there = known.after(a, 0.01).after(b, 0.02).covariance
-    back = known.after(b, 0.02).after(a, 0.01).covariance
+    there = known.update(a, 0.01).update(b, 0.02).covariance
+    back = known.update(b, 0.02).update(a, 0.01).covariance
     assert there == pytest.approx(back, abs=1e-12)
 
 
@@ -49,9 +51,11 @@ def a_case(knots, seed, seen, log_variance, values):
     """A spline over any knots, independent values, some measurements made."""
     spline = natural_spline(np.concatenate([[0.0], np.cumsum(knots)]))
     rng = np.random.default_rng(seed)
-    known = Belief(np.diag(rng.uniform(0.1, 2.0, spline.size)), spline.gram())
+    known = IntegratedVariance(
+        np.diag(rng.uniform(0.1, 2.0, spline.size)), spline.gram()
+    )
     for row in spline.basis(rng.uniform(0.0, spline.knots[-1], seen)):
-        known = known.after(row, 10.0**log_variance)
+        known = known.update(row, 10.0**log_variance)
     turn = rng.normal(size=(values, spline.size, spline.size))
     mix = np.eye(spline.size) if values == 1 else turn / spline.size
 
@@ -72,15 +76,15 @@ CASES = {
 
 def assert_exact(known, rows, knots, variance, dense=100_000):
     """The best place equals a dense search, itself refined about its own best."""
-    best = best_place(known, rows, knots, variance)
+    best = find_best_place(known, rows, knots, variance)
     at = np.linspace(knots[0], knots[-1], dense)
-    near = at[np.argmax(known.drops(rows(at), variance))] + np.linspace(-1, 1, 2001) * (
-        at[1] - at[0]
-    )
+    near = at[np.argmax(known.compute_drops(rows(at), variance))] + np.linspace(
+        -1, 1, 2001
+    ) * (at[1] - at[0])
     near = np.clip(near, knots[0], knots[-1])
-    searched = known.drops(rows(near), variance).max()
+    searched = known.compute_drops(rows(near), variance).max()
     assert abs(best.drop - searched) <= 1e-9 * known.integrated_variance
-    there = known.drops(rows(np.array([best.at])), variance)[0]
+    there = known.compute_drops(rows(np.array([best.at])), variance)[0]
     assert best.drop == pytest.approx(there, rel=1e-9)
 
 
@@ -111,12 +115,12 @@ def test_several_values_at_once_have_an_exact_optimum_too(
 def test_values_measured_at_once_tell_what_they_tell_one_by_one(rng):
     known = belief(rng, 2)
     rows = SPLINE.basis(np.array([0.7, 4.9, 5.1]))
-    at_once = known.after(rows, 0.01)
+    at_once = known.update(rows, 0.01)
     one_by_one = known
     for row in rows:
-        one_by_one = one_by_one.after(row, 0.01)
+        one_by_one = one_by_one.update(row, 0.01)
     assert at_once.covariance == pytest.approx(one_by_one.covariance, abs=1e-12)
-    promised = known.drops(rows[None], 0.01)[0]
+    promised = known.compute_drops(rows[None], 0.01)[0]
     fell = known.integrated_variance - at_once.integrated_variance
     assert fell == pytest.approx(promised, rel=1e-12)
 
@@ -126,28 +130,28 @@ def test_what_other_axes_add_leaves_the_optimum_exact(rng):
     size = 2 * SPLINE.size
     root = rng.normal(size=(size, size))
     gram = np.kron(np.eye(2), SPLINE.gram())
-    known = Belief(root @ root.T, gram)
+    known = IntegratedVariance(root @ root.T, gram)
     other = SPLINE.basis(np.array([3.3]))
 
     def rows(at):
         return np.hstack([SPLINE.basis(at), np.repeat(other, len(at), axis=0)])
 
-    best = best_place(known, rows, KNOTS, 0.01)
-    dense = known.drops(rows(np.linspace(0.0, 6.0, 60_001)), 0.01)
+    best = find_best_place(known, rows, KNOTS, 0.01)
+    dense = known.compute_drops(rows(np.linspace(0.0, 6.0, 60_001)), 0.01)
     assert best.drop == pytest.approx(dense.max(), rel=1e-6)
 
 
 def test_a_cyclic_axis_has_an_exact_optimum_too(rng):
     spline = cyclic_spline(np.array([0.0, 1.0, 2.5, 4.0]), 6.0)
-    known = Belief(np.diag([1.0, 2.0, 0.5, 1.5]), spline.gram())
-    known = known.after(spline.basis(np.array([0.4]))[0], 0.01)
-    best = best_place(known, spline.basis, np.append(spline.knots, 6.0), 0.01)
-    dense = known.drops(spline.basis(np.linspace(0.0, 6.0, 60_001)), 0.01)
+    known = IntegratedVariance(np.diag([1.0, 2.0, 0.5, 1.5]), spline.gram())
+    known = known.update(spline.basis(np.array([0.4]))[0], 0.01)
+    best = find_best_place(known, spline.basis, np.append(spline.knots, 6.0), 0.01)
+    dense = known.compute_drops(spline.basis(np.linspace(0.0, 6.0, 60_001)), 0.01)
     assert best.drop == pytest.approx(dense.max(), rel=1e-6)
 
 
 def test_where_nothing_is_left_to_learn_any_place_will_do():
-    known = Belief(np.zeros((SPLINE.size, SPLINE.size)), SPLINE.gram())
-    best = best_place(known, SPLINE.basis, KNOTS, 0.01)
+    known = IntegratedVariance(np.zeros((SPLINE.size, SPLINE.size)), SPLINE.gram())
+    best = find_best_place(known, SPLINE.basis, KNOTS, 0.01)
     assert best.drop == 0.0
     assert KNOTS[0] <= best.at <= KNOTS[-1]

@@ -12,7 +12,7 @@ from app.kinematics.machine import (
     TrackerNoise,
 )
 from app.kinematics.model import MachineModel
-from app.numerics.design_criteria import Belief
+from app.numerics.design_criteria import IntegratedVariance
 from app.numerics.splines import natural_spline
 from app.planning.next_configuration import (
     SearchSpace,
@@ -39,13 +39,13 @@ def stacked_belief():
         part = slice(begin, begin + spline.size)
         gram[part, part] = spline.gram()
         begin = part.stop
-    return Belief(np.eye(size), gram)
+    return IntegratedVariance(np.eye(size), gram)
 
 
 def dense(known, rows, axes, ticks):
     grid = np.meshgrid(*[np.linspace(b[0], b[-1], ticks) for b in axes.borders])
     position = np.stack([g.ravel() for g in grid], axis=1)
-    return known.drops(rows(position), VARIANCE).max()
+    return known.compute_drops(rows(position), VARIANCE).max()
 
 
 def test_each_next_configuration_of_three_stacked_axes_beats_a_dense_search():
@@ -54,9 +54,9 @@ def test_each_next_configuration_of_three_stacked_axes_beats_a_dense_search():
         best = next_configuration(known, stacked, AXES, VARIANCE, seed=turn)
         assert best.drop >= dense(known, stacked, AXES, 41)
         assert best.drop == pytest.approx(
-            known.drops(stacked(best.position[None]), VARIANCE)[0]
+            known.compute_drops(stacked(best.position[None]), VARIANCE)[0]
         )
-        known = known.after(stacked(best.position[None])[0], VARIANCE)
+        known = known.update(stacked(best.position[None])[0], VARIANCE)
 
 
 def test_the_same_seed_gives_the_same_configuration():
@@ -86,7 +86,9 @@ def mill(*rotary):
 def believed(model):
     """Errors of usual sizes in a model, all of them worth the same."""
     sizes = [1e-5 if p.unit == "rad" else 1e-2 for p in model.parameters]
-    return Belief(np.diag(np.square(sizes)), np.diag(np.square(1.0 / np.array(sizes))))
+    return IntegratedVariance(
+        np.diag(np.square(sizes)), np.diag(np.square(1.0 / np.array(sizes)))
+    )
 
 
 def motions(machine, symbols):
@@ -111,6 +113,6 @@ def test_rotary_axes_are_searched_between_their_knots_too():
     known, axes = believed(model), search_space(model)
     rows = point_rows(model)
     best = next_configuration(known, rows, axes, VARIANCE)
-    there = known.drops(rows(best.position[None]), VARIANCE)[0]
+    there = known.compute_drops(rows(best.position[None]), VARIANCE)[0]
     assert best.drop == pytest.approx(there, rel=1e-6)
     assert best.drop >= dense(known, rows, axes, 13)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.estimation.prior_model import PriorModel
@@ -92,7 +92,7 @@ def test_what_is_foretold_is_what_the_measurement_then_states(planned, model, ru
     setting = Setting(machine_seed=6, hidden=hidden)
     run = run_of(synthetic.record(SMALL, program, 7, "otf", setting))
     known = model.select_effects(MACHINE)
-    found = estimate(with_surroundings(align(run), run.commanded), known=known)
+    found = estimate(add_surroundings(align(run), run.commanded), known=known)
     part = known.locate(found.model)
     stated = np.sqrt(np.diag(found.covariance)[part])
     foretold = np.sqrt(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.surroundings import with_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.batch import estimate
@@ -202,7 +202,7 @@ def test_no_run_counts_twice(told):
 
 def test_trials_of_the_measurement_confirm_the_uncertainty_beside_effects(told):
     one = told(LAG)
-    seen = with_surroundings(align(one.run), one.run.commanded)
+    seen = add_surroundings(align(one.run), one.run.commanded)
     found = estimate(
         seen, known=one.earlier.select_effects(one.run.machine), keep_fit=True
     )

@@ -27,7 +27,7 @@ WEAK = "EZZ together with B0Z: a bow of the error along Z is told only weakly; â
 @pytest.fixture(scope="module")
 def partly(estimate):
     """The estimate, had only a part of the travel been measured."""
-    seen = replace(estimate.observability, weak=(WEAK,))
+    seen = replace(estimate.observability, poorly_observable=(WEAK,))
     return replace(estimate, measured=MEASURED, observability=seen)
 
 

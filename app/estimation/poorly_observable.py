@@ -22,7 +22,7 @@ from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, is_turn
 
 USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
-_LEFT = 0.5  # standard deviation left, of a usual machine's, from which a shape is weak
+_LEFT = 0.5  # standard deviation of a usual machine that the data leave, at least
 _MATTERS_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
 _BLIND = 0.9999  # left: all but rounding
 _TAKES_PART = 0.25  # of the largest part, at the tool
@@ -33,17 +33,17 @@ _GRID = 41  # places of an axis at which its form is looked at
 
 
 @dataclass(frozen=True, slots=True)
-class WeakShape:
+class PoorlyObservableShape:
     """A combination of error motions that the data hardly determine.
 
     symbols : motions that take part, the largest first
-    left : standard deviation that the data leave, of that of a usual machine
+    remaining : standard deviation that the data leave, of that of a usual machine
     sigma_mm : what stays unknown, as root mean square at the tool over the travel
     form : what the first of them looks like along its axis
     """
 
     symbols: tuple[str, ...]
-    left: float
+    remaining: float
     sigma_mm: float
     form: str
 
@@ -55,9 +55,9 @@ class WeakShape:
             who += f" together with {', '.join(others)}"
             who += " and others" if len(self.symbols) > 1 + len(others) else ""
         return (
-            f"{who}: {self.form} is told only weakly; {100 * self.left:.0f} % of what "
-            f"a usual machine may have stays open, {1e3 * self.sigma_mm:.1f} µm at the "
-            "tool (k = 1)"
+            f"{who}: {self.form} is told only weakly; "
+            f"{100 * self.remaining:.0f} % of what a usual machine may have "
+            f"stays open, {1e3 * self.sigma_mm:.1f} µm at the tool (k = 1)"
         )
 
 
@@ -75,40 +75,42 @@ def usual_precision_matrix(
     return prior.precision_matrix(model.size) + slack
 
 
-def find_weak_shapes(
-    told: Float64[np.ndarray, "p p"],
+def find_poorly_observable(
+    information: Float64[np.ndarray, "p p"],
     model: MachineModel,
     gram: Float64[np.ndarray, "p p"],
     *,
     blind: bool = True,
-) -> tuple[WeakShape, ...]:
+) -> tuple[PoorlyObservableShape, ...]:
     """Return the shapes that matter and are hardly told, the worst first.
 
-    told : information of the data on the model, everything else integrated out
+    information : of the data on the model, everything else integrated out
     gram : θᵀ G θ is the mean square of the volumetric error over the travel
     blind : those of which nothing is told as well
     """
     prior = usual_precision_matrix(model)
     # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
-    value, vector = eigh(told, prior)
-    left = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
-    size = left * np.sqrt(np.einsum("ps,pq,qs->s", vector, gram, vector, optimize=True))
+    value, vector = eigh(information, prior)
+    remaining = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
+    size = remaining * np.sqrt(
+        np.einsum("ps,pq,qs->s", vector, gram, vector, optimize=True)
+    )
     order = np.argsort(-size)
     most = 1.0 if blind else _BLIND
-    weak = [i for i in order if _LEFT < left[i] <= most and size[i] > _MATTERS_MM]
+    poor = [i for i in order if _LEFT < remaining[i] <= most and size[i] > _MATTERS_MM]
     return tuple(
-        _named(model, gram, vector[:, i], float(left[i]), float(size[i]))
-        for i in weak[:_MOST]
+        _name_shape(model, gram, vector[:, i], float(remaining[i]), float(size[i]))
+        for i in poor[:_MOST]
     )
 
 
-def _named(
+def _name_shape(
     model: MachineModel,
     gram: Float64[np.ndarray, "p p"],
     shape: Float64[np.ndarray, " p"],
-    left: float,
+    remaining: float,
     sigma_mm: float,
-) -> WeakShape:
+) -> PoorlyObservableShape:
     part = {
         e.name: _at_tool(gram, shape, model.slices[e.name])
         for e in model.effects
@@ -121,7 +123,7 @@ def _named(
     form = "the angle"
     if first.motion:
         form = describe_form(first.motion, shape[model.slices[first.name]])
-    return WeakShape(taking, left, sigma_mm, form)
+    return PoorlyObservableShape(taking, remaining, sigma_mm, form)
 
 
 def _at_tool(

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from app.estimation.volumetric_map import compute_volumetric_gram
-from app.estimation.weak_shapes import (
+from app.estimation.poorly_observable import (
     describe_form,
-    find_weak_shapes,
+    find_poorly_observable,
     usual_precision_matrix,
 )
+from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.effects.error_motion import error_motion
 from app.kinematics.identifiable import identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
@@ -50,11 +50,11 @@ def shape_of(model, symbol):
 
 def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
     model, gram = known
-    (found,) = find_weak_shapes(
+    (found,) = find_poorly_observable(
         told_but(model, shape_of(model, "EYY"), 0.8), model, gram
     )
     assert found.symbols == ("EYY",)
-    assert found.left == pytest.approx(0.8, rel=1e-3)
+    assert found.remaining == pytest.approx(0.8, rel=1e-3)
     assert str(found).startswith("EYY: ")
     assert "80 % of what a usual machine may have stays open" in str(found)
 
@@ -62,7 +62,9 @@ def test_what_the_data_leave_of_a_usual_machine_is_named_with_its_size(known):
 def test_what_is_told_well_is_not_weak(known):
     model, gram = known
     assert (
-        find_weak_shapes(told_but(model, shape_of(model, "EYY"), 0.3), model, gram)
+        find_poorly_observable(
+            told_but(model, shape_of(model, "EYY"), 0.3), model, gram
+        )
         == ()
     )
 
@@ -70,15 +72,15 @@ def test_what_is_told_well_is_not_weak(known):
 def test_motions_that_share_a_shape_are_named_together(known):
     model, gram = known
     shape = shape_of(model, "EXX") + 0.8 * shape_of(model, "EZZ")
-    (found,) = find_weak_shapes(told_but(model, shape, 0.9), model, gram)
+    (found,) = find_poorly_observable(told_but(model, shape, 0.9), model, gram)
     assert found.symbols == ("EXX", "EZZ")
 
 
 def test_the_exact_null_space_can_be_left_to_others(known):
     model, gram = known
     told = told_but(model, shape_of(model, "EYY"), 1.0)
-    assert len(find_weak_shapes(told, model, gram)) == 1
-    assert find_weak_shapes(told, model, gram, blind=False) == ()
+    assert len(find_poorly_observable(told, model, gram)) == 1
+    assert find_poorly_observable(told, model, gram, blind=False) == ()
 
 
 @pytest.mark.parametrize(

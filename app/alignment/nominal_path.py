@@ -81,7 +81,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Course:
+class NominalPath:
     """The commanded rows as the tracker should see them.
 
     begin_mm, end_mm : (w, 3) ends of the line towards each row, of that row's target
@@ -116,21 +116,23 @@ class Course:
         )
 
 
-def course_of(machine: Machine, commanded: Path | Configurations) -> Course:
-    """Return the course of a path, or the places of standstill points."""
+def compute_nominal_path(
+    machine: Machine, commanded: Path | Configurations
+) -> NominalPath:
+    """Return what the tracker should see of a path or of standstill points."""
     n = len(commanded)
-    end_mm = _seen_mm(machine, commanded, np.arange(n), commanded.position)
+    end_mm = _expected_mm(machine, commanded, np.arange(n), commanded.position)
     if isinstance(commanded, Configurations):
         rows, none = np.arange(n), np.zeros(n)
         slowest = _SLOWEST_TRAVERSE_MM_S
-        return Course(end_mm, end_mm, none, none, {}, slowest, rows, rows)
+        return NominalPath(end_mm, end_mm, none, none, {}, slowest, rows, rows)
     before = np.concatenate([commanded.position[:1], commanded.position[:-1]])
-    begin_mm = _seen_mm(machine, commanded, np.arange(n), before)
+    begin_mm = _expected_mm(machine, commanded, np.arange(n), before)
     length_mm = np.linalg.norm(end_mm - begin_mm, axis=1)
     is_rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
     step = commanded.position - before
     turn_deg = np.abs(step[:, is_rotary]).sum(axis=1)
-    bends = _bends(machine, commanded, before, turn_deg)
+    bends = _find_bends(machine, commanded, before, turn_deg)
     for row, bend in bends.items():
         length_mm[row] = bend.length_mm()
     speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
@@ -139,12 +141,12 @@ def course_of(machine: Machine, commanded: Path | Configurations) -> Course:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
     first = np.flatnonzero(moved)
     last = np.append(first[1:], n) - 1
-    return Course(
+    return NominalPath(
         begin_mm, end_mm, length_mm, turn_deg, bends, float(speed.min()), first, last
     )
 
 
-def _seen_mm(
+def _expected_mm(
     machine: Machine,
     commanded: Path | Configurations,
     row: Int64[np.ndarray, " n"],
@@ -160,7 +162,7 @@ def _seen_mm(
     return at.view_from(machine.tracker.stands_on, aside).point_mm
 
 
-def _bends(
+def _find_bends(
     machine: Machine,
     commanded: Path,
     before: Float64[np.ndarray, "w a"],
@@ -174,7 +176,7 @@ def _bends(
     shares = [np.linspace(0.0, 1.0, count) for count in nodes]
     row, share = np.repeat(rows, nodes), np.concatenate(shares)
     step = commanded.position[row] - before[row]
-    point = _seen_mm(machine, commanded, row, before[row] + share[:, None] * step)
+    point = _expected_mm(machine, commanded, row, before[row] + share[:, None] * step)
     parts = np.split(point, np.cumsum(nodes)[:-1])
     bends = {int(row): Bend(points) for row, points in zip(rows, parts, strict=True)}
     return {row: bend for row, bend in bends.items() if not bend.is_straight()}

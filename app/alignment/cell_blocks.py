@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.alignment.course import Course, Curve
+from app.alignment.nominal_path import Curve, NominalPath
 from app.alignment.observations import Observations, Pass
-from app.alignment.reduction import CELL_MM, Cells, cell_count, reduce_to_cells
+from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence
@@ -25,7 +25,7 @@ _CREEP_MM = 0.03  # several times what the air does in a second
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class CellBlock:
     """Cells of one pass (`line` counts passes) or of one standstill (`line` is −1).
 
     row : of the commanded path or points; velocity_mm_s : (n, 3), 0 at a standstill
@@ -58,14 +58,14 @@ def on_workpiece(
     return np.array([machine.target(name).on == "workpiece" for name in names], bool)
 
 
-def moving_stretch(
+def reduce_pass(
     run: Run,
     line: int,
     each: Pass,
     stream: Stream,
     curve: Curve,
     cell_mm: float = CELL_MM,
-) -> Stretch:
+) -> CellBlock:
     """Return the cells of one pass; their places follow from a constant feed."""
     part = slice(each.first, each.last)
     time = stream.time_s[part]
@@ -75,7 +75,7 @@ def moving_stretch(
     def way(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         return curve.point_mm(each.share + rate * (time_s - middle)) @ rotation.T
 
-    count = cell_count(
+    count = count_cells(
         float(time[-1] - time[0]),
         each.speed_mm_s * curve.fastest(),
         rate * curve.turn_deg,
@@ -89,7 +89,7 @@ def moving_stretch(
     late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
     share, rate = share + late + slow * line_time, rate + slow
     rows = run.commanded.position[each.row - 1 : each.row + 1]
-    return Stretch(
+    return CellBlock(
         cells,
         each.row,
         line,
@@ -124,7 +124,7 @@ def _timing(
     return float(weight @ ahead) - slow * float(weight @ line_time_s), slow
 
 
-def looks_at_standstills(run: Run) -> bool:
+def uses_standstills(run: Run) -> bool:
     """Tell whether standstills are measured, not only what is driven between them.
 
     On a line, phase and speed are free: of a target that an axis turns, nothing then
@@ -133,18 +133,22 @@ def looks_at_standstills(run: Run) -> bool:
     return run.mode == "standstill" or bool(run.machine.rotary_axes)
 
 
-def standing_stretches(
-    run: Run, stops: StopSequence, matching: Matching, stream: Stream, course: Course
-) -> list[Stretch]:
+def reduce_standstills(
+    run: Run,
+    stops: StopSequence,
+    matching: Matching,
+    stream: Stream,
+    nominal: NominalPath,
+) -> list[CellBlock]:
     """Return the cells of every matched standstill, settling left out.
 
     Not of those at which an axis may have turned unseen.
     """
-    found: list[Stretch] = []
+    found: list[CellBlock] = []
     for stop, place in zip(matching.stop, matching.waypoint, strict=True):
         first, last = int(stops.first[stop]), int(stops.last[stop])
-        row = int(course.first[place])
-        if last - first < _FEWEST_SAMPLES or row != course.last[place]:
+        row = int(nominal.first[place])
+        if last - first < _FEWEST_SAMPLES or row != nominal.last[place]:
             continue
         time = stream.time_s[first:last]
         settled = (time > time[0] + _SETTLE_S) & (time < time[-1] - _SETTLE_S)
@@ -157,12 +161,12 @@ def standing_stretches(
             stream.tracker_mm[inside],
             _at_rest,
             run.machine.tracker,
-            cell_count(span),
+            count_cells(span),
         )
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
         still = np.zeros((n, 3))
-        found.append(Stretch(cells, row, -1, still, position, np.zeros(n)))
+        found.append(CellBlock(cells, row, -1, still, position, np.zeros(n)))
     return found
 
 
@@ -180,8 +184,8 @@ def _creeps(tracker_mm: Float64[np.ndarray, "n 3"]) -> bool:
     return bool(np.linalg.norm(np.ptp(means, axis=0)) > _CREEP_MM)
 
 
-def joined(
-    run: Run, parts: list[Stretch], pose: RigidTransform, passes: tuple[Pass, ...]
+def join_blocks(
+    run: Run, parts: list[CellBlock], pose: RigidTransform, passes: tuple[Pass, ...]
 ) -> Observations:
     """Return the cells of all stretches as one block."""
     sizes = [len(p.cells.time_s) for p in parts]
@@ -220,7 +224,7 @@ def joined(
     )
 
 
-def _scatter(parts: list[Stretch]) -> Float64[np.ndarray, "2"]:
+def _scatter(parts: list[CellBlock]) -> Float64[np.ndarray, "2"]:
     square = np.sum(np.array([p.cells.scatter_square for p in parts]), axis=0)
     freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
     return np.sqrt(square / np.maximum(freedom, 1.0))
