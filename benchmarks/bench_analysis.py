@@ -17,7 +17,7 @@ from measure import measure, ratio
 from app.alignment.align import align
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.bundle import read_bundle
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Machine
 from app.results.analysis import analyse
 from simulators import paths, synthetic
@@ -33,7 +33,7 @@ def ours(folder: Path) -> tuple[int, np.ndarray]:
     """Read, align, estimate and report; return samples and the predicted map, mm."""
     run = read_bundle(folder / "bundle")
     estimate = analyse(run).estimate
-    at = standstill(run.machine, _points(run.machine))
+    at = make_standstill(run.machine, _points(run.machine))
     return len(run.tracker), build_volumetric_map(estimate.model).error_mm(
         at, estimate.theta
     )
@@ -44,7 +44,7 @@ def paper(folder: Path) -> tuple[int, np.ndarray]:
     seen = pickle.loads((folder / "reduced.pickle").read_bytes())
     tables = paper_method.solve(seen, SPACING_MM)
     machine = seen.at.machine
-    at = standstill(machine, _points(machine))
+    at = make_standstill(machine, _points(machine))
     return len(seen), paper_method.error_mm(tables, at)
 
 

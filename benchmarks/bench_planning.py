@@ -28,7 +28,7 @@ from app.estimation.poorly_observable import usual_precision_matrix
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS
 from app.motion.corner_path import corner_path
@@ -174,7 +174,7 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
     All three coordinates of the target are measured; ten points are known already.
     """
     offsets = np.array([target.offset_mm for target in machine.targets])
-    model, _ = identifiable_model(machine, offsets, intervals=intervals)
+    model, _ = build_identifiable_model(machine, offsets, intervals=intervals)
     known = IntegratedVariance(
         inverse(usual_precision_matrix(model)), compute_volumetric_gram(model)
     )

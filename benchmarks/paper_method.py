@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.alignment.observations import Observations
-from app.kinematics.effects.error_motion import arm_of
-from app.kinematics.symbols import error_motions
+from app.kinematics.effects.error_motion import find_arm
+from app.kinematics.symbols import list_error_motions
 from app.numerics.rigid import fit_rigid
 
 
@@ -62,7 +62,7 @@ def _table_matrix(seen: Observations, spacing_mm: float):
     for axis in seen.at.machine.linear_axes:
         count = round((axis.max_mm - axis.min_mm) / spacing_mm) + 1
         knots = np.linspace(axis.min_mm, axis.max_mm, count)
-        columns += [(symbol, knots) for symbol in error_motions(axis.name)]
+        columns += [(symbol, knots) for symbol in list_error_motions(axis.name)]
     rows = _rows(seen.at, columns)
     return tuple(columns), rows.reshape(-1, rows.shape[2])
 
@@ -70,7 +70,7 @@ def _table_matrix(seen: Observations, spacing_mm: float):
 def _rows(at, columns) -> np.ndarray:
     parts = []
     for symbol, knots in columns:
-        arm = arm_of(symbol, at)
+        arm = find_arm(symbol, at)
         hats = _hats(at.axis_mm(symbol[2]), knots)
         parts.append(arm[:, :, None] * hats[:, None, :])
     return np.concatenate(parts, axis=2)

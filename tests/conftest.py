@@ -14,7 +14,7 @@ import structlog
 from app.files.bundle import zip_bundle
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis, Machine, RotaryAxis, Target, TrackerNoise
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
@@ -176,7 +176,7 @@ def volume() -> Callable[[Machine], np.ndarray]:
 @pytest.fixture(scope="session")
 def at_rest() -> Callable[[Machine, np.ndarray], Any]:
     """Give the conditions of a machine at rest."""
-    return standstill
+    return make_standstill
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.kinematics.conditions import standstill
-from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import error_motions, is_straightness, is_turn
+from app.kinematics.symbols import is_straightness, is_turn, list_error_motions
 from simulators.truth_machine import TruthMachine
 
 RUNS, STEP_MM, MARGIN_MM = 5, 25.0, 10.0
@@ -46,7 +46,7 @@ class DirectMachine:
 
     def deviation_mm(self, position_mm: np.ndarray) -> np.ndarray:
         """Return the volumetric error of the tables, squareness left out."""
-        at = standstill(self.model.machine, position_mm)
+        at = make_standstill(self.model.machine, position_mm)
         return self.model.jacobian(at) @ self.theta
 
 
@@ -58,7 +58,7 @@ def measure(machine: Machine, truth: TruthMachine, seed: int) -> DirectMachine:
         low, high = axis.min_mm + MARGIN_MM, axis.max_mm - MARGIN_MM
         count = round((high - low) / STEP_MM) + 1
         position = np.linspace(low, high, count)
-        for symbol in error_motions(axis.name):
+        for symbol in list_error_motions(axis.name):
             unit = "urad" if is_turn(symbol) else "um"
             scale = 1e-6 if is_turn(symbol) else 1e-3
             value = truth.error_motions()[symbol].at(position)
@@ -66,7 +66,7 @@ def measure(machine: Machine, truth: TruthMachine, seed: int) -> DirectMachine:
             noise = rng.normal(size=(RUNS, 2, count)) * scale * REPEATABILITY[unit]
             measured = value + half * np.array([1.0, -1.0])[:, None] + noise
             tables[symbol] = DirectTable(symbol, position, measured)
-            motion = error_motion(symbol, axis, count - 1)
+            motion = make_error_motion(symbol, axis, count - 1)
             fit = np.linalg.lstsq(
                 motion.rows(position), tables[symbol].mean, rcond=None
             )[0]

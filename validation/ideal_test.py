@@ -24,7 +24,7 @@ from app.estimation.normal_equations import compute_information
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.model import MachineModel
 from simulators.recording import Recording
 from simulators.tracker_head import Air
@@ -68,7 +68,7 @@ def signal_to_noise(
     """
     run = run_of(recording)
     seen = align(run, cell_mm=CELL_MM)
-    model, _ = identifiable_model(run.machine, seen.at.offset_mm)
+    model, _ = build_identifiable_model(run.machine, seen.at.offset_mm)
     shapes = [
         Shape(k, *_in_cells(recording, seen, shift))
         for k, shift in enumerate(shifts_mm)

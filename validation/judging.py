@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.estimation.volumetric_map import build_volumetric_map
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -75,7 +75,7 @@ def map_mm(
     within: Volume, model: MachineModel, theta: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a model's volumetric error and its standard uncertainty, (n, 3) each."""
-    at = standstill(within.machine, within.position_mm)
+    at = make_standstill(within.machine, within.position_mm)
     found = build_volumetric_map(model)
     return found.error_mm(at, theta), found.sigma_mm(at, covariance)
 
@@ -93,7 +93,7 @@ def true_parameters(model: MachineModel, truth: TruthMachine) -> np.ndarray:
     ends = low + rng.integers(0, 2, (300, 3)) * (high - low)
     edges = np.where(rng.uniform(size=(300, 3)) < 0.5, ends, inside[:300])
     position = np.vstack([inside, edges])
-    columns = model.jacobian(standstill(model.machine, position))
+    columns = model.jacobian(make_standstill(model.machine, position))
     rigid = np.zeros((len(position), 3, 6))
     rigid[:, :, :3] = np.eye(3)
     for k, axis in enumerate(np.eye(3)):

@@ -19,9 +19,14 @@ from recordings import machine_content, papers_program
 from study import Study, study
 
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import SQUARENESS, error_motions, is_straightness, is_turn
+from app.kinematics.symbols import (
+    SQUARENESS,
+    is_straightness,
+    is_turn,
+    list_error_motions,
+)
 from simulators import synthetic
 
 CONTENT = machine_content("w-X-b-Y-Z-t", (600.0, 500.0, 460.0), (20.0, 30.0, -150.0))
@@ -65,7 +70,7 @@ def _motions(model: MachineModel) -> dict[str, ErrorMotion]:
 
 def _merged_symbols(done: Study) -> dict[str, tuple[str, ...]]:
     """Return what one tool does not tell, with what it merges into."""
-    _, merged = identifiable_model(done.within.machine, done.seen.at.offset_mm)
+    _, merged = build_identifiable_model(done.within.machine, done.seen.at.offset_mm)
     return {m.symbol: m.partners for m in merged}
 
 
@@ -108,7 +113,7 @@ def _figures_6_to_8(done: Study, direct: DirectMachine, merged: np.ndarray) -> N
 def _appendix(done: Study, direct: DirectMachine, merged: np.ndarray) -> None:
     figure, panels = plt.subplots(6, 3, figsize=(9.4, 10.2))
     for column, axis in enumerate("XYZ"):
-        for row, symbol in enumerate(error_motions(axis)):
+        for row, symbol in enumerate(list_error_motions(axis)):
             _panel(panels[row, column], symbol, done, direct, merged)
     figure.tight_layout()
     figures.save(figure, "2023-appendix.png")

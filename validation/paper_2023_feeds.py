@@ -25,7 +25,7 @@ from study import Study, study
 from app.alignment.align import align
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.machine_file import machine_from_json
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.numerics.rigid import fit_rigid
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine
@@ -92,7 +92,7 @@ def measured_reference() -> Reference:
 
 def left(reference: Reference, done: Study | None) -> tuple[float, float]:
     """Return the mean length left at the points, by truth and as measured, in mm."""
-    at = standstill(MACHINE, reference.position_mm)
+    at = make_standstill(MACHINE, reference.position_mm)
     predicted = np.zeros((len(at), 3))
     if done is not None:
         predicted = build_volumetric_map(done.found.model).error_mm(

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.bend import NODES, Bend
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Machine, RotaryAxis
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -158,7 +158,7 @@ def _expected_mm(
     which = row if commanded.target else np.zeros(len(row), np.int64)
     offset = np.array([t.offset_mm for t in targets], np.float64)[which]
     aside = np.array([t.on == "workpiece" for t in targets])[which]
-    at = standstill(machine, position, offset)
+    at = make_standstill(machine, position, offset)
     return at.view_from(machine.tracker.stands_on, aside).point_mm
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, is_turn
@@ -51,7 +51,7 @@ class ErrorMap:
         direction : 1 or −1 of all axes, 0 for the mean
         """
         error = self.volumetric_map.error_mm(
-            standstill(self.machine, position_mm), self.result.theta
+            make_standstill(self.machine, position_mm), self.result.theta
         )
         for column, axis in enumerate(self.axes):
             half = direction * self.half_difference_mm(
@@ -90,7 +90,7 @@ class ErrorMap:
         self, position_mm: Float64[np.ndarray, "n a"], axis: str, by: str
     ) -> Float64[np.ndarray, "n 3"]:
         """Return the error at the tool point by the effects of a pair of axes."""
-        at = standstill(self.machine, position_mm)
+        at = make_standstill(self.machine, position_mm)
         model, theta = self.result.model, self.result.theta
         total = np.zeros((len(position_mm), 3))
         for effect in model.effects:

@@ -21,7 +21,7 @@ from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import CompensationFormat, Correction
 from app.errors import BadInput
 from app.kinematics.machine import Machine
-from app.kinematics.symbols import LINEAR, error_motions, is_turn
+from app.kinematics.symbols import LINEAR, is_turn, list_error_motions
 
 
 class IsgCsv(CompensationFormat):
@@ -76,7 +76,7 @@ class IsgCsv(CompensationFormat):
 
 
 def _write_block(table: AxisTable) -> Iterator[str]:
-    symbols, pair = error_motions(table.axis.name), table.pair
+    symbols, pair = list_error_motions(table.axis.name), table.pair
     motions = np.hstack([table.translation_mm, table.rotation_rad])
     if pair is None:
         yield "  ".join([table.axis.name, *symbols])
@@ -89,7 +89,7 @@ def _write_block(table: AxisTable) -> Iterator[str]:
 
 
 def _write_rows(table: AxisTable, motions: Float64[np.ndarray, "n 6"]) -> Iterator[str]:
-    symbols = error_motions(table.axis.name)
+    symbols = list_error_motions(table.axis.name)
     for at, row in zip(table.position_mm, motions, strict=True):
         values = zip(symbols, row, strict=True)
         numbers = [f"{v:z.9f}" if is_turn(s) else f"{v:z.6f}" for s, v in values]
@@ -130,6 +130,6 @@ def _read_blocks(
         head, *rows = [line.split() for line in block.splitlines() if line.strip()]
         by = head.pop(0) if len(head) > 1 and head[1] in LINEAR else ""
         axis = head[0]
-        if head[1:] != list(error_motions(axis)):
+        if head[1:] != list(list_error_motions(axis)):
             raise BadInput(f"the block of {axis} does not have its six motions")
         yield axis, (by, np.array([[float(word) for word in row] for row in rows]))

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from app.discovery.evidence import log_bayes
 from app.estimation.residual import Residual
 from app.kinematics.effects.candidate_term import CandidateTerm
-from app.kinematics.effects.catalogue import Scan, Wave, attenuation
+from app.kinematics.effects.catalogue import Scan, Wave, attenuate_wave
 from app.numerics.spectrum import transform
 
 _RATES = 8  # groups of cells of similar rate
@@ -134,7 +134,7 @@ def _wave_sums(
         rate = float(np.mean(wave.rate[cells]))
         angular_rate = 2.0 * np.pi * wave.waves * rate
         span_s = np.full(len(angular_rate), float(np.mean(span[cells])))
-        kept = attenuation(angular_rate, span_s)
+        kept = attenuate_wave(angular_rate, span_s)
         products += kept * transform(wave.coordinate[cells], data[cells], wave.waves)
         share = 1.0 / (1.0 + residual.ou_density(wave.waves * rate))
         information += 0.5 * kept**2 * share * float(weight[cells].sum())

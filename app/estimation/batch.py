@@ -24,7 +24,7 @@ from app.estimation.runs import RunInformation, RunInput
 from app.estimation.whitening import whiten
 from app.files.one_machine import one_machine
 from app.kinematics.coarse_model import build_coarse_model
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.progress import ShareProgress, ignore_progress
 
 
@@ -54,7 +54,7 @@ def estimate(
         [each.at.machine for each in observed], _name(names, observed)
     )
     offsets_mm = [each.at.offset_mm for each in observed]
-    model, _ = identifiable_model(machine, *offsets_mm)
+    model, _ = build_identifiable_model(machine, *offsets_mm)
     coarse = build_coarse_model(machine, offsets_mm, known.effects)
     inputs = tuple(
         RunInput(

@@ -25,7 +25,7 @@ from app.estimation.runs import (
     combine_runs,
 )
 from app.kinematics.coarse_model import add_half_widths
-from app.kinematics.effects.approach import half_shape
+from app.kinematics.effects.approach import make_half_shape
 from app.kinematics.model import MachineModel
 
 # A precision fitted to nothing gains a little evidence; not this much, in −2 log.
@@ -74,7 +74,7 @@ def select_fit(
     constant = _fit("constant", wide, found, known)
     if none.cost <= constant.cost:
         return none
-    shapes = [half_shape(m.symbol, m.axis) for m in model.error_motions]
+    shapes = [make_half_shape(m.symbol, m.axis) for m in model.error_motions]
     both = wide.with_effects(*shapes)
     tables = _fit("tables", both, collect_information(runs, both), known)
     return min(constant, tables, key=lambda fit: fit.cost)

@@ -27,7 +27,7 @@ from app.estimation.information import compute_posterior
 from app.estimation.prior import BendingPrior
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import QuadraticPrior
-from app.kinematics.effects.error_motion import ErrorMotion, arm_of
+from app.kinematics.effects.error_motion import ErrorMotion, find_arm
 from app.kinematics.machine import Machine, RotaryAxis
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import is_turn
@@ -126,7 +126,7 @@ def beyond_travel_variance_mm2(
             _DENSITY / 12.0 * varies.curvature_square * away**4,
             _STEEPER**2 * varies.slope_square * away**2,
         )
-        total += arm_of(motion.symbol, at) ** 2 * bent[:, None]
+        total += find_arm(motion.symbol, at) ** 2 * bent[:, None]
     return total
 
 

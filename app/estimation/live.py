@@ -44,7 +44,7 @@ from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -112,7 +112,7 @@ class LiveEstimator:
         self._alignment = StreamingAlignment(machine, commanded)
         self._perpendicular_only = perpendicular_only
         offsets = offsets_mm(machine, commanded.target, len(commanded))
-        model, _ = identifiable_model(machine, offsets)
+        model, _ = build_identifiable_model(machine, offsets)
         self._model = add_half_widths(self._known.extend(model))
         self._gram = compute_volumetric_gram(self._model)
         self._prior: BendingPrior = guess_prior(self._model)

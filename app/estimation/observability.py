@@ -15,8 +15,8 @@ from app.estimation.poorly_observable import (
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.separation import describe_confounded
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.kinematics.effects.error_motion import error_motion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.effects.error_motion import make_error_motion
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 
@@ -27,7 +27,7 @@ _UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
 def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observability:
     """Return rank, the named null space, and poorly observable shapes."""
     offsets_mm = [run.observations.at.offset_mm for run in runs]
-    model, merged = identifiable_model(machine, *offsets_mm, intervals=_INTERVALS)
+    model, merged = build_identifiable_model(machine, *offsets_mm, intervals=_INTERVALS)
     found = collect_information(runs, model)
     information = combine_runs(found).matrix
     alone = np.sum([np.diag(run.data.matrix)[: model.size] for run in found], 0)
@@ -74,4 +74,4 @@ def _shapes(symbol: str, machine: Machine) -> int:
     if not symbol.startswith("E"):
         return 1
     axis = machine.axes[machine.axis_names.index(symbol[2])]
-    return len(error_motion(symbol, axis, _INTERVALS).parameters)
+    return len(make_error_motion(symbol, axis, _INTERVALS).parameters)

@@ -16,13 +16,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.effects.error_motion import ErrorMotion, usual_size
-from app.kinematics.identifiable import Confounded, identifiable_model
+from app.kinematics.effects.error_motion import ErrorMotion, find_usual_size
+from app.kinematics.identifiable import Confounded, build_identifiable_model
 from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import DIRECTION, is_turn, meaning
+from app.kinematics.symbols import DIRECTION, describe_symbol, is_turn
 
-_ENOUGH_RAD = usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
+_ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
 _STEP_MM = 10.0  # in which lengths are stated
 _TRIAL_MM = 100.0  # by which a trial target is farther
 _SHAPES = 4  # intervals of the knots: few do, as what merges does not depend on them
@@ -67,7 +67,7 @@ def _still_merged(
     x, y, z = (float(v) for v in added)
     second = Target("second", "tool", (x, y, z))
     tried = replace(machine, targets=(*machine.targets, second))
-    _, merged = identifiable_model(
+    _, merged = build_identifiable_model(
         tried, np.vstack([measured, added]), intervals=_SHAPES
     )
     return {m.symbol for m in merged}
@@ -80,7 +80,7 @@ def _statement(
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> str:
-    said = f"{merged.symbol} ({meaning(merged.symbol)})"
+    said = f"{merged.symbol} ({describe_symbol(merged.symbol)})"
     if merged.partners:
         with_what = "one tool length" if tools == 1 else "the measured tool offsets"
         said += f" cannot be told from {' and '.join(merged.partners)} with {with_what}"

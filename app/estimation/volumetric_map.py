@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions, standstill
+from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import cross_matrix
@@ -93,7 +93,7 @@ def _quadrature(
     position = low + (unit + 1.0) / 2.0 * (high - low)
     total = np.prod([w.ravel() for w in weights], axis=0)
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
-    return standstill(machine, position, offset), total / total.sum()
+    return make_standstill(machine, position, offset), total / total.sum()
 
 
 def _evenly_spread(
@@ -107,7 +107,7 @@ def _evenly_spread(
     low = np.array([axis.low for axis in machine.axes])
     high = np.array([axis.high for axis in machine.axes])
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
-    at = standstill(machine, low + unit * (high - low), offset)
+    at = make_standstill(machine, low + unit * (high - low), offset)
     return at, np.full(len(unit), 1.0 / len(unit))
 
 

@@ -20,17 +20,17 @@ from app.errors import BadInput
 from app.files.file_model import FileModel, Text, quote, refuse, validate
 from app.files.packing import ENCODING, pack_symmetric, unpack_symmetric
 from app.files.units import scale_of, unit_of
-from app.kinematics.conditions import standstill
-from app.kinematics.effects.axis_location import axis_locations
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import Family
 from app.kinematics.effects.catalogue_effect import CatalogueEffect, restore_effect
-from app.kinematics.effects.error_motion import error_motion_over
+from app.kinematics.effects.error_motion import make_error_motion_over
 from app.kinematics.effects.installed import find_family
-from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.effects.squareness import list_squarenesses
 from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import SQUARENESS, error_motions, unit
+from app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions
 
 SCHEMA = "model/1"
 _MOST = 20_000  # stated numbers; a larger covariance would not fit in memory
@@ -76,7 +76,7 @@ class ErrorMotionFile(FileModel):
 
     def restore(self, machine: Machine) -> Stated:
         """Return the effect and its stated values."""
-        axes = {s: axis for axis in machine.axes for s in error_motions(axis.name)}
+        axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
         _require_symbol(self.symbol, axes)
         axis = axes[self.symbol]
         knots = self._numbers(key := f"knots_{position_unit(axis)}")
@@ -84,11 +84,11 @@ class ErrorMotionFile(FileModel):
         if few or (np.diff(knots) <= 0).any():
             remedy = f"write {_FEWEST_KNOTS} to {_MOST_KNOTS}, in order"
             raise refuse(f"are {len(knots)}, or not increasing", remedy, key)
-        values = self._numbers(key := f"values_{unit(self.symbol)}")
+        values = self._numbers(key := f"values_{find_unit(self.symbol)}")
         if len(values) != len(knots):
             problem = f"are {len(values)} for {len(knots)} knots"
             raise refuse(problem, "write one a knot", key)
-        return error_motion_over(self.symbol, axis, knots), values
+        return make_error_motion_over(self.symbol, axis, knots), values
 
     def _numbers(self, key: str) -> Float64[np.ndarray, " n"]:
         numbers = getattr(self, key)
@@ -107,12 +107,12 @@ class NumberFile(FileModel):
 
     def restore(self, machine: Machine) -> Stated:
         """Return the effect and its stated value."""
-        effects = squareness_between(machine.axis_names)
+        effects = list_squarenesses(machine.axis_names)
         if self.effect == "axis-location":
-            effects = [e for a in machine.rotary_axes for e in axis_locations(a)]
+            effects = [e for a in machine.rotary_axes for e in list_axis_locations(a)]
         known = {effect.symbol: effect for effect in effects}
         _require_symbol(self.symbol, known)
-        value = getattr(self, key := f"value_{unit(self.symbol)}")
+        value = getattr(self, key := f"value_{find_unit(self.symbol)}")
         if value is None:
             raise refuse("is missing", "add it", key)
         return known[self.symbol], np.array([value])
@@ -155,7 +155,7 @@ class CataloguedFile(FileModel):
         middle_mm = [[0.5 * (axis.low + axis.high) for axis in machine.axes]]
         try:
             effect = restore_effect(family, machine, keys, self.numbers)
-            at = standstill(machine, np.array(middle_mm))
+            at = make_standstill(machine, np.array(middle_mm))
             moved = np.zeros(0) if effect is None else effect.jacobian(at)
         except (KeyError, ValueError, ZeroDivisionError) as error:
             raise refuse(
@@ -322,7 +322,7 @@ def _select_machine_effects(
 
 def _build_rows(effect: Effect) -> Float64[np.ndarray, "s p"]:
     if motion := effect.motion:
-        return scale_of(unit(motion.symbol)) * motion.gauge
+        return scale_of(find_unit(motion.symbol)) * motion.gauge
     return np.diag([unit_of(p)[1] for p in effect.parameters])
 
 
@@ -336,7 +336,7 @@ def _effect_json(
             "effect": "error-motion",
             "symbol": symbol,
             f"knots_{position_unit(motion.axis)}": motion.spline.knots.tolist(),
-            f"values_{unit(symbol)}": values.tolist(),
+            f"values_{find_unit(symbol)}": values.tolist(),
         }
     if known:
         return {
@@ -350,5 +350,5 @@ def _effect_json(
     if not symbol:
         raise TypeError(f"{effect.name} has no form in a result file")
     kind = "squareness" if symbol in SQUARENESS else "axis-location"
-    key = f"value_{unit(symbol)}"
+    key = f"value_{find_unit(symbol)}"
     return {"effect": kind, "symbol": symbol, key: float(values[0])}

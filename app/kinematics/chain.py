@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
-from app.kinematics.rotary_axes import turn_matrices
+from app.kinematics.rotary_axes import compute_turns
 from app.kinematics.symbols import LINEAR
 
 
@@ -137,7 +137,7 @@ class NominalChain:
             return np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
         backwards = name in self.machine.workpiece_side
         angle = np.radians(self._column(name)) * (-1.0 if backwards else 1.0)
-        return turn_matrices(axis, angle)
+        return compute_turns(axis, angle)
 
     def _compose_turns(self, names: tuple[str, ...]) -> Float64[np.ndarray, "n 3 3"]:
         product = np.broadcast_to(np.eye(3), (len(self.position), 3, 3))

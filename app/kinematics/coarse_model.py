@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.approach import half_width
+from app.kinematics.effects.approach import make_half_width
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.of_run import EffectOfRun
 from app.kinematics.effects.time_spline import time_splines
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 
@@ -39,7 +39,7 @@ def build_baseline_models(
     offsets_mm = [at.offset_mm for at in conditions]
     slow = [spline for at in conditions for spline in _time_splines(at)]
     if reference is None:
-        model, _ = identifiable_model(machine, *offsets_mm)
+        model, _ = build_identifiable_model(machine, *offsets_mm)
         return model, build_coarse_model(machine, offsets_mm, (), slow)
     beside = (*slow, *reference.catalogue_effects)
     return reference, build_coarse_model(reference.machine, offsets_mm, (), beside)
@@ -67,7 +67,7 @@ def build_coarse_model(
     known : effects of the machine from an earlier measurement
     beside : further effects; those that the model has already are left out
     """
-    model, _ = identifiable_model(
+    model, _ = build_identifiable_model(
         machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
     )
     return add_effects(add_half_widths(model.with_effects(*known)), beside)
@@ -85,4 +85,4 @@ def add_half_widths(model: MachineModel) -> MachineModel:
     """
     lost = {e.half_difference.symbol for e in model.effects if e.half_difference}
     motions = [m for m in model.error_motions if m.symbol not in lost]
-    return model.with_effects(*(half_width(m.symbol, m.axis) for m in motions))
+    return model.with_effects(*(make_half_width(m.symbol, m.axis) for m in motions))

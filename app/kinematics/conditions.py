@@ -127,7 +127,7 @@ class Conditions:
         return self.position_mm[:, self.machine.axis_names.index(axis)]
 
 
-def standstill(
+def make_standstill(
     machine: Machine,
     position_mm: Float64[np.ndarray, "n a"],
     offset_mm: Float64[np.ndarray, "n 3"] | None = None,

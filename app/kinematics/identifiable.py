@@ -15,7 +15,7 @@ yet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -23,17 +23,17 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
-from app.kinematics.conditions import Conditions, standstill
-from app.kinematics.effects.axis_location import axis_locations
+from app.kinematics.conditions import Conditions, make_standstill
+from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.error_motion import arm_of, error_motion
-from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.effects.error_motion import find_arm, make_error_motion
+from app.kinematics.effects.squareness import list_squarenesses
 from app.kinematics.effects.tool_orientation import tool_orientation
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.effects.workpiece_placement import workpiece_placement
 from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import error_motions, is_turn, meaning
+from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 
 # Of an error motion. How much it bends is for the prior to say: closer knots only cost
 # time.
@@ -56,16 +56,16 @@ class Confounded:
 
     def __str__(self) -> str:
         """Return the statement for reports."""
+        named = f"{self.symbol} ({describe_symbol(self.symbol)})"
         if not self.partners:
-            return f"{self.symbol} ({meaning(self.symbol)}) does not move the target"
-        others = ", ".join(self.partners)
+            return f"{named} does not move the target"
         return (
-            f"{self.symbol} ({meaning(self.symbol)}) cannot be told from {others} with "
-            "the measured tool offsets; another tool length or offset separates them"
+            f"{named} cannot be told from {', '.join(self.partners)} with the measured "
+            "tool offsets; another tool length or offset separates them"
         )
 
 
-def identifiable_model(
+def build_identifiable_model(
     machine: Machine,
     *offsets_mm: Float64[np.ndarray, "_ 3"],
     knot_spacing_mm: float = KNOT_SPACING_MM,
@@ -80,7 +80,7 @@ def identifiable_model(
     symbols, others, confounded = _find_identifiable(machine, runs)
     axes = {axis.name: axis for axis in machine.axes}
     motions = [
-        error_motion(
+        make_error_motion(
             s, axes[s[2]], intervals or _intervals(axes[s[2]], knot_spacing_mm)
         )
         for s in symbols
@@ -117,12 +117,13 @@ def _find_identifiable(
     runs : the targets measured in each Run
     """
     targets = list(dict.fromkeys(target for run in runs for target in run))
-    symbols = [s for axis in machine.axes for s in error_motions(axis.name)]
+    symbols = [s for axis in machine.axes for s in list_error_motions(axis.name)]
+    arms = _probe_arms(machine, targets)
     kept: list[str] = []
     confounded: list[Confounded] = []
     # Displacements first: where a turn is confounded with one, the turn is left out.
     for symbol in sorted(symbols, key=is_turn):
-        partners = _find_partners(symbol, kept, machine, targets)
+        partners = _find_partners(symbol, kept, arms)
         if partners is None:
             kept.append(symbol)
         else:
@@ -132,32 +133,38 @@ def _find_identifiable(
     return motions, tuple(others), (*confounded, *left_out)
 
 
+def _probe_arms(
+    machine: Machine, targets: Sequence[Target]
+) -> dict[str, Float64[np.ndarray, "p m"]]:
+    """Return the arms of every error motion at some places of its axis."""
+    arms: dict[str, Float64[np.ndarray, "p m"]] = {}
+    for axis in machine.axes:
+        places = [
+            _probe(machine, targets, _AROUND, place, axis.name)
+            for place in range(_PLACES)
+        ]
+        for symbol in list_error_motions(axis.name):
+            arm = np.stack([find_arm(symbol, at).ravel() for at in places])
+            arms[symbol] = arm / 100.0 if is_turn(symbol) else arm
+    return arms
+
+
 def _find_partners(
-    symbol: str, kept: list[str], machine: Machine, targets: Sequence[Target]
+    symbol: str, kept: list[str], arms: Mapping[str, Float64[np.ndarray, "p m"]]
 ) -> tuple[str, ...] | None:
     """Return the kept motions that make all of this one's shapes already, or None."""
-    mates = [k for k in kept if k[2] == symbol[2]]
-    share, seen, left = np.zeros(len(mates)), 0.0, 0.0
-    for place in range(_PLACES):
-        at = _probe(machine, targets, _AROUND, place, symbol[2])
-        own = _scaled_arm(symbol, at)
-        others = np.stack([_scaled_arm(m, at) for m in mates] or [0.0 * own], axis=1)
-        solution, *_ = np.linalg.lstsq(others, own, rcond=1e-10)
-        seen = max(seen, float(np.abs(own).max()))
-        left = max(left, float(np.abs(own - others @ solution).max()))
-        if mates:
-            share = np.maximum(share, np.abs(solution))
-    if seen < _SAME_ARM:
+    own, mates = arms[symbol], [k for k in kept if k[2] == symbol[2]]
+    others = np.stack([arms[m] for m in mates] or [0.0 * own], axis=2)
+    solution = np.linalg.pinv(others, rcond=1e-10) @ own[:, :, None]
+    left = float(np.abs(own[:, :, None] - others @ solution).max())
+    size = float(np.abs(own).max())
+    if size < _SAME_ARM:
         return ()
-    if left > _SAME_ARM * seen:
+    if left > _SAME_ARM * size:
         return None
+    share = np.abs(solution[:, :, 0]).max(axis=0)
     pairs = zip(mates, share.tolist(), strict=True)
     return tuple(m for m, s in pairs if s > 1e-3 * share.max())
-
-
-def _scaled_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, " m"]:
-    arm = arm_of(symbol, at).ravel()
-    return arm / 100.0 if is_turn(symbol) else arm
 
 
 def _probe(
@@ -173,7 +180,7 @@ def _probe(
         position[:, column] = position[0, column]
     offset = np.tile([t.offset_mm for t in targets], (count, 1)).astype(np.float64)
     on_workpiece = np.tile([t.on == "workpiece" for t in targets], count)
-    at = standstill(machine, position, offset)
+    at = make_standstill(machine, position, offset)
     return at.view_from(machine.tracker.stands_on, on_workpiece)
 
 
@@ -185,7 +192,7 @@ def _single_numbers(
         for run, targets in enumerate(runs)
     ]
     axes = {axis.name: axis for axis in machine.axes}
-    known: list[Effect] = [error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
+    known: list[Effect] = [make_error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
     blocks = [_pose_columns(each_run), *(_columns(e, each_run) for e in known)]
     basis, _ = np.linalg.qr(np.hstack(blocks))
     added: list[Effect] = []
@@ -207,7 +214,7 @@ def _single_numbers(
 
 def _candidates(machine: Machine, runs: Sequence[Sequence[Target]]) -> list[Effect]:
     """Return single numbers; how the targets sit before what could be mistaken."""
-    found: list[Effect] = [*squareness_between(machine.axis_names)]
+    found: list[Effect] = [*list_squarenesses(machine.axis_names)]
     for run, targets in enumerate(runs):
         tool, part = _offsets(targets, "tool"), _offsets(targets, "workpiece")
         if len(part) and machine.tracker.stands_on == "base":
@@ -215,7 +222,7 @@ def _candidates(machine: Machine, runs: Sequence[Sequence[Target]]) -> list[Effe
         if len(tool):
             found += tool_orientation(machine, tool, run)
     for axis in machine.rotary_axes:
-        found += axis_locations(axis)
+        found += list_axis_locations(axis)
     return found
 
 

@@ -147,7 +147,7 @@ class Machine:
         raise KeyError(name)
 
 
-def linear_part(machine: Machine) -> Machine:
+def remove_rotary_axes(machine: Machine) -> Machine:
     """Return the machine without its rotary axes, as while they stand."""
     names = {axis.name for axis in machine.linear_axes}
     return replace(

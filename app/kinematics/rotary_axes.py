@@ -17,7 +17,7 @@ from app.kinematics.machine import RotaryAxis
 from app.kinematics.symbols import TURNS
 
 
-def turn_matrices(
+def compute_turns(
     axis: RotaryAxis, angle_rad: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3 3"]:
     """Return the right-handed turns about the direction of the axis (Rodrigues)."""
@@ -27,7 +27,7 @@ def turn_matrices(
 
 
 @lru_cache(maxsize=64)
-def local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
+def find_local_directions(axis: RotaryAxis) -> Float64[np.ndarray, "3 3"]:
     """Return the directions that X, Y, Z in its symbols mean, as columns."""
     own = np.eye(3)[TURNS.index(axis.name)]
     direction = np.array(axis.direction)

@@ -19,7 +19,7 @@ DIRECTION = {
 SQUARENESS = ("C0Y", "B0Z", "A0Z")
 
 
-def locations(axis: str) -> tuple[str, ...]:
+def list_locations(axis: str) -> tuple[str, ...]:
     """Return the location errors of a rotary axis, shifts first: XOC, YOC, AOC, BOC."""
     own = TURNS.index(axis)
     return tuple(
@@ -32,7 +32,7 @@ def is_location(symbol: str) -> bool:
     return symbol[1] == "O" and symbol[2] in TURNS
 
 
-def error_motions(axis: str) -> tuple[str, ...]:
+def list_error_motions(axis: str) -> tuple[str, ...]:
     """Return the six symbols of an axis, displacements first."""
     return tuple(f"E{d}{axis}" for d in LINEAR + TURNS)
 
@@ -54,14 +54,14 @@ def is_straightness(symbol: str) -> bool:
     return not is_turn(symbol) and not is_positioning(symbol)
 
 
-def unit(symbol: str) -> str:
+def find_unit(symbol: str) -> str:
     """Return the unit in which files state the symbol."""
     if is_location(symbol):
         return "urad" if symbol[0] in TURNS else "um"
     return "urad" if symbol in SQUARENESS or is_turn(symbol) else "um"
 
 
-def meaning(symbol: str) -> str:
+def describe_symbol(symbol: str) -> str:
     """Return the symbol's name in words."""
     if symbol in SQUARENESS:
         axes = {"C0Y": "Y to X", "B0Z": "Z to X", "A0Z": "Z to Y"}

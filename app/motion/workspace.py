@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -120,7 +120,7 @@ def _target_mm(
     target = machine.target()
     aside = np.full(len(position), target.on == "workpiece")
     return (
-        standstill(machine, position)
+        make_standstill(machine, position)
         .view_from(machine.tracker.stands_on, aside)
         .point_mm
     )

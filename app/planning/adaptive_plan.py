@@ -15,7 +15,7 @@ import numpy as np
 
 from app.errors import PlanningError
 from app.estimation.live import LiveFindings
-from app.kinematics.machine import Machine, linear_part
+from app.kinematics.machine import Machine, remove_rotary_axes
 from app.measurement.parts import append_part
 from app.measurement.progress import schedule_rows
 from app.motion.configurations import Commanded, Configurations
@@ -61,7 +61,7 @@ class AdaptivePlanner:
         self._request = request
         self._on_the_fly = request.mode == "otf"
         self._machine = machine
-        self._moving = linear_part(machine) if self._on_the_fly else machine
+        self._moving = remove_rotary_axes(machine) if self._on_the_fly else machine
         self._known_effects = request.known(machine)
         self._number = 0
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.conditions import Conditions, standstill
+from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import Target
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -128,7 +128,7 @@ class DesignState(ABC):
         """Return the conditions at positions, approached by motions of given signs."""
         machine, n = self.model.machine, len(position)
         offset = np.tile(np.array(self.target.offset_mm, np.float64), (n, 1))
-        at = standstill(machine, position, offset)
+        at = make_standstill(machine, position, offset)
         aside = np.full(n, self.target.on == "workpiece")
         at = at.view_from(machine.tracker.stands_on, aside)
         return replace(at, approach=approach)

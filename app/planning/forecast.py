@@ -26,7 +26,7 @@ from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.recursive import RecursiveEstimator
 from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -101,7 +101,7 @@ def forecast(
     seen = predict_cells(machine, commanded, station_mm)
     offsets = np.unique(seen.at.offset_mm, axis=0)
     known = known or KnownEffects()
-    model = known.extend(identifiable_model(machine, offsets)[0])
+    model = known.extend(build_identifiable_model(machine, offsets)[0])
     if perpendicular_only:
         noise = replace(noise, along_sigma_mm=np.inf)
     prior = usual_precision_matrix(

@@ -34,7 +34,7 @@ from app.estimation.prior import diagonal_precision
 from app.estimation.separation import describe_confounded
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -197,7 +197,7 @@ def _grade_stations(
             for one in tried[0]
         ]
     )
-    model, merged = identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
+    model, merged = build_identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
     judge = _Criterion(model, compute_volumetric_gram(model), perpendicular_only)
     every = [judge.evaluate(set_ups) for set_ups in tried]
     worst = max(every, key=lambda one: one.number)

@@ -21,11 +21,11 @@ from app.estimation.poorly_observable import usual_precision_matrix
 from app.estimation.prior import diagonal_precision
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.identifiable import identifiable_model
-from app.kinematics.machine import Machine, Target, linear_part
+from app.kinematics.identifiable import build_identifiable_model
+from app.kinematics.machine import Machine, Target, remove_rotary_axes
 from app.kinematics.model import MachineModel
 from app.motion.corner_path import corner_path
 from app.motion.paths import DEFAULT_FEED_MM_MIN
@@ -100,7 +100,7 @@ def start_line_design(
     prior_precision : of the prior, by the effect's name, where a live estimate has
         found it
     """
-    part, one = linear_part(machine), machine.target(target or "")
+    part, one = remove_rotary_axes(machine), machine.target(target or "")
     offsets = np.array([one.offset_mm], np.float64)
     if target is not None:
         part = machine
@@ -154,7 +154,7 @@ def _start_design(
     known: KnownEffects,
     lags: tuple[ServoMismatch, ...] = (),
 ) -> _DesignFields:
-    motions, _ = identifiable_model(machine, offsets_mm, intervals=INTERVALS)
+    motions, _ = build_identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = add_half_widths(known.extend(motions))
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
@@ -187,7 +187,7 @@ def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64
     machine = model.machine
     path = corner_path(machine, DEFAULT_FEED_MM_MIN, 0.0)
     at = predict_cells(machine, path, assume_stations_mm(machine)[0]).at
-    still = standstill(machine, at.position_mm, at.offset_mm)
+    still = make_standstill(machine, at.position_mm, at.offset_mm)
     for effect in known.effects:
         if not effect.jacobian(still).any():
             part = model.slices[effect.name]
@@ -199,7 +199,7 @@ def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64
 def _pose_of(machine: Machine) -> TrackerPose:
     """Return the pose, its turn about the middle of the volume."""
     middle = np.array([[0.5 * (axis.low + axis.high) for axis in machine.axes]])
-    x, y, z = (float(v) for v in standstill(machine, middle).point_mm[0])
+    x, y, z = (float(v) for v in make_standstill(machine, middle).point_mm[0])
     return TrackerPose((x, y, z))
 
 

@@ -16,7 +16,7 @@ from math import ceil
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis
 from app.kinematics.model import MachineModel
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
@@ -112,7 +112,7 @@ def point_rows(
     """
 
     def rows(position: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "n *r p"]:
-        columns = model.jacobian(standstill(model.machine, position))
+        columns = model.jacobian(make_standstill(model.machine, position))
         if direction is None:
             return columns
         return np.tensordot(columns, direction, axes=(1, 0))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.errors import PlanningError
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
-from app.kinematics.machine import Machine, linear_part
+from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.configurations import Configurations
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import Drive, drive_of
@@ -195,7 +195,7 @@ class _PlanAttempt:
     def _moving(self) -> Machine:
         """The machine without its rotary axes on the fly: there they stand."""
         on_the_fly = self.request.mode == "otf"
-        return linear_part(self.machine) if on_the_fly else self.machine
+        return remove_rotary_axes(self.machine) if on_the_fly else self.machine
 
     def plan_within(self, budget_s: float) -> Plan:
         if self.request.mode == "otf":

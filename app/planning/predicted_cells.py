@@ -21,7 +21,7 @@ from app.estimation.design_matrix import linearise
 from app.estimation.information import Information
 from app.estimation.noise import NoiseModel
 from app.estimation.normal_equations import compute_information
-from app.kinematics.conditions import Conditions, standstill
+from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -150,7 +150,7 @@ def _conditions(
     begin = position[np.where(rate > 0.0, row - 1, row)]
     step = position[row] - begin
     names = [commanded.target[int(r)] for r in row if commanded.target]
-    at = standstill(
+    at = make_standstill(
         machine, begin + share[:, None] * step, offsets_mm(machine, names, len(row))
     ).view_from(machine.tracker.stands_on, on_workpiece(machine, names, len(row)))
     ahead, behind = (
@@ -190,5 +190,5 @@ def _reach_mm(
     """Return the box of the nominal target over the travel of the linear axes."""
     low = [axis.low if isinstance(axis, LinearAxis) else 0.0 for axis in machine.axes]
     high = [axis.high if isinstance(axis, LinearAxis) else 0.0 for axis in machine.axes]
-    at = standstill(machine, np.array([low, high]))
+    at = make_standstill(machine, np.array([low, high]))
     return at.point_mm.min(axis=0), at.point_mm.max(axis=0)

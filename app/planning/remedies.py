@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
@@ -141,7 +141,7 @@ def _rows(
     share = (np.arange(_POINTS) + 0.5) / _POINTS
     position = line.begin + share[:, None] * (line.end - line.begin)
     offset = np.tile(seen.at.offset_mm[0], (_POINTS, 1))
-    at = standstill(model.machine, position, offset)
+    at = make_standstill(model.machine, position, offset)
     aside = seen.at.on_workpiece
     if aside is not None:
         at = at.view_from(seen.at.observer, np.tile(aside[:1], _POINTS))

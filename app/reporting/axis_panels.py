@@ -7,7 +7,7 @@ from collections.abc import Callable
 from markupsafe import Markup
 
 from app.kinematics.machine import Axis, position_unit
-from app.kinematics.symbols import error_motions, meaning
+from app.kinematics.symbols import describe_symbol, list_error_motions
 from app.reporting.chart import Frame
 from app.reporting.svg import WIDTH, draw_image
 
@@ -28,9 +28,9 @@ def draw_panels(
     """
     name = f"{axis.name}, {position_unit(axis)}"
     parts: list[Markup] = []
-    for i, symbol in enumerate(error_motions(axis.name)):
+    for i, symbol in enumerate(list_error_motions(axis.name)):
         frame = make_panel(*divmod(i, 3), _PANEL_HEIGHT, _ROW_HEIGHT)
-        parts.append(frame.write_title(f"{symbol}  {meaning(symbol)}"))
+        parts.append(frame.write_title(f"{symbol}  {describe_symbol(symbol)}"))
         parts.append(draw_motion(frame, symbol, name if i >= 3 else ""))
     return draw_image(TOP + _ROW_HEIGHT + _PANEL_HEIGHT + _BELOW, title, parts)
 

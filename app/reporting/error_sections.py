@@ -8,8 +8,8 @@ import numpy as np
 
 from app.kinematics.effects.catalogue import Quantity
 from app.kinematics.machine import Axis, position_unit
-from app.kinematics.symbols import error_motions as symbols_of
-from app.kinematics.symbols import meaning
+from app.kinematics.symbols import describe_symbol
+from app.kinematics.symbols import list_error_motions as symbols_of
 from app.reporting.axis_panels import SIGN
 from app.reporting.error_figures import draw_error_motions
 from app.reporting.templating import View
@@ -36,7 +36,11 @@ def describe_error_motions(findings: Findings) -> View:
     return {
         "any_tool": findings.tables.any_tool,
         "sizes": [
-            (symbol, meaning(symbol), *_state_sizes(findings.tables.table(symbol)))
+            (
+                symbol,
+                describe_symbol(symbol),
+                *_state_sizes(findings.tables.table(symbol)),
+            )
             for axis in axes
             for symbol in symbols_of(axis.name)
         ],
@@ -60,7 +64,11 @@ def describe_squareness(findings: Findings) -> View:
     ]
     return {
         "rows": [
-            (symbol, meaning(symbol), f"{format_expanded(value, sigma)} {SIGN[unit]}")
+            (
+                symbol,
+                describe_symbol(symbol),
+                f"{format_expanded(value, sigma)} {SIGN[unit]}",
+            )
             for symbol, value, sigma, unit in numbers
         ]
     }
@@ -78,7 +86,11 @@ def describe_direction(findings: Findings) -> View:
             i = int(np.argmax(np.abs(half.value)))
             value = format_expanded(float(half.value[i]), float(half.uncertainty[i]))
             rows.append(
-                (half.symbol, meaning(half.symbol), f"{value} {SIGN[half.unit]}")
+                (
+                    half.symbol,
+                    describe_symbol(half.symbol),
+                    f"{value} {SIGN[half.unit]}",
+                )
             )
     return {
         "found": estimate.direction,

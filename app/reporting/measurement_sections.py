@@ -6,7 +6,7 @@ import numpy as np
 
 from app.files.units import UM_PER_MM
 from app.kinematics.machine import Axis, Machine, position_unit
-from app.kinematics.symbols import meaning
+from app.kinematics.symbols import describe_symbol
 from app.numerics.adaptive_trials import NORMAL_FACTOR
 from app.reporting.axis_panels import SIGN
 from app.reporting.run_views import (
@@ -147,7 +147,7 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
     sizes = q.linear[i], q.sigma[i], NORMAL_FACTOR * q.linear[i], half
     return (
         "" if is_map else q.name,
-        "volumetric error" if is_map else meaning(q.name),
+        "volumetric error" if is_map else describe_symbol(q.name),
         *(f"{format_number(size, 3)} {SIGN[q.unit]}" for size in sizes),
         f"{int(q.agrees.sum())} of {len(q.agrees)}",
     )

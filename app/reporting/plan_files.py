@@ -11,7 +11,7 @@ from app.estimation.prior_model import PriorModel
 from app.files.commanded_file import encode_commanded
 from app.files.machine_file import machine_to_json
 from app.files.whole_files import replace_file
-from app.kinematics.symbols import SQUARENESS, is_location, unit
+from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.motion.nc_programs.programs import (
     list_dialects,
     name_file,
@@ -129,6 +129,6 @@ def _errors(planned: Plan) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for symbol, sigma in planned.forecast.motion_sigmas().items():
         single = symbol in SQUARENESS or is_location(symbol)
-        kind = unit(symbol) if single or symbol.startswith("E") else "um"
+        kind = find_unit(symbol) if single or symbol.startswith("E") else "um"
         found[symbol] = {f"uncertainty_{kind}": sigma * _PER_UNIT[kind]}
     return found

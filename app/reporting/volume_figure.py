@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis
 from app.reporting.chart import Frame, Scale, round_down
 from app.reporting.error_figures import draw_legend
@@ -63,7 +63,7 @@ def _draw_volume(findings: Findings) -> Markup:
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
     error = UM_PER_MM * build_volumetric_map(model).error_mm(
-        standstill(model.machine, add_rotary_axes(model.machine, flat)),
+        make_standstill(model.machine, add_rotary_axes(model.machine, flat)),
         findings.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)

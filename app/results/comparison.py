@@ -26,10 +26,10 @@ from app.files.units import scale_of
 from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import (
     SQUARENESS,
-    error_motions,
+    describe_symbol,
+    find_unit,
     is_location,
-    meaning,
-    unit,
+    list_error_motions,
 )
 from app.results.comparison_gauge import (
     build_convention,
@@ -154,13 +154,13 @@ def compare(
     stated = instrument or ReferenceUncertainty()
     _refuse_units(reference)
     direct = {
-        symbol: direct_error(symbol, reference, stated.of(unit(symbol)))
+        symbol: direct_error(symbol, reference, stated.of(find_unit(symbol)))
         for symbol in dict.fromkeys(one.error for one in reference)
     }
     errors: list[ComparedError] = []
     refused: dict[str, str] = {}
     for axis in result.machine.axes:
-        for symbol in error_motions(axis.name):
+        for symbol in list_error_motions(axis.name):
             outcome = _compare_error(result, axis, symbol, direct)
             if isinstance(outcome, str):
                 refused[symbol] = outcome
@@ -179,10 +179,10 @@ def compare(
 
 def _refuse_units(reference: Sequence[DirectMeasurement]) -> None:
     for one in reference:
-        if one.unit != unit(one.error):
+        if one.unit != find_unit(one.error):
             raise BadInput(
                 f"the reference states {one.error} in {one.unit}; it is measured in "
-                f"{unit(one.error)}"
+                f"{find_unit(one.error)}"
             )
 
 
@@ -203,12 +203,12 @@ def _compare_error(
     gauge = build_convention(symbol, axis, theirs.position_mm)
     rows = gauge @ motions[symbol].rows(theirs.position_mm)
     part = result.model.slices[symbol]
-    scale = scale_of(unit(symbol))
+    scale = scale_of(find_unit(symbol))
     variance = np.einsum("np,np->n", rows @ result.covariance[part, part], rows)
     removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
     return ComparedError(
         symbol,
-        unit(symbol),
+        find_unit(symbol),
         position_unit(axis),
         theirs.position_mm,
         scale * (rows @ result.theta[part]),
@@ -244,7 +244,7 @@ def _compare_numbers(
         reference_sigma = float(np.sqrt(np.mean(theirs.sigma**2)))
         yield ComparedNumber(
             symbol,
-            unit(symbol),
+            find_unit(symbol),
             ours[symbol].value,
             ours[symbol].uncertainty,
             float(theirs.mean.mean()),
@@ -254,7 +254,7 @@ def _compare_numbers(
 
 def described(error: ComparedError) -> str:
     """Return the error in words, with what is merged into it."""
-    text = meaning(error.symbol)
+    text = describe_symbol(error.symbol)
     if error.merged:
         text += f", with its share of {', '.join(error.merged)}"
     if error.missing:

@@ -13,10 +13,10 @@ from jaxtyping import Float64
 
 from app.files.result_file import CalibrationResult
 from app.files.units import scale_of
-from app.kinematics.conditions import standstill
-from app.kinematics.effects.error_motion import ErrorMotion, arm_of
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.error_motion import ErrorMotion, find_arm
 from app.kinematics.machine import Axis, LinearAxis
-from app.kinematics.symbols import error_motions, is_straightness, unit
+from app.kinematics.symbols import find_unit, is_straightness, list_error_motions
 from app.results.direct_error import DirectError
 
 _SAME_MM = 1e-6
@@ -54,10 +54,10 @@ def find_merged_shares(
     The shares are by motion, in the unit of this one per unit of that one; then come
     the motions that the reference does not know.
     """
-    known = [s for s in error_motions(axis.name) if s in index_motions(result)]
+    known = [s for s in list_error_motions(axis.name) if s in index_motions(result)]
     shares: dict[str, float] = {}
     missing: list[str] = []
-    for other in error_motions(axis.name):
+    for other in list_error_motions(axis.name):
         if other in known:
             continue
         share = _express_motion(result, other, known).get(symbol, 0.0)
@@ -76,13 +76,13 @@ def _express_motion(
     low = np.array([axis.low for axis in result.machine.axes])
     high = np.array([axis.high for axis in result.machine.axes])
     offsets = np.array([t.offset_mm for t in result.machine.targets], float)
-    at = standstill(
+    at = make_standstill(
         result.machine,
         rng.uniform(low, high, (_PROBE, len(low))),
         offsets[np.arange(_PROBE) % len(offsets)],
     )
-    own = arm_of(other, at).ravel()
-    columns = np.column_stack([arm_of(symbol, at).ravel() for symbol in known])
+    own = find_arm(other, at).ravel()
+    columns = np.column_stack([find_arm(symbol, at).ravel() for symbol in known])
     found, *_ = np.linalg.lstsq(columns, own, rcond=None)
     left = np.linalg.norm(own - columns @ found)
     if left > _MERGES * max(float(np.linalg.norm(own)), 1.0):
@@ -97,4 +97,4 @@ def _express_motion(
 
 def _convert_share(symbol: str, other: str) -> float:
     """Return the factor from (mm, rad) to (µm, µrad) of a share."""
-    return scale_of(unit(symbol)) / scale_of(unit(other))
+    return scale_of(find_unit(symbol)) / scale_of(find_unit(other))

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.files.units import UM_PER_MM, scale_of
-from app.kinematics.conditions import standstill
-from app.kinematics.effects.error_motion import arm_of, reference_position_mm
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.error_motion import find_arm, reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.results.comparison import ComparedError, Comparison
 
@@ -50,11 +50,11 @@ def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume 
     if not errors:
         return None
     position = _make_grid(machine, errors)
-    at = standstill(machine, position)
+    at = make_standstill(machine, position)
     value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
     for error in errors:
         # µm per µm, or µm per µrad: the arm is in mm per rad.
-        arm = arm_of(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
+        arm = find_arm(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
         where = at.axis_mm(error.symbol[2])
         value += arm * _interpolate(error, where, error.value)
         reference += arm * _interpolate(error, where, error.reference)

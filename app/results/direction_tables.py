@@ -14,7 +14,7 @@ from jaxtyping import Float64
 from app.files.units import scale_of
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import unit
+from app.kinematics.symbols import find_unit
 from app.results.error_tables import choose_table_positions
 
 
@@ -67,11 +67,11 @@ def _half_difference(
     rows = np.zeros((len(at_mm), model.size))
     for name, part in parts:
         rows[:, model.slices[name]] = part.rows(at_mm)
-    scale = scale_of(unit(width.symbol))
+    scale = scale_of(find_unit(width.symbol))
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return HalfDifference(
         width.symbol,
-        unit(width.symbol),
+        find_unit(width.symbol),
         at_mm,
         scale * (rows @ theta),
         scale * np.sqrt(np.maximum(variance, 0.0)),

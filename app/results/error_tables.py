@@ -13,7 +13,7 @@ from app.files.units import scale_of
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import SQUARENESS, unit
+from app.kinematics.symbols import SQUARENESS, find_unit
 
 STEP_MM = 25.0
 STEP_DEG = 10.0
@@ -120,8 +120,10 @@ def result_tables(result: CalibrationResult) -> ErrorTables:
 def _single_error(
     symbol: str, theta: Float64[np.ndarray, "1"], covariance: Float64[np.ndarray, "1 1"]
 ) -> SingleError:
-    scale, sigma = scale_of(unit(symbol)), float(np.sqrt(covariance[0, 0]))
-    return SingleError(symbol, unit(symbol), scale * float(theta[0]), scale * sigma)
+    scale, sigma = scale_of(find_unit(symbol)), float(np.sqrt(covariance[0, 0]))
+    return SingleError(
+        symbol, find_unit(symbol), scale * float(theta[0]), scale * sigma
+    )
 
 
 def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
@@ -138,11 +140,11 @@ def error_table(
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
     """Return one error motion at given positions, from its own parameters."""
-    scale, rows = scale_of(unit(motion.symbol)), motion.rows(position_mm)
+    scale, rows = scale_of(find_unit(motion.symbol)), motion.rows(position_mm)
     variance = np.einsum("np,np->n", rows @ covariance, rows)
     return ErrorTable(
         motion.symbol,
-        unit(motion.symbol),
+        find_unit(motion.symbol),
         position_mm,
         scale * (rows @ theta),
         scale * np.sqrt(np.maximum(variance, 0.0)),

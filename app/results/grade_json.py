@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from app.files.units import UM_PER_MM
-from app.kinematics.symbols import meaning
+from app.kinematics.symbols import describe_symbol
 from app.planning.grade import GOOD, USABLE, Grade, WeakMotion
 
 _MEANS = {
@@ -50,7 +50,7 @@ def in_words(found: Grade) -> str:
         return f"{said}. No error motion is weak."
     others = ", ".join(m.symbol for m in found.weakest[1:])
     return (
-        f"{said}. {weakest.symbol} ({meaning(weakest.symbol)}) is weak"
+        f"{said}. {weakest.symbol} ({describe_symbol(weakest.symbol)}) is weak"
         f"{f', then {others}' if others else ''}: add {weakest.remedy.text}, "
         f"which makes it {found.improved:.2f}."
     )
@@ -59,7 +59,7 @@ def in_words(found: Grade) -> str:
 def _weak_json(motion: WeakMotion) -> dict[str, Any]:
     return {
         "error": motion.symbol,
-        "meaning": meaning(motion.symbol),
+        "meaning": describe_symbol(motion.symbol),
         "at_tool_um": UM_PER_MM * motion.at_tool_mm,
         "remedy": None if motion.remedy is None else f"add {motion.remedy.text}",
     }

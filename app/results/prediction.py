@@ -17,7 +17,7 @@ from app.estimation.extrapolation import (
 from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
 
 _USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
@@ -83,7 +83,7 @@ def _predict_block(
     target: str,
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     offset = np.array(result.machine.target(target).offset_mm, float)
-    at = standstill(result.machine, position, np.tile(offset, (len(position), 1)))
+    at = make_standstill(result.machine, position, np.tile(offset, (len(position), 1)))
     error = found.error_mm(at, result.theta)
     variance = found.sigma_mm(at, result.covariance) ** 2
     variance += beyond_travel_variance_mm2(at, result.model, known)

@@ -17,10 +17,10 @@ from app.estimation.estimate import Estimate
 from app.estimation.monte_carlo import prepare_trials, run_block
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM, scale_of
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import RotaryAxis
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import unit
+from app.kinematics.symbols import find_unit
 from app.numerics.adaptive_trials import (
     Mapper,
     TrialPlan,
@@ -159,7 +159,7 @@ def _list_quantities(model: MachineModel) -> list[_Quantity]:
             position_unit = "deg" if isinstance(motion.axis, RotaryAxis) else "mm"
             rows = motion.rows(at[:, 0])
         whole = np.zeros((len(rows), model.size))
-        stated = unit(effect.iso_symbol)
+        stated = find_unit(effect.iso_symbol)
         whole[:, model.slices[effect.name]] = scale_of(stated) * rows
         asked.append(_Quantity(effect.iso_symbol, stated, at, position_unit, whole))
     return [*asked, _map_quantity(model)]
@@ -173,7 +173,7 @@ def _map_quantity(model: MachineModel) -> _Quantity:
         for axis in model.machine.axes
     ]
     at = np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
-    J = build_volumetric_map(model).jacobian(standstill(model.machine, at))
+    J = build_volumetric_map(model).jacobian(make_standstill(model.machine, at))
     return _Quantity(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
 
 

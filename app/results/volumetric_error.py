@@ -15,7 +15,7 @@ from jaxtyping import Float64
 
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.kinematics.model import MachineModel
 
@@ -67,7 +67,7 @@ def volumetric_error(
     """Return the volumetric error of the first target over the axis travel."""
     position_mm = make_grid(model, _GRID)
     J = UM_PER_MM * build_volumetric_map(model).jacobian(
-        standstill(model.machine, position_mm)
+        make_standstill(model.machine, position_mm)
     )
     error = J @ theta
     drawn = J.reshape(-1, model.size) @ _draw_parameters(covariance)

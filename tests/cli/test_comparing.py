@@ -9,7 +9,7 @@ import pytest
 from app.cli.command import run
 from app.files.reference_file import encode_reference
 from app.files.run import DirectMeasurement
-from app.kinematics.symbols import error_motions, is_turn
+from app.kinematics.symbols import is_turn, list_error_motions
 
 RUNS, STEP_MM = 5, 25.0
 REPEATABILITY = {"um": 0.3, "urad": 0.8}
@@ -25,7 +25,7 @@ def measured(truth, machine, axes="XYZ", seed=3):
         if axis.name not in axes:
             continue
         at = np.arange(axis.min_mm + 10.0, axis.max_mm, STEP_MM)
-        for symbol in error_motions(axis.name):
+        for symbol in list_error_motions(axis.name):
             unit = "urad" if is_turn(symbol) else "um"
             value = motions[symbol].at(at) * (1e6 if is_turn(symbol) else 1e3)
             # A laser of its own line of sight: an offset and a slope mean nothing.

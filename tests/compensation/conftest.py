@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.files.result_file import CalibrationResult
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 MACHINE = Machine(
@@ -26,7 +26,7 @@ MACHINE = Machine(
 @pytest.fixture(scope="session")
 def loaded() -> CalibrationResult:
     offsets = np.array([target.offset_mm for target in MACHINE.targets])
-    model, confounded = identifiable_model(MACHINE, offsets, knot_spacing_mm=90.0)
+    model, confounded = build_identifiable_model(MACHINE, offsets, knot_spacing_mm=90.0)
     # Millimetres and radians differ in size as they do in a machine.
     size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
     rng = np.random.default_rng(5)

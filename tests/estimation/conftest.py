@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.estimation.volumetric_map import build_volumetric_map
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 
 
@@ -45,7 +45,7 @@ def share_left(rigid_free):
         machine = truth.machine
         q = np.random.default_rng(1).uniform(machine.low, machine.high, (200, 5))
         at, maps = (
-            standstill(result.model.machine, q),
+            make_standstill(result.model.machine, q),
             build_volumetric_map(result.model),
         )
         before = rigid_free(at.point_mm, truth.deviation_mm(q, "T1"))

@@ -7,8 +7,8 @@ import pytest
 
 from app.alignment.align import align
 from app.estimation.batch import estimate
-from app.kinematics.conditions import standstill
-from app.kinematics.effects.approach import half_shape, half_width
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.approach import make_half_shape, make_half_width
 from app.kinematics.machine import LinearAxis
 from app.results.direction_tables import compute_half_differences
 
@@ -69,16 +69,16 @@ def test_a_lost_motion_that_changes_along_the_axis_asks_for_tables(seen):
 def test_the_sign_is_that_of_the_last_motion(record):
     run, _ = record(31, rows=40)
     at = replace(
-        standstill(run.machine, np.full((3, 3), 100.0)),
+        make_standstill(run.machine, np.full((3, 3), 100.0)),
         approach=np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, 0]]),
     )
-    effect = half_width("EXX", run.machine.linear_axes[0])
+    effect = make_half_width("EXX", run.machine.linear_axes[0])
     moved = effect.displacement_mm(at, np.array([0.002]))
     assert moved[:, 0].tolist() == [0.002, -0.002, 0.0]
 
 
 def test_a_shape_has_no_mean_of_its_own(rng):
-    shape = half_shape("EYX", LinearAxis("X", -100.0, 400.0))
+    shape = make_half_shape("EYX", LinearAxis("X", -100.0, 400.0))
     at_mm = np.linspace(-100.0, 400.0, 20_001)
     theta = rng.normal(size=len(shape.parameters))
     assert np.mean(shape.rows(at_mm) @ theta) == pytest.approx(0.0, abs=1e-3)

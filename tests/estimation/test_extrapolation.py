@@ -11,7 +11,7 @@ from app.estimation.extrapolation import (
     full_travel,
 )
 from app.files.bundle import read_bundle
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.results.error_tables import error_tables
 from simulators import paths, synthetic
@@ -58,7 +58,7 @@ def true_theta(model, truth):
     high = np.array([a.high for a in model.machine.axes])
     q = np.random.default_rng(1).uniform(low, high, (1500, 3))
     corners = low + np.array(list(np.ndindex(2, 2, 2))) * (high - low)
-    at = standstill(model.machine, np.vstack([q, corners]))
+    at = make_standstill(model.machine, np.vstack([q, corners]))
     free = model.with_effects(TrackerPose(tuple(at.point_mm.mean(axis=0).tolist())))
     columns = free.jacobian(at).reshape(-1, free.size)
     scale = 1.0 / np.linalg.norm(columns, axis=0)
@@ -108,7 +108,7 @@ def seen_from_inside(found, axis, count=12):
     ends = (high[column], axis.high) if above else (low[column], axis.low)
     position = np.tile((low + high) / 2.0, (count, 1))
     position[:, column] = np.linspace(*ends, count)
-    at, seen = standstill(machine, position), standstill(machine, inside)
+    at, seen = make_standstill(machine, position), make_standstill(machine, inside)
     rigid = TrackerPose(tuple(seen.point_mm.mean(axis=0).tolist()))
     columns = rigid.jacobian(seen).reshape(-1, 6)
     fit = np.linalg.pinv(columns) @ model.jacobian(seen).reshape(-1, model.size)
@@ -160,7 +160,7 @@ def test_beyond_the_travel_the_uncertainty_grows_on(partly_driven):
     )
     high = np.array([a.high for a in machine.axes])
     steps = np.array([0.0, 1.0, 10.0, 100.0, 2e3, 8e3])[:, None] * np.array([1.0, 0, 0])
-    at = standstill(machine, high + steps)
+    at = make_standstill(machine, high + steps)
     variance = beyond_travel_variance_mm2(at, found.model, known)
     assert (variance[0] == 0.0).all()
     assert (np.diff(variance.sum(axis=1)) > 0.0).all()

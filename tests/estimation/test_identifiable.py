@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 ONE = [(0.0, 0.0, -100.0)]
@@ -41,14 +41,16 @@ def test_tool_offsets_decide_how_many_motions_are_told_apart(
     """Ranks 73, 85, 96 of the field, less the six of the whole volume's motion."""
     last = "XYZ".index("".join(sides)[-1])
     lengths = np.roll(np.array(offsets), last - 2, axis=1)  # along the last axis
-    model, merged = identifiable_model(machine(*sides), lengths, intervals=5)
+    model, merged = build_identifiable_model(machine(*sides), lengths, intervals=5)
     assert len(motions(model)) == known
     assert len(motions(model)) + len(merged) == 18
     assert model.size == rank
 
 
 def test_what_merges_is_named_with_what_it_merges_into():
-    _, merged = identifiable_model(machine("", "XYZ"), np.array([(30.0, 20.0, -100.0)]))
+    _, merged = build_identifiable_model(
+        machine("", "XYZ"), np.array([(30.0, 20.0, -100.0)])
+    )
     said = {m.symbol: str(m) for m in merged}
     assert set(said) == {"ECY", "EAZ", "EBZ", "ECZ"}
     assert "EXZ" in said["EBZ"]
@@ -56,7 +58,7 @@ def test_what_merges_is_named_with_what_it_merges_into():
 
 
 def test_a_turn_about_a_target_on_the_spindle_axis_moves_nothing():
-    _, merged = identifiable_model(machine("", "XYZ"), np.array(ONE))
+    _, merged = build_identifiable_model(machine("", "XYZ"), np.array(ONE))
     said = {m.symbol: str(m) for m in merged}
     assert "does not move the target" in said["ECZ"]
 
@@ -70,9 +72,11 @@ def test_how_other_targets_sit_is_no_error_of_the_first_one():
     }
     targets = tuple(Target(name, "tool", at) for name, at in places.items())
     mill = replace(machine("", "XYZ"), targets=targets)
-    model, _ = identifiable_model(mill, np.array(list(places.values())), intervals=4)
+    model, _ = build_identifiable_model(
+        mill, np.array(list(places.values())), intervals=4
+    )
     turn = model.slices["tool-orientation"]
     for name, at in places.items():
-        still = standstill(mill, np.full((1, 3), 50.0), np.array([at]))
+        still = make_standstill(mill, np.full((1, 3), 50.0), np.array([at]))
         moved = np.abs(model.jacobian(still)[:, :, turn]).max()
         assert (moved == 0.0) == (name == "T1")

@@ -13,7 +13,7 @@ from app.estimation.monte_carlo import draw_outputs, prepare_trials, run_block
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInput
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
 NOISE = NoiseModel((1.0, 1.0), (0.25, 0.25), 0.8, 1e-4)
@@ -23,7 +23,7 @@ FEW = TrialPlan(most_blocks=2)
 @pytest.fixture(scope="module")
 def fit(record):
     seen = align(record(33, rows=16)[0])
-    model, _ = identifiable_model(
+    model, _ = build_identifiable_model(
         seen.at.machine, seen.at.offset_mm, knot_spacing_mm=100.0
     )
     return select_fit([RunInput(seen, seen.pose, NOISE)], model)

@@ -15,7 +15,7 @@ from app.estimation.normal_equations import compute_information
 from app.estimation.prior import compute_evidence_cost, fit_prior, guess_prior
 from app.estimation.runs import RunInformation, RunInput
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
 
@@ -27,7 +27,7 @@ def seen(record):
 
 @pytest.fixture(scope="module")
 def rough(seen):
-    model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
+    model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
     about = linearise(seen, add_half_widths(model), seen.pose, NOISE)
     run = RunInformation(seen, about, compute_information(seen, about))
     prior, _ = fit_prior(run.about_machine, guess_prior(about.machine_model))

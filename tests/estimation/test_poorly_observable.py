@@ -9,8 +9,8 @@ from app.estimation.poorly_observable import (
     usual_precision_matrix,
 )
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.kinematics.effects.error_motion import error_motion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.effects.error_motion import make_error_motion
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 
 X = LinearAxis("X", 0.0, 600.0)
@@ -27,7 +27,9 @@ MILL = Machine(
 @pytest.fixture(scope="module")
 def known():
     """A model, its Gram matrix, and data that tell all of it but one shape of EXX."""
-    model, _ = identifiable_model(MILL, np.array([(20.0, 30.0, -100.0)]), intervals=5)
+    model, _ = build_identifiable_model(
+        MILL, np.array([(20.0, 30.0, -100.0)]), intervals=5
+    )
     return model, compute_volumetric_gram(model)
 
 
@@ -93,7 +95,7 @@ def test_the_exact_null_space_can_be_left_to_others(known):
     ],
 )
 def test_a_shape_is_called_by_what_it_looks_like(shape, name):
-    motion = error_motion("EXX", X, 24)
+    motion = make_error_motion("EXX", X, 24)
     at = np.linspace(X.low, X.high, 200)
     value = shape(at / X.high)
     theta = np.linalg.lstsq(motion.rows(at), value - value[0], rcond=None)[0]

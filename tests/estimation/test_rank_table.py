@@ -10,12 +10,12 @@ import itertools
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import error_motions
+from app.kinematics.symbols import list_error_motions
 from app.numerics.splines import natural_spline
 
 KNOTS = 6
@@ -46,7 +46,7 @@ def every_motion(of):
         spline = natural_spline(np.linspace(axis.min_mm, axis.max_mm, KNOTS))
         motions += [
             ErrorMotion(symbol, axis, spline, np.eye(KNOTS))
-            for symbol in error_motions(axis.name)
+            for symbol in list_error_motions(axis.name)
         ]
     return MachineModel(of, tuple(motions))
 
@@ -66,7 +66,7 @@ def on_lines(model, lines, travel, points=60):
         at = (begin + share[:, None] * (end - begin)) * np.array(travel)
         direction = (end - begin) * np.array(travel)
         direction /= np.linalg.norm(direction)
-        columns = model.jacobian(standstill(model.machine, at))
+        columns = model.jacobian(make_standstill(model.machine, at))
         along = np.einsum("d,ndp->np", direction, columns)
         full.append(columns)
         across.append(columns - direction[:, None] * along[:, None, :])
@@ -79,7 +79,7 @@ def test_rank_of_one_two_and_three_tool_offsets(rng, travel, offsets, expected):
     model = every_motion(machine(travel))
     position = rng.uniform(0.0, 1.0, (400, 3)) * np.array(travel)
     rows = [
-        model.jacobian(standstill(model.machine, position, np.tile(o, (400, 1))))
+        model.jacobian(make_standstill(model.machine, position, np.tile(o, (400, 1))))
         for o in offsets
     ]
     assert rank(np.concatenate(rows)) == expected
@@ -131,7 +131,7 @@ def test_phase_and_speed_of_each_line_left_free_cost_no_rank(travel):
 def test_the_model_that_is_solved_has_this_rank_less_the_rigid_motions(
     offsets, expected
 ):
-    model, _ = identifiable_model(
+    model, _ = build_identifiable_model(
         machine(TRAVELS[1]), np.array(offsets), intervals=KNOTS - 1
     )
     assert model.size + 6 == expected

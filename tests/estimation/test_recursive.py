@@ -16,14 +16,14 @@ from app.estimation.noise import NoiseModel
 from app.estimation.normal_equations import compute_information
 from app.estimation.recursive import RecursiveEstimator
 from app.estimation.whitening import whiten
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
 DIGITS = 1e-9
 
 
 def about_of(seen, noise=NOISE):
-    model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
+    model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
     return linearise(seen, model, seen.pose, noise)
 
 

@@ -7,7 +7,7 @@ from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic, turning_paths
@@ -71,7 +71,7 @@ def content(name, stands_on, targets):
 def told(name, stands_on, targets):
     machine = machine_from_json(content(name, stands_on, targets))
     offsets = np.array([t.offset_mm for t in machine.targets])
-    model, merged = identifiable_model(machine, offsets, intervals=5)
+    model, merged = build_identifiable_model(machine, offsets, intervals=5)
     return {e.name for e in model.effects}, {m.symbol: str(m) for m in merged}
 
 

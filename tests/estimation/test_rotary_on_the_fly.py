@@ -17,7 +17,7 @@ from app.estimation.normal_equations import compute_information
 from app.estimation.recursive import RecursiveEstimator
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.planning.default_path import default_path
 from app.results.error_tables import error_tables
 from drivers.interfaces.records import TrackerSamples
@@ -99,7 +99,7 @@ def test_a_tracker_on_the_table_sees_turns_of_both_sides(share_left):
 
 def test_arcs_and_stops_added_one_by_one_are_the_batch(rng):
     seen = from_base("head-table").seen
-    model, _ = identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
+    model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=5)
     about = linearise(seen, model, seen.pose, NOISE)
     sums = RecursiveEstimator.start(about)
     cuts = np.sort(rng.choice(np.arange(1, len(seen)), 40, replace=False))

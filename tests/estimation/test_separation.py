@@ -9,7 +9,7 @@ import pytest
 from app.estimation import separation
 from app.estimation.information import compute_posterior
 from app.estimation.poorly_observable import usual_precision_matrix
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -40,7 +40,7 @@ def statements(machine, **options):
 
 def table_sigma(machine, path, symbol):
     seen = predict_cells(machine, path, STATION_MM)
-    model, _ = identifiable_model(machine, seen.at.offset_mm, intervals=10)
+    model, _ = build_identifiable_model(machine, seen.at.offset_mm, intervals=10)
     data = predict_information(seen, model)
     prior = np.diag(np.full(model.size + 6, 1e-2))
     prior[: model.size, : model.size] = usual_precision_matrix(model)
@@ -138,7 +138,7 @@ def test_a_table_that_no_target_sits_on_is_asked_for_targets_there():
 def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     machine = mill((0.0, 0.0, -150.0))
     offsets = np.array([[0.0, 0.0, -150.0]])
-    model, merged = identifiable_model(machine, offsets, intervals=5)
+    model, merged = build_identifiable_model(machine, offsets, intervals=5)
     poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
     for said in separation.describe_confounded(machine, offsets, merged, model, poor):
         assert "at least" not in said

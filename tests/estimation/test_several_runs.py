@@ -13,9 +13,9 @@ from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
@@ -84,7 +84,7 @@ def judge(rigid_free, volume):
         machine = result.model.machine
         target = next(t for t in machine.targets if t.offset_mm == offset_mm)
         q = volume(machine)
-        at = standstill(machine, q, np.tile(offset_mm, (len(q), 1)))
+        at = make_standstill(machine, q, np.tile(offset_mm, (len(q), 1)))
         maps = build_volumetric_map(result.model, target.name)
         before = rigid_free(q, truth.deviation_mm(q))
         left = before - rigid_free(q, maps.error_mm(at, result.theta))
@@ -103,7 +103,7 @@ def volumetric_sigma(result):
         [a.low for a in machine.axes], [a.high for a in machine.axes], (200, 3)
     )
     sigma = build_volumetric_map(result.model).sigma_mm(
-        standstill(machine, q), result.covariance
+        make_standstill(machine, q), result.covariance
     )
     return float(np.sqrt(np.mean(sigma**2)))
 
@@ -144,7 +144,7 @@ def test_a_loud_run_does_not_spoil_a_quiet_one(moving, judge):
 def test_the_same_run_twice_halves_the_variance_that_noise_makes(moving):
     run = RunInput(moving, moving.pose, NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 1e-4))
     at = moving.at
-    model, _ = identifiable_model(at.machine, at.offset_mm, intervals=5)
+    model, _ = build_identifiable_model(at.machine, at.offset_mm, intervals=5)
     once, twice = (
         np.diag(np.linalg.inv(combine_runs(collect_information(runs, model)).matrix))
         for runs in ([run], [run, run])
@@ -205,7 +205,7 @@ def test_two_machines_are_refused_with_run_and_field(moving, standing):
 def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing):
     noise = NoiseModel((1.0, 1.0), (0.0, 0.0), 1.0, 0.0)
     runs = [RunInput(seen, seen.pose, noise) for seen in (moving, standing)]
-    model, _ = identifiable_model(
+    model, _ = build_identifiable_model(
         moving.at.machine, moving.at.offset_mm, standing.at.offset_mm, intervals=5
     )
     shares = collect_information(runs, model)

@@ -9,7 +9,7 @@ from app.estimation.live import LiveEstimate
 from app.files.machine_file import machine_from_json
 from app.jobs.live_process import estimate_json
 from app.kinematics.effects.axis_location import AxisLocation
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from simulators.scenario import load_machine
 
 
@@ -18,7 +18,7 @@ def now(rng):
     """An estimate of a five-axis machine, every number of it different."""
     machine = machine_from_json(load_machine("head-table"))
     offsets = {t.name: np.array([t.offset_mm]) for t in machine.targets}
-    model, _ = identifiable_model(machine, np.concatenate(list(offsets.values())))
+    model, _ = build_identifiable_model(machine, np.concatenate(list(offsets.values())))
     theta = rng.normal(scale=1e-3, size=model.size)
     covariance = np.diag(rng.uniform(1e-5, 1e-4, model.size) ** 2)
     return LiveEstimate(model, theta, covariance, 2e-3, 12, 480, 61.5)

@@ -3,14 +3,19 @@
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import Conditions, standstill
-from app.kinematics.effects.error_motion import error_motion
-from app.kinematics.effects.squareness import Squareness, squareness_between
+from app.kinematics.conditions import Conditions, make_standstill
+from app.kinematics.effects.error_motion import make_error_motion
+from app.kinematics.effects.squareness import Squareness, list_squarenesses
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import SQUARENESS, error_motions, meaning, unit
+from app.kinematics.symbols import (
+    SQUARENESS,
+    describe_symbol,
+    find_unit,
+    list_error_motions,
+)
 from simulators.machine_file import parse_machine
 from simulators.truth_machine import random_machine
 
@@ -46,18 +51,18 @@ def moving(m, position, line, line_time_s, velocity):
 
 def full_model(m):
     motions = [
-        error_motion(s, axis, 6)
+        make_error_motion(s, axis, 6)
         for axis in m.linear_axes
-        for s in error_motions(axis.name)
+        for s in list_error_motions(axis.name)
     ]
-    return MachineModel(m, (*motions, *squareness_between(("X", "Y", "Z"))))
+    return MachineModel(m, (*motions, *list_squarenesses(("X", "Y", "Z"))))
 
 
 def test_a_turn_moves_the_target_by_its_lever(rng):
     m = machine()
     q = rng.uniform(0, 500, (20, 3))
-    at = standstill(m, q)
-    effect = error_motion("EBX", m.linear_axes[0], 6)
+    at = make_standstill(m, q)
+    effect = make_error_motion("EBX", m.linear_axes[0], 6)
     theta = 1e-5 * rng.normal(size=len(effect.parameters))
     turn = effect.rows(q[:, 0]) @ theta
     lever = np.array(OFFSET) + np.column_stack([0 * q[:, 0], q[:, 1], q[:, 2]])
@@ -73,8 +78,8 @@ def test_the_lever_is_the_target_and_all_axes_to_the_right(side, rng):
         expected = offset.copy()
         for later in m.order[place + 1 :]:
             expected[:, "XYZ".index(later)] += q[:, "XYZ".index(later)]
-        assert np.allclose(standstill(m, q).chain.lever(axis).lever_mm, expected)
-    assert np.allclose(standstill(m, q).point_mm, q + offset)
+        assert np.allclose(make_standstill(m, q).chain.lever(axis).lever_mm, expected)
+    assert np.allclose(make_standstill(m, q).point_mm, q + offset)
 
 
 @pytest.mark.parametrize(
@@ -83,13 +88,13 @@ def test_the_lever_is_the_target_and_all_axes_to_the_right(side, rng):
 def test_tables_keep_the_gauge(low, high, zero, rng):
     axis = LinearAxis("X", float(low), float(high))
     for symbol in ("EXX", "EAX", "EBX", "ECX"):
-        effect = error_motion(symbol, axis, 8)
+        effect = make_error_motion(symbol, axis, 8)
         theta = rng.normal(size=len(effect.parameters))
         assert effect.rows(np.array([float(zero)])) @ theta == pytest.approx(
             0.0, abs=1e-9
         )
     for symbol in ("EYX", "EZX"):
-        effect = error_motion(symbol, axis, 8)
+        effect = make_error_motion(symbol, axis, 8)
         theta = rng.normal(size=len(effect.parameters))
         ends = effect.rows(np.array([axis.min_mm, axis.max_mm])) @ theta
         assert ends == pytest.approx([0.0, 0.0], abs=1e-9)
@@ -103,7 +108,7 @@ def test_squareness_is_a_right_handed_turn_of_its_axis(symbol, turn, axis):
     m = machine()
     q = np.zeros((1, 3))
     q[0, "XYZ".index(axis)] = 400.0
-    leaned = Squareness(symbol).displacement_mm(standstill(m, q), np.array([1e-5]))
+    leaned = Squareness(symbol).displacement_mm(make_standstill(m, q), np.array([1e-5]))
     assert np.allclose(leaned, np.cross(1e-5 * np.array(turn), q))
 
 
@@ -129,8 +134,8 @@ def test_the_linear_form_is_the_exact_machine_to_second_order(side, rng, rigid_f
     q = rng.uniform(0, 500, (600, 3))
     exact = rigid_free(q, truth.deviation_mm(q))
     model = full_model(m)
-    columns = model.jacobian(standstill(m, q))
-    pose = TrackerPose((0.0, 0.0, 0.0)).jacobian(standstill(m, q))
+    columns = model.jacobian(make_standstill(m, q))
+    pose = TrackerPose((0.0, 0.0, 0.0)).jacobian(make_standstill(m, q))
     flat = np.concatenate([columns, pose], axis=2).reshape(1800, -1)
     left = exact.ravel() - flat @ np.linalg.lstsq(flat, exact.ravel(), rcond=None)[0]
     # Six intervals do not hold every shape of the truth; what is left is far below it.
@@ -147,12 +152,12 @@ def test_phase_and_speed_move_along_their_own_line_only(rng):
 
 
 def test_timing_says_nothing_at_a_standstill(rng):
-    at = standstill(machine(), rng.uniform(0, 500, (4, 3)))
+    at = make_standstill(machine(), rng.uniform(0, 500, (4, 3)))
     assert not TimingLaw((0, 1)).jacobian(at).any()
 
 
 def test_pose_is_a_shift_and_a_turn_about_its_centre(rng):
-    at = standstill(machine(), rng.uniform(0, 500, (4, 3)))
+    at = make_standstill(machine(), rng.uniform(0, 500, (4, 3)))
     turn, shift = np.array([1e-5, 2e-5, -1e-5]), np.array([0.1, 0.0, -0.2])
     effect = TrackerPose((100.0, 50.0, 0.0))
     moved = effect.displacement_mm(at, np.concatenate([shift, turn]))
@@ -162,7 +167,7 @@ def test_pose_is_a_shift_and_a_turn_about_its_centre(rng):
 def test_theta_is_the_parameters_of_the_effects_one_after_another(rng):
     m = machine()
     model = full_model(m)
-    at = standstill(m, rng.uniform(0, 500, (7, 3)))
+    at = make_standstill(m, rng.uniform(0, 500, (7, 3)))
     theta = rng.normal(size=model.size)
     parts = sum(
         e.displacement_mm(at, theta[model.slices[e.name]]) for e in model.effects
@@ -174,9 +179,9 @@ def test_theta_is_the_parameters_of_the_effects_one_after_another(rng):
 
 
 def test_every_symbol_has_a_meaning_and_a_unit():
-    symbols = [s for a in "XYZ" for s in error_motions(a)] + list(SQUARENESS)
-    words = [meaning(s) for s in symbols]
+    symbols = [s for a in "XYZ" for s in list_error_motions(a)] + list(SQUARENESS)
+    words = [describe_symbol(s) for s in symbols]
     assert len(set(words)) == 21
-    assert meaning("EYX") == "straightness of X in Y"
-    assert meaning("EAX") == "roll of X"
-    assert {unit(s) for s in symbols} == {"um", "urad"}
+    assert describe_symbol("EYX") == "straightness of X in Y"
+    assert describe_symbol("EAX") == "roll of X"
+    assert {find_unit(s) for s in symbols} == {"um", "urad"}

@@ -7,13 +7,18 @@ import numpy as np
 import pytest
 
 from app.files.machine_file import machine_from_json
-from app.kinematics.conditions import standstill
-from app.kinematics.effects.axis_location import axis_locations
-from app.kinematics.effects.error_motion import ErrorMotion, error_motion
-from app.kinematics.effects.squareness import squareness_between
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.axis_location import list_axis_locations
+from app.kinematics.effects.error_motion import ErrorMotion, make_error_motion
+from app.kinematics.effects.squareness import list_squarenesses
 from app.kinematics.model import MachineModel
-from app.kinematics.rotary_axes import local_directions
-from app.kinematics.symbols import error_motions, locations, meaning, unit
+from app.kinematics.rotary_axes import find_local_directions
+from app.kinematics.symbols import (
+    describe_symbol,
+    find_unit,
+    list_error_motions,
+    list_locations,
+)
 from simulators.machine_file import parse_machine
 from simulators.rotary_joint import local_frame
 from simulators.scenario import load_machine
@@ -56,13 +61,13 @@ def content(chain, stands_on="workpiece", *, inclined=False):
 
 def every_effect(machine):
     motions = [
-        error_motion(s, axis, 48)
+        make_error_motion(s, axis, 48)
         for axis in machine.axes
-        for s in error_motions(axis.name)
+        for s in list_error_motions(axis.name)
     ]
-    places = [e for axis in machine.rotary_axes for e in axis_locations(axis)]
+    places = [e for axis in machine.rotary_axes for e in list_axis_locations(axis)]
     return MachineModel(
-        machine, (*motions, *squareness_between(("X", "Y", "Z")), *places)
+        machine, (*motions, *list_squarenesses(("X", "Y", "Z")), *places)
     )
 
 
@@ -84,7 +89,7 @@ def theta_of(model, truth):
 def seen(machine, q, target, observer):
     n = len(q)
     place = machine.target(target)
-    at = standstill(machine, q, np.tile(place.offset_mm, (n, 1)))
+    at = make_standstill(machine, q, np.tile(place.offset_mm, (n, 1)))
     return at.view_from(observer, np.full(n, place.on == "workpiece"))
 
 
@@ -127,16 +132,16 @@ def test_errors_and_locations_are_nothing_at_the_axis_zero(chain):
     q = np.zeros((1, len(machine.axes)))
     model = every_effect(machine)
     names = [*(f"E{d}{a.name}" for a in machine.rotary_axes for d in "XYZABC")]
-    names += [s for a in machine.rotary_axes for s in locations(a.name)]
-    columns = model.jacobian(standstill(machine, q))
+    names += [s for a in machine.rotary_axes for s in list_locations(a.name)]
+    columns = model.jacobian(make_standstill(machine, q))
     for name in names:
         assert np.abs(columns[:, :, model.slices[name]]).max() < 1e-9
 
 
 def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
     machine = machine_from_json(content(CHAINS[0]))
-    table = error_motion("EXC", machine.rotary_axes[1], 12)
-    head = error_motion("EXB", machine.rotary_axes[0], 12)
+    table = make_error_motion("EXC", machine.rotary_axes[1], 12)
+    head = make_error_motion("EXB", machine.rotary_axes[0], 12)
     ends = table.rows(np.array([0.0, 360.0]))
     assert np.allclose(ends[0], ends[1])
     ends = head.rows(np.array([-30.0, 110.0]))
@@ -149,8 +154,8 @@ def test_motions_across_the_axis_have_no_mean():
         s = np.linspace(axis.min_deg, axis.max_deg, 20_001)
         weight = np.ones(len(s))
         weight[[0, -1]] = 0.5
-        for symbol in error_motions(axis.name):
-            mean = weight @ error_motion(symbol, axis, 9).rows(s) / weight.sum()
+        for symbol in list_error_motions(axis.name):
+            mean = weight @ make_error_motion(symbol, axis, 9).rows(s) / weight.sum()
             along = {"B": "YB", "C": "ZC"}[axis.name]
             assert (np.abs(mean).max() < 1e-7) == (symbol[1] not in along)
 
@@ -159,15 +164,15 @@ def test_directions_of_symbols_are_those_of_the_truth_machine():
     stated = content("w-C-A-b-X-Y-Z-B-t", inclined=True)
     file, machine = parse_machine(stated), machine_from_json(stated)
     for mine, theirs in zip(machine.rotary_axes, file.rotary_axes, strict=True):
-        assert np.allclose(local_directions(mine), local_frame(theirs), atol=1e-12)
+        assert np.allclose(find_local_directions(mine), local_frame(theirs), atol=1e-12)
 
 
 def test_symbols_of_rotary_axes_have_meanings_and_units():
-    symbols = [s for a in "BC" for s in (*error_motions(a), *locations(a))]
-    assert len({meaning(s) for s in symbols}) == 20
-    assert meaning("ECC") == "positioning of C"
-    assert meaning("EXC") == "radial motion of C in X"
-    assert meaning("EZC") == "axial motion of C in Z"
-    assert meaning("EAC") == "tilt of C about X"
-    assert meaning("XOC") == "shift of the axis of C in X"
-    assert [unit(s) for s in ("XOC", "AOC", "EXC", "ECC")] == ["um", "urad"] * 2
+    symbols = [s for a in "BC" for s in (*list_error_motions(a), *list_locations(a))]
+    assert len({describe_symbol(s) for s in symbols}) == 20
+    assert describe_symbol("ECC") == "positioning of C"
+    assert describe_symbol("EXC") == "radial motion of C in X"
+    assert describe_symbol("EZC") == "axial motion of C in Z"
+    assert describe_symbol("EAC") == "tilt of C about X"
+    assert describe_symbol("XOC") == "shift of the axis of C in X"
+    assert [find_unit(s) for s in ("XOC", "AOC", "EXC", "ECC")] == ["um", "urad"] * 2

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.kinematics.conditions import RecordedState, standstill
+from app.kinematics.conditions import RecordedState, make_standstill
 from app.kinematics.effects.position_wave import PositionWave
 from app.kinematics.effects.screw_cyclic import ScrewCyclic
 from app.kinematics.effects.sinusoid import find_amplitude_and_phase
@@ -63,7 +63,9 @@ def moving(span_s, count):
         np.tile([900.0, 0.0, 0.0], (count, 1)),
         np.eye(3),
     )
-    return replace(standstill(machine, position), time_s=3.7 + lag_s, recorded=recorded)
+    return replace(
+        make_standstill(machine, position), time_s=3.7 + lag_s, recorded=recorded
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.kinematics.machine import Machine, linear_part
+from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.motion_times import drive_of
 from app.motion.workspace import Workspace
 from app.planning.design_state import DesignState
@@ -38,7 +38,7 @@ def planner() -> Callable[..., Planner]:
         feeds: tuple[float, ...] = (6000.0,),
         perpendicular_only: bool = False,
     ) -> Planner:
-        part = linear_part(machine) if kind == "lines" else machine
+        part = remove_rotary_axes(machine) if kind == "lines" else machine
         dwell_s = 0.4 if kind == "lines" else 1.0
         return Planner(
             machine,

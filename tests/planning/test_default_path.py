@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -220,7 +220,9 @@ def test_the_target_moves_on_every_line(path: Path) -> None:
         places = ends[0] + share * (ends[1] - ends[0])
         offset = np.tile(np.array(target.offset_mm), (12, 1))
         aside = np.full(12, target.on == "workpiece")
-        at = standstill(mill, places, offset).view_from(mill.tracker.stands_on, aside)
+        at = make_standstill(mill, places, offset).view_from(
+            mill.tracker.stands_on, aside
+        )
         step = np.diff(at.point_mm, axis=0)
         assert np.linalg.norm(step, axis=1).sum() > 90.0
 
@@ -250,7 +252,7 @@ def test_a_machine_with_one_target_on_the_tool_is_planned_for() -> None:
     path = default_path(table, lines=8)
     assert path.target == ()
     assert len(path) == 9
-    moved = np.diff(standstill(table, path.position).point_mm, axis=0)
+    moved = np.diff(make_standstill(table, path.position).point_mm, axis=0)
     assert np.isfinite(moved).all()
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.kinematics.effects.error_motion import error_motion
+from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.machine import (
     LinearAxis,
     Machine,
@@ -94,7 +94,8 @@ def believed(model):
 def motions(machine, symbols):
     axes = {axis.name: axis for axis in machine.axes}
     return MachineModel(
-        machine, tuple(error_motion(symbol, axes[symbol[2]], 4) for symbol in symbols)
+        machine,
+        tuple(make_error_motion(symbol, axes[symbol[2]], 4) for symbol in symbols),
     )
 
 

@@ -14,7 +14,7 @@ from app.estimation.extrapolation import full_travel
 from app.estimation.noise import NoiseModel
 from app.files.result_file import CalibrationResult
 from app.files.run_summary import RunSummary
-from app.kinematics.identifiable import identifiable_model
+from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.numerics.rigid import RigidTransform
 from app.results.findings import Findings, Provenance, state_findings
@@ -61,7 +61,7 @@ def construct() -> Callable[..., Estimate]:
         rng = np.random.default_rng(seed)
         machine = machine_with(targets)
         offsets = np.array([t.offset_mm for t in targets])
-        model, merged = identifiable_model(machine, offsets, knot_spacing_mm=90.0)
+        model, merged = build_identifiable_model(machine, offsets, knot_spacing_mm=90.0)
         # Millimetres and radians differ in size as they do in a machine.
         size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
         spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]

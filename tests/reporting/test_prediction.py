@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.estimation.volumetric_map import build_volumetric_map
-from app.kinematics.conditions import standstill
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
 from app.results import prediction
@@ -54,7 +54,7 @@ def test_a_rigid_motion_of_the_whole_volume_changes_no_prediction(
     moved_by = rigid_motion(
         free_gauge.model, rng.standard_normal(3), 1e-3 * rng.standard_normal(3)
     )
-    at = standstill(free_gauge.machine, travel_points)
+    at = make_standstill(free_gauge.machine, travel_points)
     assert np.abs(free_gauge.model.jacobian(at) @ moved_by).max() > 0.5
     plain = predict(free_gauge, travel_points)
     moved = predict(
@@ -90,7 +90,7 @@ def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
 def test_uncertainty_is_the_spread_of_maps_drawn_from_the_covariance(
     loaded, travel_points, rng
 ):
-    at = standstill(loaded.machine, travel_points)
+    at = make_standstill(loaded.machine, travel_points)
     J = 1e3 * build_volumetric_map(loaded.model).jacobian(at)
     drawn = rng.multivariate_normal(
         loaded.theta, loaded.covariance, 4000, method="eigh"

@@ -17,9 +17,9 @@ from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior, Role
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.effects.error_motion import (
-    arm_of,
-    spline_parameters,
-    usual_size,
+    find_arm,
+    find_usual_size,
+    list_spline_parameters,
 )
 from app.kinematics.machine import Axis
 from app.numerics.splines import CubicSpline, natural_spline
@@ -46,7 +46,7 @@ class Backlash(ErrorCurve, Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The half width, or one for each degree of freedom beside the mean."""
-        return spline_parameters(self.name, self.symbol, self.gauge.shape[1])
+        return list_spline_parameters(self.name, self.symbol, self.gauge.shape[1])
 
     @property
     def half_difference(self) -> Backlash:
@@ -57,7 +57,7 @@ class Backlash(ErrorCurve, Effect):
         """Return the error's arm times h, with the sign of its axis' last motion."""
         rows = self.rows(at.axis_mm(self.axis.name))
         sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
-        arm = arm_of(self.symbol, at) * sign[:, None]
+        arm = find_arm(self.symbol, at) * sign[:, None]
         return arm[:, :, None] * rows[:, None, :]
 
     def prior(self) -> QuadraticPrior:
@@ -65,17 +65,17 @@ class Backlash(ErrorCurve, Effect):
         length = self.axis.high - self.axis.low
         form = self.gauge.T @ self.spline.gram() @ self.gauge / length
         rank = self.gauge.shape[1]
-        usual = rank * (_SHARE * usual_size(self.symbol)) ** 2
+        usual = rank * (_SHARE * find_usual_size(self.symbol)) ** 2
         return QuadraticPrior(form, rank, usual)
 
 
-def half_width(symbol: str, axis: Axis) -> Backlash:
+def make_half_width(symbol: str, axis: Axis) -> Backlash:
     """Return the half difference that is the same everywhere."""
     spline = _spline(axis)
     return Backlash(symbol, axis, spline, np.ones((spline.size, 1)), False)
 
 
-def half_shape(symbol: str, axis: Axis) -> Backlash:
+def make_half_shape(symbol: str, axis: Axis) -> Backlash:
     """Return what the half difference does beyond its mean over the travel."""
     spline = _spline(axis)
     mean = spline.gram() @ np.ones(spline.size)

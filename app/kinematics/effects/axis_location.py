@@ -17,8 +17,8 @@ from jaxtyping import Float64
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
 from app.kinematics.machine import RotaryAxis
-from app.kinematics.rotary_axes import local_directions
-from app.kinematics.symbols import DIRECTION, TURNS, locations
+from app.kinematics.rotary_axes import find_local_directions
+from app.kinematics.symbols import DIRECTION, TURNS, list_locations
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class AxisLocation(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return F (1 − R) d, with × L for a tilt."""
-        unit = local_directions(self.axis)[:, DIRECTION[self.symbol[0]]]
+        unit = find_local_directions(self.axis)[:, DIRECTION[self.symbol[0]]]
         chain = at.chain
         turn = chain.turn(self.axis.name)
         if self.axis.name in at.machine.workpiece_side:
@@ -58,6 +58,6 @@ class AxisLocation(Effect):
         return lever.displace(direction, is_turn=is_turn)[:, :, None]
 
 
-def axis_locations(axis: RotaryAxis) -> tuple[AxisLocation, ...]:
+def list_axis_locations(axis: RotaryAxis) -> tuple[AxisLocation, ...]:
     """Return the four location errors of a rotary axis, shifts first."""
-    return tuple(AxisLocation(symbol, axis) for symbol in locations(axis.name))
+    return tuple(AxisLocation(symbol, axis) for symbol in list_locations(axis.name))

@@ -237,7 +237,7 @@ def find_speed(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
     return np.abs(at.recorded.rate[:, at.machine.axis_names.index(axis)])
 
 
-def attenuation(
+def attenuate_wave(
     angular_rate: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Return what is left of a wave after averaging it over each span."""

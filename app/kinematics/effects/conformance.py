@@ -18,7 +18,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from app.kinematics.conditions import Conditions, RecordedState, standstill
+from app.kinematics.conditions import Conditions, RecordedState, make_standstill
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     LANGUAGES,
@@ -49,7 +49,7 @@ def example_conditions(count: int = 400) -> Conditions:
     target = Target("T", "tool", (20.0, 30.0, -100.0))
     machine = Machine("example", (), ("X", "Y", "Z"), axes, (target,), TrackerNoise())
     rng = np.random.default_rng(1)
-    still = standstill(machine, rng.uniform(0.0, 500.0, (count, 3)))
+    still = make_standstill(machine, rng.uniform(0.0, 500.0, (count, 3)))
     rate = rng.uniform(-100.0, 100.0, (count, 3))
     recorded = RecordedState(
         rate,

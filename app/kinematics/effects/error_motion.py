@@ -16,7 +16,7 @@ from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior
 from app.kinematics.effects.error_curve import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis
-from app.kinematics.rotary_axes import local_directions
+from app.kinematics.rotary_axes import find_local_directions
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 from app.numerics.splines import cyclic_spline, natural_spline
 
@@ -42,7 +42,7 @@ class ErrorMotion(ErrorCurve, Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """One for each degree of freedom that the gauge leaves."""
-        return spline_parameters(self.symbol, self.symbol, self.gauge.shape[1])
+        return list_spline_parameters(self.symbol, self.symbol, self.gauge.shape[1])
 
     @property
     def iso_symbol(self) -> str:
@@ -56,12 +56,12 @@ class ErrorMotion(ErrorCurve, Effect):
 
     def coarsen(self, intervals: int) -> ErrorMotion:
         """Return the same motion over fewer intervals."""
-        return error_motion(self.symbol, self.axis, intervals)
+        return make_error_motion(self.symbol, self.axis, intervals)
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
         rows = self.rows(at.axis_mm(self.axis.name))
-        return arm_of(self.symbol, at)[:, :, None] * rows[:, None, :]
+        return find_arm(self.symbol, at)[:, :, None] * rows[:, None, :]
 
     def prior(self) -> QuadraticPrior:
         """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
@@ -69,7 +69,9 @@ class ErrorMotion(ErrorCurve, Effect):
         Usual is an error of usual size that waves once over the travel.
         """
         length = self.axis.high - self.axis.low
-        usual = usual_size(self.symbol) ** 2 * (2.0 * np.pi / length) ** 4 * length / 2
+        usual = (
+            find_usual_size(self.symbol) ** 2 * (2.0 * np.pi / length) ** 4 * length / 2
+        )
         form = self.gauge.T @ self.spline.bending() @ self.gauge
         free = 1 if self.spline.period else 2
         kind = "turn" if is_turn(self.symbol) else "shift"
@@ -78,35 +80,35 @@ class ErrorMotion(ErrorCurve, Effect):
         return QuadraticPrior(form, self.spline.size - free, usual, kind)
 
 
-def arm_of(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
+def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Return what a unit of the error moves the target by: e_d, or e_d × L."""
     axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
-    local = local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
+    local = find_local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
     direction = np.tile(local[:, DIRECTION[symbol[1]]], (len(at), 1))
     return at.chain.lever(axis.name).displace(direction, is_turn=is_turn(symbol))
 
 
-def spline_parameters(name: str, symbol: str, count: int) -> tuple[Parameter, ...]:
+def list_spline_parameters(name: str, symbol: str, count: int) -> tuple[Parameter, ...]:
     """Return the parameters of a spline of an error motion."""
     unit = "rad" if is_turn(symbol) else "mm"
     return tuple(Parameter(f"{name}[{i}]", unit) for i in range(count))
 
 
-def usual_size(symbol: str) -> float:
+def find_usual_size(symbol: str) -> float:
     """Return the size of an error motion that surprises nobody, in mm or rad."""
     return _USUAL_RAD if is_turn(symbol) else _USUAL_MM
 
 
-def error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
+def make_error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
     """Return the error motion over the axis' travel, knots at equal intervals."""
     knots = np.linspace(axis.low, axis.high, intervals + 1)
     if isinstance(axis, RotaryAxis) and axis.turns_fully:
         # One period of a travel that may hold more than a turn.
         knots = axis.min_deg + 360.0 * np.arange(intervals) / intervals
-    return error_motion_over(symbol, axis, knots)
+    return make_error_motion_over(symbol, axis, knots)
 
 
-def error_motion_over(
+def make_error_motion_over(
     symbol: str, axis: Axis, knots_mm: Float64[np.ndarray, " k"]
 ) -> ErrorMotion:
     """Return the error motion in its gauge over given knots, mm or deg."""

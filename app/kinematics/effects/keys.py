@@ -7,7 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from app.kinematics.machine import Machine
-from app.kinematics.symbols import LINEAR, SQUARENESS, error_motions, meaning
+from app.kinematics.symbols import (
+    LINEAR,
+    SQUARENESS,
+    describe_symbol,
+    list_error_motions,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +34,7 @@ class Key:
         return self.phrase.format(self.spell(text))
 
 
-def choice(phrase: str, values: Sequence[str]) -> Key:
+def choose_from(phrase: str, values: Sequence[str]) -> Key:
     """Return a key that is one of some texts."""
 
     def read(machine: Machine, text: str) -> str:
@@ -42,17 +47,17 @@ def choice(phrase: str, values: Sequence[str]) -> Key:
 
 
 def _with_meaning(symbol: str) -> str:
-    return f"{symbol}, {meaning(symbol)}"
+    return f"{symbol}, {describe_symbol(symbol)}"
 
 
 def _read_motion(machine: Machine, text: str) -> str:
-    if text not in {s for a in machine.linear_axes for s in error_motions(a.name)}:
+    if text not in {s for a in machine.linear_axes for s in list_error_motions(a.name)}:
         raise KeyError(text)
     return text
 
 
 AXIS = Key("of {}", Machine.linear)
-DIRECTION = choice("along {}", LINEAR)
+DIRECTION = choose_from("along {}", LINEAR)
 MOTION = Key("in {}", _read_motion, _with_meaning)
-SYMBOL = replace(choice("{}", SQUARENESS), spell=_with_meaning)
+SYMBOL = replace(choose_from("{}", SQUARENESS), spell=_with_meaning)
 PLANE = Key("({})", lambda m, text: tuple(map(m.linear, text)), " and ".join)

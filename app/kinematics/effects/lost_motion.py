@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.approach import Backlash, half_width
+from app.kinematics.effects.approach import Backlash, make_half_width
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
@@ -22,13 +22,13 @@ from app.kinematics.effects.catalogue import (
 )
 from app.kinematics.effects.keys import AXIS, MOTION
 from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import error_motions, is_positioning, is_turn
+from app.kinematics.symbols import is_positioning, is_turn, list_error_motions
 
 _USUAL_RAD = 1e-5
 
 
 def _lost_positioning(axis: LinearAxis) -> Backlash:
-    return half_width(f"E{axis.name}{axis.name}", axis)
+    return make_half_width(f"E{axis.name}{axis.name}", axis)
 
 
 class BacklashFamily(Family):
@@ -155,7 +155,7 @@ class LateralBacklashFamily(Family):
                 first,
             )
             for axis in at.machine.linear_axes
-            for symbol in error_motions(axis.name)
+            for symbol in list_error_motions(axis.name)
             if not is_positioning(symbol)
         ]
 
@@ -164,7 +164,7 @@ class LateralBacklashFamily(Family):
     ) -> Effect:
         """Return the effect as a model file states it."""
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
-        if symbol not in error_motions(axis.name):
+        if symbol not in list_error_motions(axis.name):
             raise KeyError(symbol)
         return _turning_over(symbol, axis, numbers.get(self.scanned, 0.0))
 
@@ -183,7 +183,7 @@ class LateralBacklashFamily(Family):
 
 
 def _turning_over(symbol: str, axis: LinearAxis, turnover_mm: float) -> TurningOver:
-    plain = half_width(symbol, axis)
+    plain = make_half_width(symbol, axis)
     return TurningOver(
         plain.symbol, plain.axis, plain.spline, plain.gauge, False, float(turnover_mm)
     )

@@ -19,7 +19,7 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Words,
 )
-from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION
 from app.kinematics.machine import LinearAxis
 
@@ -46,7 +46,7 @@ class ReversalSpike(Effect):
             return np.zeros((len(at), 3, 1))
         column = at.machine.axis_names.index(self.axis.name)
         left = np.exp(-at.recorded.since_reversal[:, column] / self.decay_mm)
-        arm = arm_of(f"E{self.direction}{self.axis.name}", at)
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
         return (arm * (left * at.approach[:, column])[:, None])[:, :, None]
 
 

@@ -21,7 +21,7 @@ from app.kinematics.effects.catalogue import (
     Words,
     find_speed,
 )
-from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS
 from app.kinematics.effects.sinusoid import (
     average_over_cells,
@@ -52,7 +52,7 @@ class ScrewCyclic(Effect):
         name, turn = self.axis.name, 2.0 * np.pi / self.lead_mm
         angle, rate = turn * at.axis_mm(name), turn * find_speed(at, name)
         waves = [average_over_cells(k * angle, k * rate, at) for k in (1, 2)]
-        arm = arm_of(f"E{name}{name}", at)
+        arm = find_arm(f"E{name}{name}", at)
         return arm[:, :, None] * np.concatenate(waves, axis=1)[:, None, :]
 
 
@@ -103,7 +103,7 @@ class ScrewCyclicFamily(Family):
         """Return the scan as a wave of the position."""
         axis = candidate.keys["axis"]
         return Wave(
-            arm_of(f"E{axis}{axis}", at),
+            find_arm(f"E{axis}{axis}", at),
             at.axis_mm(axis),
             find_speed(at, axis),
             1.0 / self.scan(candidate, at).values,

@@ -17,7 +17,7 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     Words,
 )
-from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS
 from app.kinematics.machine import LinearAxis
 
@@ -42,7 +42,7 @@ class ServoMismatch(Effect):
         if at.recorded is None:
             return np.zeros((len(at), 3, 1))
         rate = at.recorded.rate[:, at.machine.axis_names.index(self.axis.name)]
-        arm = arm_of(f"E{self.axis.name}{self.axis.name}", at)
+        arm = find_arm(f"E{self.axis.name}{self.axis.name}", at)
         return -(arm * rate[:, None])[:, :, None]
 
 

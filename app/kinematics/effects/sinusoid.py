@@ -11,7 +11,7 @@ from app.kinematics.effects.catalogue import (
     CandidateEstimate,
     Quantity,
     Wave,
-    attenuation,
+    attenuate_wave,
 )
 
 _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
@@ -31,7 +31,7 @@ def average_over_cells(
     """
     if at.recorded is None:
         return sine_and_cosine(angle)
-    return sine_and_cosine(angle) * attenuation(rate, at.recorded.span_s)[:, None]
+    return sine_and_cosine(angle) * attenuate_wave(rate, at.recorded.span_s)[:, None]
 
 
 def make_time_wave(

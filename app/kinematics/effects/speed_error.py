@@ -19,7 +19,7 @@ from app.kinematics.effects.catalogue import (
     Words,
     find_speed,
 )
-from app.kinematics.effects.error_motion import arm_of
+from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION
 from app.kinematics.machine import LinearAxis
 
@@ -44,7 +44,7 @@ class SpeedError(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times speed and its square."""
         speed = find_speed(at, self.axis.name) / self.fastest_mm_s
-        arm = arm_of(f"E{self.direction}{self.axis.name}", at)
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
         return arm[:, :, None] * np.stack([speed, speed**2], axis=1)[:, None, :]
 
 

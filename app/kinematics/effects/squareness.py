@@ -36,7 +36,7 @@ class Squareness(Effect):
         return at.chain.lever(name).displace(lean, is_turn=False)[:, :, None]
 
 
-def squareness_between(axes: tuple[str, ...]) -> tuple[Squareness, ...]:
+def list_squarenesses(axes: tuple[str, ...]) -> tuple[Squareness, ...]:
     """Return the squarenesses of the given linear axes."""
     pairs = {"C0Y": {"X", "Y"}, "B0Z": {"X", "Z"}, "A0Z": {"Y", "Z"}}
     return tuple(Squareness(s) for s, pair in pairs.items() if pair <= set(axes))

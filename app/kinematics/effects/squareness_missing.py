@@ -13,7 +13,7 @@ from app.kinematics.effects.catalogue import (
     Words,
 )
 from app.kinematics.effects.keys import SYMBOL
-from app.kinematics.effects.squareness import Squareness, squareness_between
+from app.kinematics.effects.squareness import Squareness, list_squarenesses
 
 _USUAL_RAD = 2e-5
 
@@ -54,7 +54,7 @@ class SquarenessFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a pair of axes."""
         names = tuple(axis.name for axis in at.machine.linear_axes)
-        return [self.offer(s, [_USUAL_RAD]) for s in squareness_between(names)]
+        return [self.offer(s, [_USUAL_RAD]) for s in list_squarenesses(names)]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the angle."""

@@ -18,7 +18,7 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Words,
 )
-from app.kinematics.effects.error_motion import arm_of, reference_position_mm
+from app.kinematics.effects.error_motion import find_arm, reference_position_mm
 from app.kinematics.effects.keys import AXIS
 from app.kinematics.machine import LinearAxis, Machine
 
@@ -66,7 +66,9 @@ def _strain(
     axis: LinearAxis, at: Conditions, by: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3 1"]:
     reach = at.axis_mm(axis.name) - reference_position_mm(axis)
-    return (arm_of(f"E{axis.name}{axis.name}", at) * (reach * by)[:, None])[:, :, None]
+    return (find_arm(f"E{axis.name}{axis.name}", at) * (reach * by)[:, None])[
+        :, :, None
+    ]
 
 
 def _read_sensor(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"] | None:

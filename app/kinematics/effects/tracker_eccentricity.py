@@ -17,7 +17,7 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     Words,
 )
-from app.kinematics.effects.keys import choice
+from app.kinematics.effects.keys import choose_from
 from app.kinematics.effects.sinusoid import find_amplitude_and_phase
 
 _USUAL_RAD = 2e-5
@@ -55,7 +55,7 @@ class TrackerEccentricityFamily(Family):
 
     name = "tracker-eccentricity"
     role = Role.MEASUREMENT
-    keys = {"circle": choice("({})", CIRCLES)}
+    keys = {"circle": choose_from("({})", CIRCLES)}
     words = {
         "en": Words(
             title="Eccentric circle of the tracker",
