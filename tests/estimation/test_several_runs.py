@@ -209,7 +209,7 @@ def test_the_sum_over_runs_is_the_solve_with_every_pose_stacked(moving, standing
         moving.at.machine, moving.at.offset_mm, standing.at.offset_mm, intervals=5
     )
     shares = collect_information(runs, model)
-    own = [share.problem.model.size - model.size for share in shares]
+    own = [len(share.data.vector) - model.size for share in shares]
     stacked = np.zeros((model.size + sum(own), model.size + sum(own)))
     vector = np.zeros(len(stacked))
     begin = model.size
