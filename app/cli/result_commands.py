@@ -68,7 +68,7 @@ def export(
 ) -> None:
     """A controller's compensation file, and what it leaves behind."""
     compute_on_one_thread()
-    from app.compensation.export_files import export_files
+    from app.compensation.export import export_files
 
     account = export_files(result, format, output, spacing_mm=spacing)
     sign = account["sign"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from app.compensation.sample_positions import remove_rigid_motion
+from app.compensation.remaining_error import remove_rigid_motion
 from app.files.result_file import result_from_json
 from app.results.prediction import predict
 

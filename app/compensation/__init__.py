@@ -12,11 +12,9 @@ files that make the error larger are refused.
 
     error_map             δ of the result at any position, in + and − direction
     axis_tables           δ and the error motions of each axis at equal spacing, mm, rad
-    format                the interface of a controller's format
-    interpolated_table    what simulated controllers share: tables with straight lines
-    sample_positions      where the remaining error is computed
-    effect_residuals      how much of each effect of a model remains
-    export, export_files  spacing, writing, reading back, the account of the files
+    format                the interface of a controller's format; tables that it adds
+    remaining_error       what remains of the whole and of each effect of a model
+    export                spacing, writing, reading back, the account of the files
     linuxcnc, siemens, heidenhain, fanuc, isg_csv    one maker a file
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.

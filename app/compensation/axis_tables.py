@@ -90,7 +90,7 @@ def tabulate_axis(
     count = int(np.clip(wanted, 2, most_points))
     at_mm = np.linspace(axis.min_mm, axis.max_mm, count)
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
-    place = _move_axis(errors, axis, at_mm, errors.middle_mm)
+    place = errors.move_axis(axis, at_mm, errors.middle_mm)
     forward, backward = (errors.error_mm(place, sign) for sign in (1.0, -1.0))
     zero = 0.5 * (forward + backward)[reference]
     return AxisTable(
@@ -117,27 +117,15 @@ def _tabulate_pair(
         return None
     other = machine.linear(by)
     by_mm = np.linspace(other.min_mm, other.max_mm, min(most, _FINEST))
-    rest = np.array([reference_position_mm(a) for a in machine.axes])
     grid = np.stack(np.meshgrid(by_mm, at_mm, indexing="ij"), axis=-1).reshape(-1, 2)
     columns = [machine.axis_names.index(name) for name in (by, axis.name)]
     total = np.zeros((len(grid), 3))
     for kept, sign in (((0, 1), 1.0), ((0,), -1.0), ((1,), -1.0), ((), 1.0)):
-        place = np.tile(rest, (len(grid), 1))
+        place = np.tile(errors.reference_mm, (len(grid), 1))
         for k in kept:
             place[:, columns[k]] = grid[:, k]
         total += sign * errors.pair_error_mm(place, axis.name, by)
     return PairTable(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
-
-
-def _move_axis(
-    errors: ErrorMap,
-    axis: LinearAxis,
-    at_mm: Float64[np.ndarray, " n"],
-    others_mm: Float64[np.ndarray, " a"],
-) -> Float64[np.ndarray, "n a"]:
-    place = np.tile(others_mm, (len(at_mm), 1))
-    place[:, errors.machine.axis_names.index(axis.name)] = at_mm
-    return place
 
 
 def _tabulate_motions(
@@ -149,15 +137,12 @@ def _tabulate_motions(
     axis by E + ω × R, R the positions of the later axes there.
     """
     machine = errors.machine
-    rest = np.array([reference_position_mm(a) for a in machine.axes])
-    place = _move_axis(
-        errors, axis, np.append(at_mm, reference_position_mm(axis)), rest
-    )
-    error = errors.error_mm(place)
+    rest = errors.reference_mm
+    at_and_zero = np.append(at_mm, reference_position_mm(axis))
+    error = errors.error_mm(errors.move_axis(axis, at_and_zero, rest))
     omega = errors.rotation_rad(axis.name, at_mm)
     later = machine.order[machine.order.index(axis.name) + 1 :]
-    lever = np.zeros(3)
-    for name in later:
-        if name in LINEAR:
-            lever[LINEAR.index(name)] = rest[machine.axis_names.index(name)]
+    lever = np.array(
+        [rest[machine.axis_names.index(n)] if n in later else 0.0 for n in LINEAR]
+    )
     return error[:-1] - error[-1] - np.cross(omega, lever), omega

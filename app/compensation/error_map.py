@@ -98,17 +98,30 @@ class ErrorMap:
                 total += effect.displacement_mm(at, theta[model.slices[effect.name]])
         return total
 
+    def move_axis(
+        self,
+        axis: LinearAxis,
+        at_mm: Float64[np.ndarray, " n"],
+        others_mm: Float64[np.ndarray, " a"],
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return positions of all axes where one axis moves alone."""
+        place = np.tile(others_mm, (len(at_mm), 1))
+        place[:, self.machine.axis_names.index(axis.name)] = at_mm
+        return place
+
+    @property
+    def reference_mm(self) -> Float64[np.ndarray, " a"]:
+        """Reference position of every axis, where error motions are 0."""
+        return np.array([reference_position_mm(axis) for axis in self.machine.axes])
+
     @property
     def middle_mm(self) -> Float64[np.ndarray, " a"]:
         """Middle of the travel; rotary axes at their zero."""
-        return np.array(
-            [
-                0.5 * (axis.min_mm + axis.max_mm)
-                if isinstance(axis, LinearAxis)
-                else reference_position_mm(axis)
-                for axis in self.machine.axes
-            ]
-        )
+        middle = self.reference_mm
+        for column, axis in enumerate(self.machine.axes):
+            if isinstance(axis, LinearAxis):
+                middle[column] = 0.5 * (axis.min_mm + axis.max_mm)
+        return middle
 
 
 def map_errors(result: CalibrationResult) -> ErrorMap:

@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from app.compensation.axis_tables import (
     AxisTable,
     CompensationTables,
     tabulate_axis,
 )
-from app.compensation.effect_residuals import evaluate_effects
-from app.compensation.error_map import ErrorMap
-from app.compensation.format import CompensationFormat, Correction
-from app.compensation.sample_positions import (
+from app.compensation.error_map import ErrorMap, map_errors
+from app.compensation.format import CompensationFormat
+from app.compensation.remaining_error import (
     GRID,
     RANDOM,
-    remove_rigid_motion,
-    sample_positions,
+    evaluate_effects,
+    measure_lengths,
 )
 from app.errors import BadInput
+from app.files.file_model import encode_json
+from app.files.result_file import read_result
 from app.files.units import UM_PER_MM
+from app.files.whole_files import replace_file
 from app.plugins import load
 
 GROUP = "truepath.compensation_formats"
@@ -43,17 +45,34 @@ class Export:
     account: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorLength:
-    """Length of the volumetric error without its rigid motion, µm."""
+def export_files(
+    result: str | Path,
+    name: str,
+    output: str | Path,
+    *,
+    spacing_mm: float = SPACING_MM,
+) -> dict[str, Any]:
+    """Write the files of a format beside `output`, and their account as `STEM.json`.
 
-    mean_um: float
-    largest_um: float
+    A single file is written to `output` itself; the names of several begin with the
+    stem of `output`. Returns the account, `files` as paths.
 
-
-def find_suffix(name: str) -> str:
-    """Return the suffix of a format's files. Raises BadInput for an unknown one."""
-    return _load_format(name).suffix
+    Raises BundleError with the place in the result, BadInput as `export_result`.
+    """
+    suffix, place = _load_format(name).suffix, Path(output)
+    errors = map_errors(read_result(result))
+    export = export_result(errors, name, place.stem, spacing_mm=spacing_mm)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    alone = len(export.files) == 1 and place.suffix not in ("", suffix)
+    written: list[str] = []
+    for file, text in export.files.items():
+        target = place if alone else place.parent / file
+        replace_file(target, text.encode("ascii"))
+        written.append(str(target))
+    account = {**export.account, "files": written}
+    beside = place.parent / f"{place.stem}.json"
+    replace_file(beside, encode_json(account, indent=1))
+    return account
 
 
 def export_result(
@@ -78,37 +97,34 @@ def export_result(
     content = tabulate(errors)
     files = kind.write(content)
     correction = kind.read(files, errors.machine)
-    before, after = _measure(errors, None), _measure(errors, correction)
-    if after.mean_um > _BETTER * before.mean_um:
+    before, after = measure_lengths(errors), measure_lengths(errors, correction)
+    if after["mean"] > _BETTER * before["mean"]:
         raise BadInput(
             f"read back by the rule of {kind.control}, the files take the mean "
-            f"volumetric error from {before.mean_um:.2f} to {after.mean_um:.2f} µm; "
+            f"volumetric error from {before['mean']:.2f} to {after['mean']:.2f} µm; "
             "what it carries is below what it resolves: choose another format"
         )
-    account = _write_account(
-        errors, name, kind, content.tables, before, after, list(files)
-    )
-    effects = [
-        one.to_json() for one in evaluate_effects(errors, kind, tabulate, correction)
-    ]
-    return Export(files, {**account, "effects": effects})
+    account = {
+        "schema": SCHEMA,
+        "format": name,
+        "control": kind.control,
+        "files": list(files),
+        **_describe_content(errors, kind, content.tables),
+        "volumetric_error_um": {
+            "before": before,
+            "after": after,
+            "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
+            "travel, coming up and coming down, without the rigid motion of the whole; "
+            "of the map of the result, read back by the rule of the controller",
+        },
+        "note": kind.note,
+        "effects": list(evaluate_effects(errors, kind, tabulate, correction)),
+    }
+    return Export(files, account)
 
 
 def _load_format(name: str) -> CompensationFormat:
     return load(GROUP, name)()
-
-
-def _measure(errors: ErrorMap, correction: Correction | None) -> ErrorLength:
-    """Return the length of δ plus correction over both directions."""
-    position = sample_positions(errors)
-    lengths: list[Float64[np.ndarray, " n"]] = []
-    for direction in (1.0, -1.0):
-        error = errors.error_mm(position, direction)
-        if correction is not None:
-            error = error + correction(position, direction)
-        lengths.append(np.linalg.norm(remove_rigid_motion(position, error), axis=1))
-    every = UM_PER_MM * np.concatenate(lengths)
-    return ErrorLength(float(every.mean()), float(every.max()))
 
 
 def _find_interpolation_loss_um(
@@ -118,9 +134,7 @@ def _find_interpolation_loss_um(
     worst = 0.0
     for table in tables:
         at = 0.5 * (table.position_mm[1:] + table.position_mm[:-1])
-        place = np.tile(errors.middle_mm, (len(at), 1))
-        place[:, errors.machine.axis_names.index(table.axis.name)] = at
-        error = errors.error_mm(place)
+        error = errors.error_mm(errors.move_axis(table.axis, at, errors.middle_mm))
         between = 0.5 * (table.mean_mm[1:] + table.mean_mm[:-1])
         lost = error - error.mean(axis=0) - between + between.mean(axis=0)
         worst = max(worst, float(np.abs(lost).max()))
@@ -129,39 +143,27 @@ def _find_interpolation_loss_um(
 
 def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
-    result = errors.result
+    machine, provenance = errors.machine, errors.result.provenance
     offsets = "; ".join(
-        ", ".join(f"{v:g}" for v in target.offset_mm)
-        for target in errors.machine.targets
+        ", ".join(f"{v:g}" for v in target.offset_mm) for target in machine.targets
     )
     lines = (
         f"truepath compensation, format {name}",
-        f"machine {errors.machine.name}, chain {errors.machine.chain}",
+        f"machine {machine.name}, chain {machine.chain}",
         f"target offset {offsets} mm",
-        f"run {result.provenance.get('run', '')}, analysed "
-        f"{result.provenance.get('created', '')}",
-        f"input {str(result.provenance.get('input_sha256', ''))[:16]}",
+        f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
+        f"input {str(provenance.get('input_sha256', ''))[:16]}",
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
     return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
 
 
-def _write_account(
-    errors: ErrorMap,
-    name: str,
-    kind: CompensationFormat,
-    tables: tuple[AxisTable, ...],
-    before: ErrorLength,
-    after: ErrorLength,
-    files: list[str],
+def _describe_content(
+    errors: ErrorMap, kind: CompensationFormat, tables: tuple[AxisTable, ...]
 ) -> dict[str, Any]:
     machine = errors.machine
     rotary = [axis.name for axis in machine.rotary_axes]
     return {
-        "schema": SCHEMA,
-        "format": name,
-        "control": kind.control,
-        "files": files,
         "machine": machine.name,
         "kinematic_chain": machine.chain,
         "target_offset_mm": [list(t.offset_mm) for t in machine.targets],
@@ -182,12 +184,4 @@ def _write_account(
         },
         "beyond_the_travel": "the controller holds the end values",
         "interpolation_loss_um": _find_interpolation_loss_um(errors, tables),
-        "volumetric_error_um": {
-            "before": {"mean": before.mean_um, "largest": before.largest_um},
-            "after": {"mean": after.mean_um, "largest": after.largest_um},
-            "on": f"{GRID} positions an axis and {RANDOM} random ones in the "
-            "travel, coming up and coming down, without the rigid motion of the whole; "
-            "of the map of the result, read back by the rule of the controller",
-        },
-        "note": kind.note,
     }

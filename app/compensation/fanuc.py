@@ -14,14 +14,17 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.compensation.axis_tables import AxisTable, CompensationTables
-from app.compensation.format import CompensationFormat, Correction
-from app.compensation.interpolated_table import InterpolatedTable, add_tables
+from app.compensation.format import (
+    CompensationFormat,
+    Correction,
+    InterpolatedTable,
+    add_tables,
+)
 from app.errors import BadInput
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import Machine
@@ -35,16 +38,16 @@ _FIRST = 10_000  # data number of point 0
 class Fanuc(CompensationFormat):
     """Positioning of each axis: `STEM-pitch.txt` and `STEM-parameters.txt`."""
 
-    control: ClassVar[str] = "Fanuc, stored pitch error compensation"
-    suffix: ClassVar[str] = ".txt"
-    most_points: ClassVar[int] = 300
-    carries: ClassVar[str] = "positioning of each axis, mean of both directions"
-    not_carried: ClassVar[str] = (
+    control = "Fanuc, stored pitch error compensation"
+    suffix = ".txt"
+    most_points = 300
+    carries = "positioning of each axis, mean of both directions"
+    not_carried = (
         "backlash (parameter 1851 has it), straightness, angular errors, squareness"
     )
-    sign: ClassVar[str] = "the sum of the increments is added to the command"
-    sign_is_verified: ClassVar[bool] = False
-    note: ClassVar[str] = (
+    sign = "the sum of the increments is added to the command"
+    sign_is_verified = False
+    note = (
         "A1, A2, A3 are X, Y, Z, detection unit 1 µm; parameters first, then the data; "
         "switch power off and on and return to the reference point"
     )

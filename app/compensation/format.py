@@ -1,9 +1,10 @@
-"""The interface of a controller's format of compensation tables."""
+"""The interface of a controller's format, and the tables that controllers add."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -45,3 +46,35 @@ class CompensationFormat(ABC):
     @abstractmethod
     def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
         """Return the controller's correction from the files. Raises BadInput."""
+
+
+@dataclass(frozen=True, slots=True)
+class InterpolatedTable:
+    """What a controller adds at positions of an axis, straight between rows.
+
+    out : index of the axis that is corrected
+    forward_mm, backward_mm : (n,) added in + and in − direction of the axis; end values
+        hold beyond
+    """
+
+    axis: str
+    out: int
+    position_mm: Float64[np.ndarray, " n"]
+    forward_mm: Float64[np.ndarray, " n"]
+    backward_mm: Float64[np.ndarray, " n"]
+
+
+def add_tables(tables: Sequence[InterpolatedTable], machine: Machine) -> Correction:
+    """Return the sum of tables as a correction."""
+
+    def correction(
+        position_mm: Float64[np.ndarray, "n a"], direction: float
+    ) -> Float64[np.ndarray, "n 3"]:
+        added = np.zeros((len(position_mm), 3))
+        for table in tables:
+            at = position_mm[:, machine.axis_names.index(table.axis)]
+            value_mm = table.forward_mm if direction > 0 else table.backward_mm
+            added[:, table.out] += np.interp(at, table.position_mm, value_mm)
+        return added
+
+    return correction

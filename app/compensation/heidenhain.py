@@ -10,13 +10,16 @@ technical manual (compensation tables).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import ClassVar
 
 import numpy as np
 
 from app.compensation.axis_tables import AxisTable, CompensationTables
-from app.compensation.format import CompensationFormat, Correction
-from app.compensation.interpolated_table import InterpolatedTable, add_tables
+from app.compensation.format import (
+    CompensationFormat,
+    Correction,
+    InterpolatedTable,
+    add_tables,
+)
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
@@ -29,21 +32,17 @@ _CONFIG = "config.cma"
 class Heidenhain(CompensationFormat):
     """A table an axis: positioning with backlash, straightness, squareness."""
 
-    control: ClassVar[str] = "Heidenhain TNC"
-    suffix: ClassVar[str] = ".com"
-    most_points: ClassVar[int] = 256
-    carries: ClassVar[str] = (
+    control = "Heidenhain TNC"
+    suffix = ".com"
+    most_points = 256
+    carries = (
         "positioning with backlash, straightness and squareness along the middle of "
         "the travel"
     )
-    not_carried: ClassVar[str] = (
-        "angular errors away from the middle (KinematicsComp has them)"
-    )
-    sign: ClassVar[str] = (
-        "the value is added to the commanded position: minus the error"
-    )
-    sign_is_verified: ClassVar[bool] = False
-    note: ClassVar[str] = (
+    not_carried = "angular errors away from the middle (KinematicsComp has them)"
+    sign = "the value is added to the commanded position: minus the error"
+    sign_is_verified = False
+    note = (
         "copy the header line and column widths from a table of this control before "
         "first use; older controls want a spacing that is a power of two of 0.1 µm"
     )

@@ -12,7 +12,6 @@ compensation.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -27,17 +26,17 @@ from app.kinematics.symbols import LINEAR, is_turn, list_error_motions
 class IsgCsv(CompensationFormat):
     """All error motions of all straight axes, one file."""
 
-    control: ClassVar[str] = "ISG kernel, Beckhoff TF5280"
-    suffix: ClassVar[str] = ".csv"
-    most_points: ClassVar[int] = 1000
-    carries: ClassVar[str] = (
+    control = "ISG kernel, Beckhoff TF5280"
+    suffix = ".csv"
+    most_points = 1000
+    carries = (
         "all error motions and squareness, with their lever arms in the whole volume; "
         "of each axis what it does with one other one, as sag"
     )
-    not_carried: ClassVar[str] = "backlash and what depends on direction"
-    sign: ClassVar[str] = "the file has the errors; the controller takes them away"
-    sign_is_verified: ClassVar[bool] = False
-    note: ClassVar[str] = (
+    not_carried = "backlash and what depends on direction"
+    sign = "the file has the errors; the controller takes them away"
+    sign_is_verified = False
+    note = (
         "file_format ISG_CSV, Interpolation GRID, tool length 0 (N0X, N0Y, N0Z left "
         "out), the kinematic chain as it stands in the first line"
     )

@@ -9,13 +9,16 @@ three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
 from app.compensation.axis_tables import AxisTable, CompensationTables
-from app.compensation.format import CompensationFormat, Correction
-from app.compensation.interpolated_table import InterpolatedTable, add_tables
+from app.compensation.format import (
+    CompensationFormat,
+    Correction,
+    InterpolatedTable,
+    add_tables,
+)
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
@@ -24,16 +27,14 @@ from app.kinematics.symbols import LINEAR
 class LinuxCnc(CompensationFormat):
     """One table a straight axis, both directions."""
 
-    control: ClassVar[str] = "LinuxCNC"
-    suffix: ClassVar[str] = ".tbl"
-    most_points: ClassVar[int] = 256
-    carries: ClassVar[str] = "positioning of each axis, forward and reverse"
-    not_carried: ClassVar[str] = "straightness, angular errors, squareness"
-    sign: ClassVar[str] = (
-        "columns 2 and 3 are positions reached: nominal + error (COMP_FILE_TYPE = 0)"
-    )
-    sign_is_verified: ClassVar[bool] = True
-    note: ClassVar[str] = (
+    control = "LinuxCNC"
+    suffix = ".tbl"
+    most_points = 256
+    carries = "positioning of each axis, forward and reverse"
+    not_carried = "straightness, angular errors, squareness"
+    sign = "columns 2 and 3 are positions reached: nominal + error (COMP_FILE_TYPE = 0)"
+    sign_is_verified = True
+    note = (
         "name each file as COMP_FILE of its [JOINT_n], with COMP_FILE_TYPE = 0; the "
         "tables are read when LinuxCNC starts, and replace BACKLASH"
     )

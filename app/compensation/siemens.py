@@ -11,13 +11,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import ClassVar
 
 import numpy as np
 
 from app.compensation.axis_tables import AxisTable, CompensationTables
-from app.compensation.format import CompensationFormat, Correction
-from app.compensation.interpolated_table import InterpolatedTable, add_tables
+from app.compensation.format import (
+    CompensationFormat,
+    Correction,
+    InterpolatedTable,
+    add_tables,
+)
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
@@ -26,19 +29,17 @@ from app.kinematics.symbols import LINEAR
 class SiemensLec(CompensationFormat):
     """Positioning of each axis, one INI file."""
 
-    control: ClassVar[str] = "Siemens 840D, leadscrew error compensation"
-    suffix: ClassVar[str] = ".ini"
-    most_points: ClassVar[int] = 1000
-    carries: ClassVar[str] = "positioning of each axis, mean of both directions"
-    not_carried: ClassVar[str] = (
-        "backlash (MD32450 has it), straightness, angular errors, squareness"
-    )
-    sign: ClassVar[str] = (
+    control = "Siemens 840D, leadscrew error compensation"
+    suffix = ".ini"
+    most_points = 1000
+    carries = "positioning of each axis, mean of both directions"
+    not_carried = "backlash (MD32450 has it), straightness, angular errors, squareness"
+    sign = (
         "the value is the error: a positive value moves the axis in the negative "
         "direction"
     )
-    sign_is_verified: ClassVar[bool] = True
-    note: ClassVar[str] = (
+    sign_is_verified = True
+    note = (
         "rename X1, Y1, Z1 to the machine axes; MD38000 must hold the points; load "
         "with MD32700 = 0, set it to 1, reference the axes"
     )
@@ -59,20 +60,16 @@ class SiemensLec(CompensationFormat):
 class SiemensCec(CompensationFormat):
     """What each axis does across itself, one INI file of cross tables."""
 
-    control: ClassVar[str] = "Siemens 840D, cross error compensation"
-    suffix: ClassVar[str] = ".ini"
-    most_points: ClassVar[int] = 500
-    carries: ClassVar[str] = (
-        "straightness and squareness, along the middle of the travel"
-    )
-    not_carried: ClassVar[str] = (
+    control = "Siemens 840D, cross error compensation"
+    suffix = ".ini"
+    most_points = 500
+    carries = "straightness and squareness, along the middle of the travel"
+    not_carried = (
         "positioning (siemens-lec has it), angular errors away from the middle"
     )
-    sign: ClassVar[str] = (
-        "the value is the error of the output axis, as in leadscrew tables"
-    )
-    sign_is_verified: ClassVar[bool] = False
-    note: ClassVar[str] = (
+    sign = "the value is the error of the output axis, as in leadscrew tables"
+    sign_is_verified = False
+    note = (
         "AX1, AX2, AX3 are X, Y, Z; MD18342 sizes the tables, MD32710 enables them; a "
         "licensed option; verify by a probe move that the tables act at all"
     )

@@ -36,13 +36,13 @@ _LARGEST_NUMBER = 7999  # those above may be protected
 class Fanuc(Dialect):
     """Programs between two `%`, called by an O-number."""
 
-    control: ClassVar[str] = "Fanuc"
-    suffix: ClassVar[str] = ".nc"
-    decimals: ClassVar[int] = 3
-    most_rows: ClassVar[int] = 9999
-    longest_dwell_s: ClassVar[float] = 9999.0
-    counts_degrees: ClassVar[bool] = True
-    frame: ClassVar[str] = "G54 AND EXTERNAL OFFSET MUST BE ZERO - CHECKED BEFORE ROW 1"
+    control = "Fanuc"
+    suffix = ".nc"
+    decimals = 3
+    most_rows = 9999
+    longest_dwell_s = 9999.0
+    counts_degrees = True
+    frame = "G54 AND EXTERNAL OFFSET MUST BE ZERO - CHECKED BEFORE ROW 1"
 
     def program_name(self, wanted: str, checksum: str) -> str:
         """Return an O-number from the checksum: other paths have other numbers."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import ClassVar
 
 from app.motion.nc_programs.blocks import (
     STOP_RECORDING,
@@ -32,11 +31,11 @@ from app.motion.nc_programs.simulated_control import (
 class Heidenhain(Dialect):
     """Klartext programs, `.H`. A file and its program have one name."""
 
-    control: ClassVar[str] = "Heidenhain TNC"
-    suffix: ClassVar[str] = ".h"
-    least_dwell_s: ClassVar[float] = 0.1
-    counts_degrees: ClassVar[bool] = True
-    frame: ClassVar[str] = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
+    control = "Heidenhain TNC"
+    suffix = ".h"
+    least_dwell_s = 0.1
+    counts_degrees = True
+    frame = "FROM THE MACHINE DATUM IN EACH BLOCK - M91"
 
     def write(self, content: ProgramContent) -> str:
         """Return the program; blocks are numbered without a gap."""

@@ -30,9 +30,9 @@ _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
 class LinuxCnc(Dialect):
     """Programs of LinuxCNC, `.ngc`."""
 
-    control: ClassVar[str] = "LinuxCNC"
-    suffix: ClassVar[str] = ".ngc"
-    frame: ClassVar[str] = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
+    control = "LinuxCNC"
+    suffix = ".ngc"
+    frame = "WITHOUT ANY OFFSET IN EACH BLOCK - G53"
 
     def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""

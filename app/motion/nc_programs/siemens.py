@@ -37,9 +37,9 @@ _SAFE_START = (
 class Siemens(Dialect):
     """Main programs, `.MPF`."""
 
-    control: ClassVar[str] = "Siemens 840D"
-    suffix: ClassVar[str] = ".mpf"
-    frame: ClassVar[str] = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
+    control = "Siemens 840D"
+    suffix = ".mpf"
+    frame = "FRAMES ARE SUPPRESSED IN EACH BLOCK - SUPA"
 
     def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
