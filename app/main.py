@@ -130,7 +130,7 @@ def _make_context(
     results = folder / "results"
     results.mkdir(exist_ok=True)
     context = JobContext(
-        store=Store(database, event_bus.publish_stored),
+        store=Store(database, event_bus.publish),
         runs=RunCatalogue(database, folder / "runs"),
         results=results,
         executor=executor,

@@ -24,9 +24,7 @@ from starlette.exceptions import HTTPException
 from app.api.models.job import describe_job
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
-from app.jobs.event_bus import JobEvent
-from app.jobs.job import decode_job, format_utc_now
-from app.jobs.rows import StoredEvent
+from app.jobs.job import JobEvent, decode_job, format_utc_now
 
 TICK_S = 1.0
 WAITING = 50
@@ -95,7 +93,7 @@ class Subscription:
                     partial(service.store.read_events_after, known, job_id=job_id)
                 )
                 for stored in missed:
-                    known = stored.id
+                    known = stored.id or known
                     yield _describe_event(stored)
                 news = bool(missed)
             for job_event in live:
@@ -207,6 +205,6 @@ def _read_present(
     ]
 
 
-def _describe_event(stored: StoredEvent) -> ServerSentEvent:
+def _describe_event(stored: JobEvent) -> ServerSentEvent:
     job = describe_job(decode_job(stored.body))
     return ServerSentEvent(data=job, event=stored.type, id=str(stored.id))

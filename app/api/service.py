@@ -13,7 +13,8 @@ from fastapi import Depends, Request
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
-from app.jobs.event_bus import EventBus, JobEvent
+from app.jobs.event_bus import EventBus
+from app.jobs.job import JobEvent
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.kinematics.machine import Machine

@@ -10,8 +10,7 @@ from typing import Any
 
 from app.cli.terminal import NotedProgress, say
 from app.errors import MeasurementFailed
-from app.jobs.growth import Growth
-from app.jobs.live_estimation import LiveEstimation
+from app.jobs.live_estimation import Growth, LiveEstimation
 from app.jobs.live_process import LiveOrder
 from app.measurement.cell import Cell
 from app.measurement.messages import (
@@ -134,7 +133,7 @@ class _Follower:
             self._cell.conclude()
             self._is_concluded = True
         elif self._growth is not None:
-            self._growth.look()
+            self._growth.pass_on()
 
 
 def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:

@@ -11,19 +11,19 @@ from typing import Any
 import structlog
 
 from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
-from app.jobs.event_bus import EventBus, JobEvent
+from app.jobs.event_bus import EventBus
 from app.jobs.executor import Computation
 from app.jobs.job import (
     EarlyEnd,
     Failure,
     Health,
     Job,
+    JobEvent,
     Json,
     Progress,
     Stage,
     encode_progress,
 )
-from app.jobs.outcome import Outcome
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb, apply_verb, may_follow
 
@@ -187,12 +187,11 @@ class ActiveJob:
 
         self._remember(self._store.change(self.job_id, change))
 
-    def end(self, outcome: Outcome) -> Job:
-        """Enter the final state of an outcome, unless the job has ended.
+    def end(self, state: State, failure: Failure | None) -> Job:
+        """Enter a final state, unless the job has ended.
 
         An abort under way wins over success and failure.
         """
-        state, failure = outcome.state, outcome.failure
 
         def change(job: Job) -> Job:
             if job.is_final:

@@ -17,9 +17,8 @@ from app.errors import MeasurementFailed
 from app.jobs.active_job import ActiveJob
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
-from app.jobs.growth import Growth
 from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
-from app.jobs.live_estimation import LiveEstimation
+from app.jobs.live_estimation import Growth, LiveEstimation
 from app.jobs.transitions import State
 from app.measurement.messages import (
     BlockRecorded,
@@ -110,7 +109,7 @@ class CellMeasurement:
             self._repeat_command()
             self._conclude_at_target()
             if self._growth is not None and not self._is_concluded:
-                self._growth.look()
+                self._growth.pass_on()
             self._check_deadlines()
             try:
                 event = self._events.get(timeout=_POLL_S)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.errors import NoMachine
-from app.jobs.executor import Executor, Task
+from app.jobs.executor import ProcessExecutor, Task
 from app.jobs.live_estimation import LiveEstimation, Show
 from app.jobs.live_process import LiveOrder
 from app.jobs.plan_orders import plan_measurement
@@ -38,7 +38,7 @@ class JobContext:
     store: Store
     runs: RunCatalogue
     results: Path
-    executor: Executor
+    executor: ProcessExecutor
     science: Task
     workers: Workers = field(default_factory=Workers)
     machine: Machine | None = None

@@ -13,10 +13,9 @@ import structlog
 from app.errors import IllegalTransition
 from app.jobs.active_job import ActiveJob
 from app.jobs.context import JobContext
-from app.jobs.errors import CellDown, QueueFull
+from app.jobs.errors import CellDown, Interrupted, QueueFull
 from app.jobs.event_bus import EventBus
-from app.jobs.job import Job, Stage
-from app.jobs.outcome import describe_interruption
+from app.jobs.job import Failure, Job, Stage
 from app.jobs.requested_job import RequestedJob, check_requested_job
 from app.jobs.rows import IdempotencyKey
 from app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
@@ -159,12 +158,12 @@ class Dispatcher:
                 record = self._context.runs.add_measured(job.id)
             except Exception:
                 log.exception("the Run cannot be read; its file is kept")
-        end = describe_interruption(f"the service ended while the job was {job.state}")
+        text = f"the service ended while the job was {job.state}"
         after = replace(
             job,
-            state=end.state,
+            state=State.INTERRUPTED,
             run_id=record.id if record is not None else job.run_id,
-            failure=end.failure,
+            failure=Failure(Interrupted.__name__, text),
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))
@@ -179,10 +178,5 @@ class Dispatcher:
         cell = self._context.cell
         if cell is None:
             return None
-        match verb:
-            case Verb.PAUSE:
-                return cell.pause()
-            case Verb.RESUME:
-                return cell.resume()
-            case _:
-                return cell.abort()
+        commands = {Verb.PAUSE: cell.pause, Verb.RESUME: cell.resume}
+        return commands.get(verb, cell.abort)()

@@ -1,29 +1,17 @@
-"""Publishes events of jobs to listeners: stored events and momentary ones."""
+"""Publishes events of jobs to listeners, and remembers the newest live estimates."""
 
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
-from app.jobs.estimate_history import EstimateHistory
-from app.jobs.rows import StoredEvent
+from app.jobs.job import JobEvent
 
-
-@dataclass(frozen=True, slots=True)
-class JobEvent:
-    """One event of a job.
-
-    type : `job` is stored in the catalogue and has its `id`; `progress`, `live`,
-        `estimate` and `plan` are not
-    """
-
-    type: str
-    job_id: str | None
-    body: Mapping[str, Any]
-    id: int | None = None
-
+JOBS = 16
+"""Number of jobs whose estimates are kept: those with the newest ones."""
+COURSE = ("elapsed_s", "done", "volumetric_uncertainty_um")
 
 Listener = Callable[[JobEvent], None]
 
@@ -59,6 +47,37 @@ class EventBus:
         for listener in self._listeners:
             listener(event)
 
-    def publish_stored(self, event: StoredEvent) -> None:
-        """Pass on an event that the catalogue has kept."""
-        self.publish(JobEvent(event.type, event.job_id, event.body, event.id))
+
+class EstimateHistory:
+    """Estimates of a few jobs: the newest, and how the uncertainty came down.
+
+    Any thread may call it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._newest: OrderedDict[str, Mapping[str, Any]] = OrderedDict()
+        self._courses: dict[str, list[tuple[Any, ...]]] = {}
+
+    def add(self, job_id: str, body: Mapping[str, Any]) -> None:
+        """Add an estimate; a repeated one adds no step to the course."""
+        step = tuple(body[name] for name in COURSE)
+        with self._lock:
+            self._newest[job_id] = body
+            self._newest.move_to_end(job_id)
+            course = self._courses.setdefault(job_id, [])
+            if course[-1:] != [step]:
+                course.append(step)
+            while len(self._newest) > JOBS:
+                oldest, _ = self._newest.popitem(last=False)
+                del self._courses[oldest]
+
+    def newest(self, job_id: str) -> Mapping[str, Any] | None:
+        """Return the newest estimate of a job, None where none is remembered."""
+        return self._newest.get(job_id)
+
+    def course(self, job_id: str) -> dict[str, list[Any]]:
+        """Return the columns `COURSE`, one row an estimate, the oldest first."""
+        with self._lock:
+            rows = list(self._courses.get(job_id, ()))
+        return {name: [row[i] for row in rows] for i, name in enumerate(COURSE)}

@@ -1,58 +1,38 @@
-"""Where science jobs compute: a port, and its adapter of processes on this computer.
+"""Worker processes, where science jobs compute.
 
 A worker process computes one task at a time. When a task is cancelled, its process is
 killed and replaced: no task can refuse to end, and none disturbs another. Worker
 processes yield the processor to the 500 Hz reader of the cell.
+
+Why not a pool of the standard library: it would leave the children of a killed process
+waiting for ever and its semaphores behind. A worker process ends when its pipe does.
 """
 
 from __future__ import annotations
 
 import threading
 import traceback
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from typing import Any
 
-from app.child_process import BACKGROUND_NICENESS
+import structlog
+
+from app.child_process import BACKGROUND_NICENESS, ChildProcess
 from app.jobs.errors import Aborted, TaskFailed, WorkerDied
-from app.jobs.worker_process import Call, WorkerProcess
-from app.progress import Progress
+from app.progress import Progress, ignore_progress
+
+log = structlog.get_logger(__name__)
 
 Task = Callable[..., Any]
 """A function of a module, called as `task(*arguments, on_progress=…)` in a worker."""
 
-
-class Computation(ABC):
-    """A task under way."""
-
-    @abstractmethod
-    def result(self) -> Any:
-        """Wait for the value; raises TaskFailed, Aborted, or WorkerDied."""
-
-    @abstractmethod
-    def cancel(self) -> None:
-        """End it now, whatever it does. Idempotent, any thread."""
+_END_S = 5.0
 
 
-class Executor(ABC):
-    """Computes tasks elsewhere."""
-
-    @abstractmethod
-    def submit(
-        self,
-        task: Task,
-        *arguments: object,
-        on_progress: Progress,
-        started: Callable[[], None],
-    ) -> Computation:
-        """Begin a task as soon as there is room for it; `started` is called then."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Cancel what runs and release everything."""
-
-
-class ProcessExecutor(Executor):
+class ProcessExecutor:
     """Worker processes on this computer.
 
     count : tasks that compute at one time; further ones wait in line
@@ -62,157 +42,116 @@ class ProcessExecutor(Executor):
     def __init__(
         self, count: int = 1, prepare: Callable[[], None] | None = None
     ) -> None:
-        self._workers = tuple(_Worker(prepare) for _ in range(count))
-        self._free = list(self._workers)
+        self._prepare = prepare
         self._changed = threading.Condition()
-        self._closed = False
+        self._free: list[WorkerProcess | None] = [None] * count  # None: not started
+        self._busy: set[WorkerProcess] = set()
+        self.is_closed = False
 
     def submit(
         self,
         task: Task,
         *arguments: object,
         on_progress: Progress,
-        started: Callable[[], None],
+        started: Callable[[], object],
     ) -> Computation:
-        """Begin a task as soon as a worker process is free."""
-        return _WaitingTask(self, task, arguments, on_progress, started)
+        """Begin a task as soon as a process is free; `started` is called then."""
+        call = Call(_run_task, (task, arguments), reports_progress=True)
+        return Computation(self, call, on_progress, started)
 
     def warm(self) -> None:
         """Start the processes now, not with the first task. Does not wait for them."""
-        for worker in self._workers:
-            worker.warm()
+        with self._changed:
+            if not self.is_closed:
+                self._free = [process or self._start() for process in self._free]
 
     def close(self) -> None:
         """Kill what runs and end every process."""
         with self._changed:
-            self._closed = True
+            self.is_closed = True
             self._changed.notify_all()
-        for worker in self._workers:
-            worker.close()
+            for process in self._busy:
+                process.kill()  # its thread closes it
+            for process in filter(None, self._free):
+                process.close()
 
-    def take(self, cancelled: threading.Event) -> _Worker:
-        """Wait for a free worker. Raises Aborted if cancelled first."""
+    def take(self, cancelled: threading.Event) -> WorkerProcess:
+        """Wait for a free process. Raises Aborted if cancelled first."""
         with self._changed:
-            while not self._free and not cancelled.is_set() and not self._closed:
+            while not (self._free or cancelled.is_set() or self.is_closed):
                 self._changed.wait()
-            if cancelled.is_set() or self._closed:
+            if cancelled.is_set() or self.is_closed:
                 raise Aborted("cancelled before it began")
-            return self._free.pop()
+            process = self._free[-1] or self._start()
+            self._free.pop()
+            self._busy.add(process)
+            return process
 
-    def give_back(self, worker: _Worker) -> None:
-        """Let the next task in line begin."""
+    def give_back(self, process: WorkerProcess, *, keep: bool) -> None:
+        """Let the next task in line begin, in a new process unless this one is kept."""
         with self._changed:
-            self._free.append(worker)
+            keep = keep and not self.is_closed
+            self._busy.remove(process)
+            self._free.append(process if keep else None)
             self._changed.notify_all()
+        if not keep:
+            process.close()
 
     def wake(self) -> None:
         """Let those who wait look whether they are cancelled."""
         with self._changed:
             self._changed.notify_all()
 
+    def _start(self) -> WorkerProcess:
+        return WorkerProcess(
+            "worker", niceness=BACKGROUND_NICENESS, prepare=self._prepare
+        )
 
-class _WaitingTask(Computation):
-    """Waits for a worker, then computes; driven by the thread of `result`."""
+
+class Computation:
+    """A task under way, driven by the thread of `result`."""
 
     def __init__(
         self,
         executor: ProcessExecutor,
-        task: Task,
-        arguments: tuple[object, ...],
+        call: Call,
         on_progress: Progress,
-        started: Callable[[], None],
+        started: Callable[[], object],
     ) -> None:
-        self._executor, self._started = executor, started
-        self._on_progress = on_progress
-        self._call = Call(_run_task, (task, arguments), reports_progress=True)
+        self._executor, self._call = executor, call
+        self._on_progress, self._started = on_progress, started
         self._cancelled = threading.Event()
-        self._worker: _Worker | None = None
+        self._process: WorkerProcess | None = None
 
     def result(self) -> Any:
-        worker = self._worker = self._executor.take(self._cancelled)
+        """Wait for the value; raises TaskFailed, Aborted, or WorkerDied."""
+        process = self._process = self._executor.take(self._cancelled)
+        keep = True
         try:
             self._started()
-            return worker.compute(self._call, self._on_progress, self._cancelled)
-        finally:
-            self._worker = None
-            self._executor.give_back(worker)
-
-    def cancel(self) -> None:
-        self._cancelled.set()
-        self._executor.wake()
-        if (worker := self._worker) is not None:
-            worker.kill()
-
-
-class _Worker:
-    """One place to compute: a process, replaced when it has been killed."""
-
-    def __init__(self, prepare: Callable[[], None] | None) -> None:
-        self._prepare = prepare
-        self._lock = threading.Lock()
-        self._process: WorkerProcess | None = None
-        self._is_busy = self._is_closed = False
-
-    def compute(
-        self, call: Call, on_progress: Progress, cancelled: threading.Event
-    ) -> Any:
-        """Run a task in the process, started first if there is none."""
-        process = self._open(is_busy=True)
-        is_whole = False
-        try:
-            if cancelled.is_set():
+            if self._cancelled.is_set():
                 process.kill()
-            value = process.call(call, on_progress)
-            is_whole = True
+            keep = False
+            value = process.call(self._call, self._on_progress)
+            keep = True
             return value
+        except TaskFailed:
+            keep = True
+            raise
         except WorkerDied as error:
-            if cancelled.is_set() or self._is_closed:
+            if self._cancelled.is_set() or self._executor.is_closed:
                 raise Aborted("the computation was cancelled") from error
             raise
-        except TaskFailed:
-            is_whole = True
-            raise
         finally:
-            self._release(process, keep=is_whole)
+            self._process = None
+            self._executor.give_back(process, keep=keep)
 
-    def warm(self) -> None:
-        """Start the process, if none runs."""
-        if not self._is_closed:
-            self._open(is_busy=False)
-
-    def kill(self) -> None:
-        """End the process, whatever it does; the next task gets a new one."""
-        with self._lock:
-            if self._process is not None:
-                self._process.kill()
-
-    def close(self) -> None:
-        """End the process for good."""
-        with self._lock:
-            self._is_closed = True
-            process = self._process
-            if self._is_busy and process is not None:
-                process.kill()  # its thread closes it
-            elif process is not None:
-                process.close()
-
-    def _open(self, *, is_busy: bool) -> WorkerProcess:
-        with self._lock:
-            if self._is_closed:
-                raise Aborted("the service is ending")
-            if self._process is None:
-                self._process = WorkerProcess(
-                    "worker", niceness=BACKGROUND_NICENESS, prepare=self._prepare
-                )
-            self._is_busy = self._is_busy or is_busy
-            return self._process
-
-    def _release(self, process: WorkerProcess, *, keep: bool) -> None:
-        with self._lock:
-            self._is_busy = False
-            if not keep or self._is_closed:
-                self._process = None
-                process.close()
+    def cancel(self) -> None:
+        """End it now, whatever it does. Idempotent, any thread."""
+        self._cancelled.set()
+        self._executor.wake()
+        if (process := self._process) is not None:
+            process.kill()
 
 
 def _run_task(
@@ -224,3 +163,142 @@ def _run_task(
         # Not every error can be packed and unpacked again; its name and text can.
         trace = traceback.format_exc()
         raise TaskFailed(type(error).__name__, str(error), trace) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """To the process: call a function of a module.
+
+    reports_progress : it takes a keyword `on_progress`
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    keywords: Mapping[str, Any] = field(default_factory=dict)
+    reports_progress: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """From the process: it is prepared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progressed:
+    """From the process: how far the call is."""
+
+    share: float
+    stage: str
+
+
+@dataclass(frozen=True, slots=True)
+class Returned:
+    """From the process: the value of the call."""
+
+    value: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Raised:
+    """From the process: what the call has raised."""
+
+    error: Exception
+
+
+class WorkerProcess:
+    """One process. `call` belongs to one thread at a time, `kill` to any.
+
+    prepare : function of a module, called first
+    """
+
+    def __init__(
+        self, name: str, *, niceness: int = 0, prepare: Callable[[], None] | None = None
+    ) -> None:
+        self._process = ChildProcess(name, _compute, prepare, niceness=niceness)
+        self._process.start()
+        self._is_busy = self._is_ready = False
+
+    def call(self, call: Call, on_progress: Progress = ignore_progress) -> Any:
+        """Return the value of a call, or raise what it raises.
+
+        Raises WorkerDied if the process ends without an answer. If `on_progress`
+        raises, the process is ended.
+        """
+        self._is_busy = True
+        answer = None
+        try:
+            answer = self._wait_for_answer(call, on_progress)
+        finally:
+            self._is_busy = False
+            if answer is None:
+                self.kill()
+        match answer:
+            case Returned(value):
+                return value
+            case Raised(error):
+                raise error
+
+    def kill(self) -> None:
+        """End the process, whatever it does. Idempotent, any thread."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End the process for good: in order where it is idle."""
+        is_idle = not self._is_busy and (self._is_ready or self._process.link.poll())
+        if is_idle and self._process.alive:
+            self._process.link.close()
+            self._process.join(_END_S)
+        self._process.close()
+
+    def _wait_for_answer(self, call: Call, on_progress: Progress) -> Returned | Raised:
+        self._exchange(lambda: self._process.link.send(call))
+        while True:
+            message = self._exchange(self._process.link.recv)
+            self._is_ready = True
+            match message:
+                case Progressed(share, stage):
+                    on_progress(share, stage)
+                case Returned() | Raised():
+                    return message
+
+    def _exchange(self, step: Callable[[], Any]) -> Any:
+        try:
+            return step()
+        except (EOFError, OSError) as error:
+            raise WorkerDied(
+                "a computing process ended without an answer: killed, or out of "
+                "memory; run it again, or with fewer workers"
+            ) from error
+
+
+def _compute(prepare: Callable[[], None] | None, link: Connection) -> None:
+    """Body of the process: call what comes until nobody is there to ask."""
+    if prepare is not None:
+        try:
+            prepare()
+        except Exception:
+            log.exception("the worker process is not prepared; tasks run all the same")
+    with suppress(EOFError, OSError):
+        link.send(Ready())
+        while True:
+            answer = _answer(link)
+            try:
+                link.send(answer)
+            except (TypeError, AttributeError, ValueError) as error:
+                link.send(Raised(TypeError(f"the value cannot be sent: {error}")))
+
+
+def _answer(link: Connection) -> Returned | Raised:
+    try:
+        call: Call = link.recv()
+    except (EOFError, OSError):
+        raise
+    except Exception as error:  # what was sent cannot be imported here
+        return Raised(error)
+    keywords = dict(call.keywords)
+    if call.reports_progress:
+        keywords["on_progress"] = lambda *done: link.send(Progressed(*done))
+    try:
+        return Returned(call.function(*call.arguments, **keywords))
+    except Exception as error:
+        return Raised(error)

@@ -189,6 +189,20 @@ class NewJob:
     further_run_ids: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class JobEvent:
+    """One event of a job.
+
+    type : `job` is stored in the catalogue and has its `id`, so that a client can
+        catch up; `progress`, `live`, `estimate` and `plan` are not
+    """
+
+    type: str
+    job_id: str | None
+    body: Json
+    id: int | None = None
+
+
 _JOB, _PROGRESS = TypeAdapter(Job), TypeAdapter(Progress)
 
 

@@ -31,7 +31,9 @@ from app.jobs.live_process import (
     PartChosen,
     estimate_live,
 )
-from drivers.interfaces.records import TrackerSamples
+from app.measurement.parts import append_part
+from app.motion.configurations import Commanded
+from drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
     from app.planning.adaptive_plan import Part
@@ -41,6 +43,8 @@ log = structlog.get_logger(__name__)
 PERIOD_S = 0.25
 WAITING_BLOCKS = 100  # about ten seconds of the stream
 FINISH_S = 20.0
+ANSWER_S = 60.0
+_MICRO = 1e3  # mm to µm
 
 Show = Callable[[Mapping[str, Any]], None]
 
@@ -94,7 +98,7 @@ class LiveEstimation:
         with suppress(queue.Full):
             self._queue.put(ChoosePart(), timeout=timeout_s)
 
-    def part(self) -> Part | None:
+    def take_part(self) -> Part | None:
         """Return the answer to `ask` as soon as there is one. Never waits."""
         with suppress(queue.Empty):
             return self._parts.get_nowait()
@@ -180,3 +184,65 @@ class _Publisher:
                     {**body, "age_s": round(age_s, 3), "dropped_blocks": dropped}
                 )
         self.ended.set()
+
+
+class Growth:
+    """Further parts of an adaptive measurement: from the live estimate to the cell.
+
+    The cell asks when the machine stands at the end of what it has been given. Where
+    the live estimate has nothing to add, or says nothing in time, the measurement ends
+    in order with what has been recorded. One thread.
+
+    commanded : the first part
+    extend, conclude : of the cell
+    on_part : receives all rows after each part, and the body of the event `plan`
+    """
+
+    def __init__(
+        self,
+        live: LiveEstimation,
+        commanded: Commanded,
+        extend: Callable[[Commanded], object],
+        conclude: Callable[[], object],
+        on_part: Callable[[Commanded, Mapping[str, Any]], None],
+    ) -> None:
+        self._live, self._commanded = live, commanded
+        self._extend, self._conclude, self._on_part = extend, conclude, on_part
+        self._answer_by: float | None = None
+        self._parts = 1
+
+    def ask(self) -> None:
+        """Let the next part be chosen: the machine stands."""
+        self._answer_by = time.monotonic() + ANSWER_S
+        self._live.ask()
+
+    def pass_on(self) -> None:
+        """Pass on the part that was asked for, if it is there. Never waits."""
+        if self._answer_by is None:
+            return
+        part = self._live.take_part()
+        if part is not None:
+            self._answer_by = None
+            self._add(part)
+        elif self._live.is_over or time.monotonic() > self._answer_by:
+            self._answer_by = None
+            log.warning("nobody says what to measure next; the measurement ends")
+            self._conclude()
+
+    def _add(self, part: Part) -> None:
+        if part.commanded is None:
+            log.info("no further part", parts=self._parts)
+            self._conclude()
+            return
+        self._commanded = append_part(self._commanded, part.commanded)
+        self._parts += 1
+        body = {
+            "part": self._parts,
+            "rows": part.rows,
+            "total": len(self._commanded) - isinstance(self._commanded, Path),
+            "duration_s": round(part.duration_s, 3),
+            "predicted_um": round(_MICRO * part.predicted_sigma_mm, 4),
+        }
+        log.info("further part", **body)
+        self._extend(part.commanded)
+        self._on_part(self._commanded, body)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +16,7 @@ from app.errors import NotFound
 from app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from app.jobs.job import (
     Job,
+    JobEvent,
     NewJob,
     Stage,
     decode_job,
@@ -29,16 +29,6 @@ from app.jobs.transitions import FINAL, State
 
 JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
 _OPEN = tuple(str(state) for state in State if state not in FINAL)
-
-
-@dataclass(frozen=True, slots=True)
-class StoredEvent:
-    """Something that happened, kept so that a client can catch up."""
-
-    id: int
-    job_id: str
-    type: str
-    body: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,18 +105,18 @@ def _encode_columns(job: Job) -> dict[str, Any]:
     return content
 
 
-def insert_event(connection: Connection, job: Job) -> StoredEvent:
+def insert_event(connection: Connection, job: Job) -> JobEvent:
     """Write that a job has changed."""
     body = encode_job(job)
     row = {"job_id": job.id, "type": "job", "body": body, "created": format_utc_now()}
     done = connection.execute(insert(events).values(**row))
     assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
-    return StoredEvent(done.inserted_primary_key[0], job.id, "job", body)
+    return JobEvent("job", job.id, body, done.inserted_primary_key[0])
 
 
-def decode_event(row: RowMapping) -> StoredEvent:
+def decode_event(row: RowMapping) -> JobEvent:
     """Return the event of a row."""
-    return StoredEvent(row["id"], row["job_id"], row["type"], row["body"])
+    return JobEvent(row["type"], row["job_id"], row["body"], row["id"])
 
 
 def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:

@@ -19,6 +19,7 @@ from app.jobs.errors import StaleVersion
 from app.jobs.job import (
     Health,
     Job,
+    JobEvent,
     JobKind,
     NewJob,
     Progress,
@@ -30,7 +31,6 @@ from app.jobs.job import (
 from app.jobs.rows import (
     JOBS,
     IdempotencyKey,
-    StoredEvent,
     decode_event,
     find_job_by_key,
     insert_event,
@@ -49,7 +49,7 @@ KEEP_EVENTS = 20_000
 _MOST_EVENTS = 500
 
 
-Listener = Callable[[StoredEvent], None]
+Listener = Callable[[JobEvent], None]
 
 
 class Store:
@@ -70,7 +70,7 @@ class Store:
         measure while another one has not ended.
         """
 
-        def change(connection: Connection) -> tuple[Job, StoredEvent | None]:
+        def change(connection: Connection) -> tuple[Job, JobEvent | None]:
             earlier = find_job_by_key(connection, key) if key else None
             if earlier is not None:
                 return earlier, None
@@ -146,7 +146,7 @@ class Store:
         and the end of a job are stamped here.
         """
 
-        def apply(connection: Connection) -> tuple[Job, StoredEvent | None]:
+        def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
             before = read_job(connection, job_id)
             if version is not None and before.version != version:
                 raise StaleVersion(version, before.version, before.state)
@@ -175,7 +175,7 @@ class Store:
 
     def read_events_after(
         self, event_id: int, *, job_id: str | None = None
-    ) -> list[StoredEvent]:
+    ) -> list[JobEvent]:
         """Return kept events in order, at most 500 after `event_id`."""
         query = select(events).where(events.c.id > event_id).order_by(events.c.id)
         if job_id is not None:
@@ -206,7 +206,7 @@ class Store:
         with self._database.read() as connection:
             return connection.execute(query).scalar() or {}
 
-    def _publish(self, outcome: tuple[Job, StoredEvent | None]) -> None:
+    def _publish(self, outcome: tuple[Job, JobEvent | None]) -> None:
         event = outcome[1]
         if event is not None:
             self._listener(event)

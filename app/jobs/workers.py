@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from typing import Any, Literal, TypeVar
 
 from app.errors import BadInput
-from app.jobs.worker_process import Call, WorkerProcess
+from app.jobs.executor import Call, WorkerProcess
 from app.settings import Settings
 
 T = TypeVar("T")

@@ -1,4 +1,4 @@
-"""What a job does, written once from top to bottom.
+"""What a job does, written once from top to bottom, its steps and how it ends.
 
 The job's thread runs it. At the checkpoints of its `ActiveJob` it ends early.
 """
@@ -6,16 +6,37 @@ The job's thread runs it. At the checkpoints of its `ActiveJob` it ends early.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
 
 import structlog
 
+from app.errors import MeasurementFailed, TruepathError
 from app.jobs.active_job import ActiveJob
+from app.jobs.cell_measurement import CONFIRM_S, CellMeasurement
 from app.jobs.context import JobContext
-from app.jobs.errors import StorageUnavailable
-from app.jobs.job import Job
-from app.jobs.outcome import JobAborted, JobSucceeded, Outcome, classify_error
-from app.jobs.steps import JobSteps
-from app.jobs.transitions import Verb
+from app.jobs.errors import (
+    Aborted,
+    Interrupted,
+    MachineFault,
+    MeasurementEnded,
+    StorageUnavailable,
+    TaskFailed,
+)
+from app.jobs.executor import Task
+from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
+from app.jobs.live_estimation import Growth, LiveEstimation
+from app.jobs.live_process import LiveOrder
+from app.jobs.plan_orders import first_part
+from app.jobs.plans import commanded_from_plan, plan_json
+from app.jobs.transitions import State, Verb
+from app.measurement.messages import MeasurementOrder
+from app.motion.configurations import Commanded
+from app.motion.paths import check_travel
+from app.results.model_history import find_model_file
+from drivers.interfaces.errors import DeviceError
 
 TRY_AGAIN_S = 0.5
 
@@ -26,12 +47,12 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
     """Do a job to its end and store how it ended. Raises nothing."""
     with structlog.contextvars.bound_contextvars(job_id=job.id):
         log.info("job begins", kind=str(job.kind))
-        outcome: Outcome = JobSucceeded()
+        state, failure = State.SUCCEEDED, None
         try:
             run_steps(JobSteps(job, active, context))
         except Exception as error:
-            outcome = classify_error(error)
-        _store_end(active, outcome)
+            state, failure = classify_error(error)
+        _store_end(active, state, failure)
 
 
 def run_steps(steps: JobSteps) -> None:
@@ -53,18 +74,219 @@ def run_steps(steps: JobSteps) -> None:
         steps.discover(run_ids)
 
 
-def _store_end(active: ActiveJob, outcome: Outcome) -> None:
+def classify_error(error: Exception) -> tuple[State, Failure | None]:
+    """Return the final state that an error means, and the failure to show."""
+    family, text = type(error).__name__, str(error)
+    match error:
+        case Aborted():
+            return State.ABORTED, None
+        case Interrupted():
+            return State.INTERRUPTED, Failure(family, text)
+        case MeasurementEnded():
+            state = State.FAULTED if isinstance(error, MachineFault) else State.FAILED
+            return state, Failure(family, text, error.code, error.action)
+        case TaskFailed():
+            log.warning("task failed", trace=error.trace)
+            return State.FAILED, Failure(error.family, error.text)
+    if not isinstance(error, TruepathError | DeviceError):
+        log.error("job failed unexpectedly", exc_info=error)
+    return State.FAILED, Failure(family, text)
+
+
+def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None:
     """Store the end as soon as the catalogue accepts it."""
     while True:
         try:
-            if isinstance(outcome, JobAborted):
+            if state is State.ABORTED:
                 active.apply_verb(Verb.ABORT)
-            job = active.end(outcome)
+            job = active.end(state, failure)
         except StorageUnavailable:
             log.exception("the end of the job cannot be stored yet")
             if active.is_cancelled:  # the next start of the service will find it
                 return
             time.sleep(TRY_AGAIN_S)
         else:
-            log.info("job ended", state=str(job.state), reason=outcome.failure)
+            log.info("job ended", state=str(job.state), reason=failure)
             return
+
+
+@dataclass(frozen=True, slots=True)
+class JobSteps:
+    """One job, the user's requests for it, and what it works with."""
+
+    job: Job
+    active: ActiveJob
+    context: JobContext
+
+    def enter_preparing(self) -> None:
+        """Require a machine with devices and begin to prepare."""
+        self.context.require_cell()
+        self.active.enter(State.PREPARING, Stage.PLANNING)
+
+    @property
+    def needs_plan(self) -> bool:
+        """Whether what to drive has yet to be chosen."""
+        kind, store = self.job.kind, self.context.store
+        chooses = kind.measures or kind is JobKind.PLAN
+        return chooses and store.read_plan(self.job.id) is None
+
+    def plan(self) -> None:
+        """Choose what to drive, or the first part of it, and store it with the job."""
+        state = State.PREPARING if self.job.kind.measures else State.RUNNING
+        machine, order = self.context.require_machine(), self._plan_order()
+        if self._is_adaptive:
+            order = first_part(machine, order)
+        planner = self.context.planner
+        plan = self._compute(state, Stage.PLANNING, planner, machine, order)
+        self.context.store.keep_plan(self.job.id, plan)
+
+    def read_commanded(self) -> Commanded:
+        """Return what the machine will drive, checked against its travel."""
+        commanded = commanded_from_plan(self.context.store.read_plan(self.job.id) or {})
+        check_travel(self.context.require_machine(), commanded)
+        return commanded
+
+    def connect_cell(self) -> None:
+        """Open the ports of the devices."""
+        self.context.require_cell().connect()
+        self.active.checkpoint()
+
+    def wait_until_armed(self) -> None:
+        """Wait for the user to allow motion."""
+        self.active.enter(State.READY, Stage.MEASURING)
+        self.active.wait_until_armed()
+
+    def measure(self, commanded: Commanded) -> None:
+        """Drive the machine; what was recorded is in the catalogue in any case."""
+        live = self._start_live_estimate(commanded)
+        try:
+            if live is None:
+                self._drive(commanded, None)
+                return
+            with closing(live):
+                self._drive(commanded, live)
+                live.finish()
+        finally:
+            self._catalogue_run()
+
+    def analyse(self, run_ids: Sequence[str]) -> None:
+        """Compute error tables from Runs."""
+        job, context = self.job, self.context
+        how = job.perpendicular_only, job.monte_carlo, context.workers
+        self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
+
+    def discover(self, run_ids: Sequence[str]) -> None:
+        """Find what a model of Runs lacks: the one named, or the one fitted to them."""
+        self._conclude(run_ids, Stage.DISCOVERING, self.context.discoverer)
+
+    @property
+    def _is_adaptive(self) -> bool:
+        return self.job.kind is JobKind.MEASURE_ADAPTIVE
+
+    def _drive(self, commanded: Commanded, live: LiveEstimation | None) -> None:
+        machine = self.context.require_machine()
+        order = MeasurementOrder(
+            run_name=f"{machine.name} {self.job.created}",
+            run_file=str(self.context.runs.name_run_file(self.job.id)),
+            machine=machine,
+            commanded=commanded,
+            rate_hz=machine.tracker.rate_hz,
+            live=live is not None,
+            grows=self._is_adaptive,
+        )
+        CellMeasurement(
+            self.active,
+            self.context.require_cell(),
+            confirm_s=self.context.confirm_s or CONFIRM_S,
+            live=live,
+            target_um=self.job.target_um,
+            growth=self._make_growth(commanded, live),
+        ).run(order)
+
+    def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
+        """Start the live estimate. The measurement goes on without it if need be.
+
+        A few extra lines on their own would say little about the machine.
+        """
+        if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
+            return None
+        only = self.job.perpendicular_only
+        order = LiveOrder(
+            self.context.require_machine(), commanded, only, self._plan_order()
+        )
+        live = self.context.live(order, self.active.publish_estimate)
+        try:
+            live.start()
+        except OSError:
+            log.exception("no live estimate")
+            return None
+        return live
+
+    def _make_growth(
+        self, commanded: Commanded, live: LiveEstimation | None
+    ) -> Growth | None:
+        """Return what adds further parts; None for a job that is planned whole."""
+        if not self._is_adaptive:
+            return None
+        if live is None:
+            raise MeasurementFailed("an adaptive measurement needs its live estimate")
+        cell = self.context.require_cell()
+        return Growth(live, commanded, cell.extend, cell.conclude, self._store_part)
+
+    def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
+        self.active.publish_plan(part)
+        try:
+            self.context.store.keep_plan(self.job.id, plan_json(rows))
+        except StorageUnavailable:
+            log.exception("the extended plan is not stored; the Run holds it")
+
+    def _catalogue_run(self) -> None:
+        """Add to the catalogue what was recorded, complete or not."""
+        try:
+            record = self.context.runs.add_measured(self.job.id)
+        except Exception:
+            # How the measurement ended matters more than what became of its file.
+            log.exception("the Run cannot be read; its file is kept")
+            return
+        if record is not None:
+            self.active.link_run(record.id)
+
+    def _conclude(
+        self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
+    ) -> None:
+        """Let a task write its files about Runs and, where one is named, a model."""
+        files = [str(self.context.runs.file(run_id)) for run_id in run_ids]
+        folder = str(self.context.results / self.job.id)
+        model = self._find_model()
+        self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+
+    def _find_model(self) -> tuple[str | None, str | None]:
+        """Return file and identifier of the model that the job builds on, if any."""
+        model_id = self.context.store.read_plan_request(self.job.id).get("model_id")
+        if model_id is None:
+            return None, None
+        return str(find_model_file(self.context.results, model_id)), model_id
+
+    def _plan_order(self) -> Json:
+        """Return what is asked of a plan, with the file of the model it builds on."""
+        file, _ = self._find_model()
+        request = self.context.store.read_plan_request(self.job.id)
+        return {**request, "model_file": file}
+
+    def _compute(
+        self, state: State, stage: Stage, task: Task, *arguments: object
+    ) -> Any:
+        """Return what the executor computes; enter state and stage as it begins."""
+        computation = self.context.executor.submit(
+            task,
+            *arguments,
+            on_progress=self._report_progress,
+            started=lambda: self.active.enter(state, stage),
+        )
+        found = self.active.compute(computation)
+        self.active.checkpoint()
+        return found
+
+    def _report_progress(self, share: float, name: str) -> None:
+        stage = Stage(name) if name in set(Stage) else None
+        self.active.report_progress(Progress(share, 1.0), stage=stage)

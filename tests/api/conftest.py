@@ -133,7 +133,7 @@ def service(
         return estimates[-1]
 
     context = JobContext(
-        store=Store(database, event_bus.publish_stored),
+        store=Store(database, event_bus.publish),
         runs=RunCatalogue(database, tmp_path / "runs"),
         results=results,
         executor=Inline(),

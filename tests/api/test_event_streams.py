@@ -13,8 +13,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.api import events
-from app.jobs.event_bus import JobEvent
-from app.jobs.job import JobKind, NewJob
+from app.jobs.job import JobEvent, JobKind, NewJob
 from app.jobs.transitions import State
 
 EVENTS = "/api/v1/events"

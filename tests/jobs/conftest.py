@@ -176,7 +176,7 @@ def context(sqlite_catalogue, event_bus, make_cell, science, machine, tmp_path):
     results = tmp_path / "results"
     results.mkdir()
     yield JobContext(
-        store=Store(sqlite_catalogue, event_bus.publish_stored),
+        store=Store(sqlite_catalogue, event_bus.publish),
         runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
         results=results,
         executor=Inline(),

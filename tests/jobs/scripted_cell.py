@@ -13,7 +13,6 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from app.jobs.errors import Aborted
-from app.jobs.executor import Computation, Executor
 from app.measurement.messages import (
     CellEvent,
     CellState,
@@ -282,7 +281,7 @@ class ScriptedLive:
         self.show(self.newest)
 
 
-class Inline(Executor):
+class Inline:
     """Computes in the thread that waits for the result."""
 
     def __init__(self):
@@ -295,7 +294,7 @@ class Inline(Executor):
         self.closed = True
 
 
-class _InlineComputation(Computation):
+class _InlineComputation:
     def __init__(self, task, arguments, on_progress, started):
         self._task, self._arguments = task, arguments
         self._on_progress, self._started = on_progress, started

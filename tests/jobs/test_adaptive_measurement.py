@@ -95,7 +95,7 @@ def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path):
         results = tmp_path / "results"
         results.mkdir()
         context = JobContext(
-            store=Store(sqlite_catalogue, event_bus.publish_stored),
+            store=Store(sqlite_catalogue, event_bus.publish),
             runs=RunCatalogue(sqlite_catalogue, tmp_path / "runs"),
             results=results,
             executor=Inline(),

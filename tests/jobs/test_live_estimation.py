@@ -10,9 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from app.jobs.estimate_history import JOBS
-from app.jobs.event_bus import EventBus, JobEvent
-from app.jobs.job import JobKind
+from app.jobs.event_bus import JOBS, EventBus
+from app.jobs.job import JobEvent, JobKind
 from app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
 from app.jobs.live_process import LiveOrder
 from app.jobs.requested_job import RequestedJob
