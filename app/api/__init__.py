@@ -2,7 +2,7 @@
 
 A route checks its body (`models`), calls one verb of `app.jobs` or reads the catalogue,
 and describes the answer as clients see it. Every refusal is a problem of RFC 9457;
-`failures.py` is the one table from errors to problems. Requests that change something
+`problems.py` leads from errors to problems. Requests that change something
 carry what makes them safe to repeat: an Idempotency-Key creates one job, and If-Match
 names the version of the job that was read (RFC 9110, section 13). Lists are pages with
 an opaque cursor (`paging.py`). Events are server-sent (`events.py`): stored events are

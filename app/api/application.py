@@ -1,33 +1,41 @@
-"""The FastAPI application: routes, problems, guard, documentation."""
+"""The FastAPI application: routes, problems, guard, documentation.
+
+The page at /docs is made of local files: the shop floor has no CDN.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from importlib.metadata import version
+from importlib.resources import files
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
+from fastapi.responses import HTMLResponse, Response
+from fastapi.staticfiles import StaticFiles
 
 from app.api import (
-    documentation,
     events,
-    grades,
     jobs,
     machine,
     models_of_machine,
-    nc_programs,
     plans,
     problems,
     results,
     runs,
+    set_ups,
 )
-from app.api.documentation import SCHEMA_PATH
 from app.api.models.base import PREFIX
 from app.api.security import Guard
 from app.api.service import Service
 
 MAX_BODY_BYTES = 1 << 20
 _FORM_BYTES = 1 << 20
+SCHEMA_PATH = "/api/v1/openapi.json"
+_ASSETS = files("app.web") / "static" / "vendor" / "swagger-ui"
+_SWAGGER = files("app.api") / "swagger"
+
+docs = APIRouter(include_in_schema=False)
 
 
 _DESCRIPTION = """
@@ -91,8 +99,8 @@ def create_application(
         runs.uploads, prefix=PREFIX, max_body_size=max_upload_bytes + _FORM_BYTES
     )
     app.include_router(machine.probes)
-    app.include_router(documentation.router)
-    documentation.mount_assets(app)
+    app.include_router(docs)
+    app.mount("/docs/assets", StaticFiles(directory=str(_ASSETS)), name="docs-assets")
     if pages is not None:
         app.include_router(pages)
     return app
@@ -104,10 +112,10 @@ def _api() -> APIRouter:
         jobs.router,
         results.router,
         jobs.stop,
-        grades.router,
+        set_ups.grades,
         models_of_machine.router,
-        nc_programs.router,
-        nc_programs.dialects,
+        set_ups.router,
+        set_ups.dialects,
         plans.router,
         plans.checks,
         runs.router,
@@ -117,3 +125,16 @@ def _api() -> APIRouter:
     ):
         api.include_router(router)
     return api
+
+
+@docs.get("/docs", response_class=HTMLResponse)
+def docs_page() -> HTMLResponse:
+    """Return the page."""
+    return HTMLResponse((_SWAGGER / "docs.html").read_text("utf-8"))
+
+
+@docs.get("/docs/begin.js")
+def docs_script() -> Response:
+    """Return its script: the policy of the service forbids scripts inside a page."""
+    script = (_SWAGGER / "begin.js").read_text("utf-8")
+    return Response(script, media_type="text/javascript")

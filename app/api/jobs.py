@@ -1,16 +1,20 @@
-"""Jobs: create, follow, arm, pause, resume, abort; what they command."""
+"""Jobs: create, follow, arm, pause, resume, abort; what they command.
+
+The version of a job stands in ETag and If-Match.
+"""
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Depends, Header, Query, Response
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
+from starlette.exceptions import HTTPException
 
-from app.api.conditional import Version, format_etag
 from app.api.models.base import PREFIX
 from app.api.models.job import JobOut, JobPage, Stopped, describe_job
 from app.api.models.job_request import JobRequest
@@ -33,8 +37,34 @@ IdempotencyKeyHeader = Annotated[
     | SkipJsonSchema[None],
     Header(description="Of your choice: the same key and body make one job, once."),
 ]
+_TAG = re.compile(r'^(?:W/)?"?(\d{1,9})"?$')
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
+
+
+def format_etag(job: Job) -> str:
+    """Return the ETag of a job: its version."""
+    return f'"{job.version}"'
+
+
+def _version(
+    if_match: Annotated[
+        str,
+        Header(description='Version that was read, `"<version>"`.', examples=['"3"']),
+    ] = "",
+) -> int:
+    """Return the version that If-Match names. 428 without, 412 if it names none."""
+    if not if_match or if_match.strip() == "*":
+        raise HTTPException(
+            428, "this moves the machine: say which version you have read"
+        )
+    match = _TAG.match(if_match.strip())
+    if match is None:
+        raise HTTPException(412, f"If-Match {if_match!r} is no version of a job")
+    return int(match[1])
+
+
+Version = Annotated[int, Depends(_version)]
 
 
 @router.post("", status_code=202, responses=declare_problems(404, 409, 422))

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 
-from app.api.models.machine import (
-    Connection,
-    MachineOut,
-    MachineSummary,
-    describe_connection,
-)
-from app.api.models.system import Alive, CellOut, Ready, SystemOut
 from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from app.errors import NotFound
@@ -24,6 +21,79 @@ system = APIRouter(prefix="/system", tags=["system"])
 probes = APIRouter(tags=["system"])
 
 
+class DeviceIdentity(BaseModel):
+    """Who answers on a port."""
+
+    maker: str
+    model: str
+    serial_number: str
+    firmware: str
+
+
+class Connection(BaseModel):
+    """The devices, once they have answered."""
+
+    connected: bool
+    tracker: DeviceIdentity | None
+    motion: DeviceIdentity | None
+
+
+class MachineOut(Connection):
+    """The machine file, and whether its devices have answered."""
+
+    model_config = ConfigDict(extra="allow")
+
+    name: str = Field(examples=["mill-3"])
+    kinematic_chain: str = Field(examples=["w-X-b-Y-Z-t"])
+    axes: dict[str, Any]
+    tracker_noise: dict[str, Any] = Field(
+        description="What the machine file says of the tracker."
+    )
+
+
+class MachineSummary(BaseModel):
+    """The machine in short."""
+
+    name: str
+    kinematic_chain: str
+    axes: list[str]
+
+
+class CellOut(BaseModel):
+    """The cell process, which holds the devices."""
+
+    state: str = Field(
+        examples=["ready"], description="none, starting, down, disconnected, ready, …"
+    )
+    text: str
+    connected: bool
+    restarts: int
+
+
+class SystemOut(BaseModel):
+    """The service."""
+
+    version: str
+    simulated: bool
+    machine: MachineSummary | None
+    cell: CellOut
+    current_job: str | None = Field(description="The job that holds the machine.")
+    time: str
+
+
+class Alive(BaseModel):
+    """The process answers."""
+
+    status: str = "ok"
+
+
+class Ready(BaseModel):
+    """What the service needs is there."""
+
+    status: str = Field(examples=["ready"])
+    checks: dict[str, bool]
+
+
 @machines.get("/current", responses=declare_problems(404))
 def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
@@ -33,7 +103,7 @@ def get_machine(service: ServiceDep) -> MachineOut:
     content = machine_to_json(service.machine)
     # `tracker` of the machine file is its noise; here the name is for who answers.
     content["tracker_noise"] = content.pop("tracker", None)
-    return MachineOut(**content, **describe_connection(devices).model_dump())
+    return MachineOut(**content, **_describe_connection(devices).model_dump())
 
 
 @machines.post("/current:connect", responses=declare_problems(409, 502, 503, 504))
@@ -41,7 +111,7 @@ def connect_machine(service: ServiceDep) -> Connection:
     """Open the ports and return who answers. Moves nothing; again is harmless."""
     if service.cell is None:
         raise NoMachine
-    return describe_connection(service.cell.connect())
+    return _describe_connection(service.cell.connect())
 
 
 @system.get("")
@@ -95,4 +165,18 @@ def _describe_cell(service: Service) -> CellOut:
         text=status.text,
         connected=status.connected,
         restarts=status.restarts,
+    )
+
+
+def _describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
+    """Return who answers, as clients see it."""
+    known = {
+        name: DeviceIdentity(**devices[name])
+        for name in ("tracker", "motion")
+        if name in devices
+    }
+    return Connection(
+        connected=bool(devices),
+        tracker=known.get("tracker"),
+        motion=known.get("motion"),
     )

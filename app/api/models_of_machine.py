@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
+from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from app.api.models.base import Identifier
-from app.api.models.machine_model import (
-    ChangeOut,
-    ModelDifference,
-    ModelOut,
-    ModelPage,
-    describe_model,
-)
+from app.api.models.base import JOB_ID, PREFIX, Identifier
 from app.api.paging import PagingDep
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
@@ -34,6 +29,62 @@ router = APIRouter(prefix="/models", tags=["models"])
 _OBJECT = {"application/json": {"schema": {"type": "object"}}}
 
 
+class ParentOut(BaseModel):
+    """What a model came from."""
+
+    version: int
+    source: str = Field(description="Identifier of a model or job here, or in words.")
+    sha256: str | None = Field(description="Of its file; null where it had none.")
+
+
+class ChangeOut(BaseModel):
+    """One difference of two models."""
+
+    kind: str = Field(description="added, removed or changed")
+    what: str = Field(examples=["backlash Y"])
+    text: str = Field(examples=["backlash Y: width 6.39 ± 0.15 µm"])
+
+
+class ModelLinks(BaseModel):
+    """Where else to look."""
+
+    self: str
+    versions: str
+    difference: str
+    report_html: str
+    run: str | None
+
+
+class ModelOut(BaseModel):
+    """A model that a discovery has made: the one it was held against, and more."""
+
+    id: str = Field(examples=[JOB_ID], description="That of the job that made it.")
+    version: int = Field(examples=[2])
+    parent: ParentOut
+    created: str
+    run_id: str | None
+    effects: list[dict[str, Any]] = Field(
+        description="What was found, as in discovery.json."
+    )
+    difference: list[ChangeOut] = Field(description="To its parent.")
+    links: ModelLinks
+
+
+class ModelPage(BaseModel):
+    """Models, the newest first."""
+
+    items: list[ModelOut]
+    next: str | None = Field(description="`after` of the next page.")
+
+
+class ModelDifference(BaseModel):
+    """What differs between two models. Changed: by more than U (k = 2)."""
+
+    before: str
+    after: str
+    changes: list[ChangeOut]
+
+
 @router.get("", responses=declare_problems(422))
 def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
     """List models, the newest first."""
@@ -43,7 +94,10 @@ def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
             limit, before_seq=seq, states=[State.SUCCEEDED], kinds=kinds
         )
     )
-    return ModelPage(items=[_describe(service, job) for job in jobs], next=after)
+    return ModelPage(
+        items=[_describe(job, read_growth(service.results, job.id)) for job in jobs],
+        next=after,
+    )
 
 
 @router.get(
@@ -66,7 +120,7 @@ def list_model_versions(model_id: str, service: ServiceDep) -> list[ModelOut]:
     """Return a model and those it came from, the newest first."""
     job = _require_discovery(service, model_id)
     return [
-        describe_model(service.store.get(one), growth)
+        _describe(service.store.get(one), growth)
         for one, growth in read_versions(service.results, job.id)
     ]
 
@@ -105,5 +159,21 @@ def _require_discovery(service: Service, model_id: str) -> Job:
     return job
 
 
-def _describe(service: Service, job: Job) -> ModelOut:
-    return describe_model(job, read_growth(service.results, job.id))
+def _describe(job: Job, growth: Mapping[str, Any]) -> ModelOut:
+    at = f"{PREFIX}/models/{job.id}"
+    return ModelOut(
+        id=job.id,
+        version=growth["version"],
+        parent=ParentOut(**growth["parent"]),
+        created=job.ended or job.created,
+        run_id=job.run_id,
+        effects=growth["effects"],
+        difference=[ChangeOut(**change) for change in growth["difference"]],
+        links=ModelLinks(
+            self=at,
+            versions=f"{at}/versions",
+            difference=f"{at}/difference",
+            report_html=f"{PREFIX}/jobs/{job.id}/discovery/report.html",
+            run=f"{PREFIX}/runs/{job.run_id}" if job.run_id else None,
+        ),
+    )

@@ -5,22 +5,19 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
-from app.api.conditional import format_etag
-from app.api.failures import describe_failure
-from app.api.jobs import IdempotencyKeyHeader
-from app.api.models.base import PREFIX
-from app.api.models.plan import PlanOut
-from app.api.models.planning import (
+from app.api.jobs import IdempotencyKeyHeader, format_etag
+from app.api.models.base import PREFIX, Problem
+from app.api.models.plan import (
     PlanCheck,
     PlanCheckOut,
+    PlanOut,
     PlanRequest,
     PlanResource,
     plan_links,
 )
-from app.api.models.problem import Problem
-from app.api.nc_programs import PROGRAM, Dialect, make_program_response
-from app.api.problems import declare_problems
+from app.api.problems import declare_problems, describe_failure
 from app.api.service import Service, ServiceDep
+from app.api.set_ups import PROGRAM, Dialect, make_program_response
 from app.errors import NotFound
 from app.jobs.errors import NoMachine
 from app.jobs.job import Job, JobKind

@@ -1,9 +1,18 @@
-"""Every answer that refuses is a problem: the application's handlers, its schema."""
+"""Every refusal is a problem (RFC 9457): from errors to problems, handlers, schema.
+
+`problems.toml` alone decides which family of errors is which kind of problem. What is
+not in the table is a defect of the service: status 500, the cause in the log under the
+request's identifier, never in the answer.
+"""
 
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.resources import files
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -11,11 +20,99 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from app.api import failures
-from app.api.failures import BY_STATUS, INTERNAL, MEDIA_TYPE, PROBLEM_KINDS, ProblemKind
-from app.api.models.problem import Problem
+from app import errors as app_errors
+from app.api.models.base import Problem
+from app.jobs import errors as job_errors
+from app.jobs.job import Failure
 
 MAX_ERRORS = 20
+MEDIA_TYPE = "application/problem+json"
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemKind:
+    """One kind of problem. `action` is the way out where the error names none."""
+
+    status: int
+    code: str
+    title: str
+    action: str
+
+
+INTERNAL = ProblemKind(
+    500,
+    "internal-error",
+    "The service failed",
+    "Report the request identifier with the log of the service.",
+)
+
+_TABLE = tomllib.loads(files("app.api").joinpath("problems.toml").read_text("utf-8"))
+
+PROBLEM_KINDS: Mapping[type[Exception], ProblemKind] = {
+    getattr(import_module(module), family): ProblemKind(**kind)
+    for module, families in _TABLE["families"].items()
+    for family, kind in families.items()
+}
+_BY_NAME = {family.__name__: kind for family, kind in PROBLEM_KINDS.items()}
+
+BY_STATUS: Mapping[int, ProblemKind] = {
+    int(status): ProblemKind(int(status), **kind)
+    for status, kind in _TABLE["status"].items()
+}
+"""What the framework raises."""
+
+
+def find_kind(error: Exception) -> ProblemKind:
+    """Return the kind of a problem that an error is; the nearest family counts."""
+    for family in type(error).__mro__:
+        if family in PROBLEM_KINDS:
+            return PROBLEM_KINDS[family]
+    return INTERNAL
+
+
+def describe_error(error: Exception) -> dict[str, Any]:
+    """Return the problem that an error is, without what only the request knows."""
+    kind = find_kind(error)
+    if kind is INTERNAL:
+        return problem(kind)
+    extra: dict[str, Any] = {}
+    if isinstance(error, job_errors.CellBusy):
+        extra["current_job"] = f"/api/v1/jobs/{error.job_id}"
+    if isinstance(error, job_errors.StaleVersion):
+        extra["current_version"] = error.current
+    if isinstance(error, app_errors.BundleError):
+        extra |= {"file": error.file, "row": error.row, "column": error.column}
+    return problem(kind, str(error), extra)
+
+
+def describe_failure(failure: Failure) -> dict[str, Any]:
+    """Return the problem that ended a job. It has no status: it is no answer."""
+    kind = _BY_NAME.get(failure.family, INTERNAL)
+    detail = failure.detail if kind is not INTERNAL else ""
+    code = failure.code or kind.code
+    content = problem(kind, detail)
+    del content["status"]
+    return {
+        **content,
+        "type": f"/problems/{code}",
+        "code": code,
+        "action": failure.action or kind.action,
+    }
+
+
+def problem(
+    kind: ProblemKind, detail: str = "", extra: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Return the members of a problem."""
+    return {
+        "type": f"/problems/{kind.code}",
+        "title": kind.title,
+        "status": kind.status,
+        "detail": detail or f"{kind.title}.",
+        "code": kind.code,
+        "action": kind.action,
+        **(extra or {}),
+    }
 
 
 def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -72,7 +169,7 @@ def find_kind_of_status(status: int) -> ProblemKind:
 
 
 def _handle_family(request: Request, error: Exception) -> Response:
-    return _respond(request, failures.describe_error(error))
+    return _respond(request, describe_error(error))
 
 
 def _handle_validation(request: Request, error: Exception) -> Response:
@@ -88,24 +185,15 @@ def _handle_validation(request: Request, error: Exception) -> Response:
     ]
     first = found[0]
     detail = f"{'.'.join(first['location'])}: {first['message']}"
-    return _respond(
-        request, failures.problem(BY_STATUS[422], detail, {"errors": found})
-    )
+    return _respond(request, problem(BY_STATUS[422], detail, {"errors": found}))
 
 
 def _handle_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)  # noqa: S101 (by registration)
     kind = find_kind_of_status(error.status_code)
-    detail = (
-        ""
-        if error.detail == _find_default_phrase(error.status_code)
-        else str(error.detail)
-    )
-    return _respond(request, failures.problem(kind, detail), error.headers)
-
-
-def _find_default_phrase(status: int) -> str:
-    return HTTPException(status).detail
+    is_default = error.detail == HTTPException(error.status_code).detail
+    detail = "" if is_default else str(error.detail)
+    return _respond(request, problem(kind, detail), error.headers)
 
 
 def _respond(
@@ -119,7 +207,7 @@ def _respond(
 
 def _describe_refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
     example = {
-        **failures.problem(kind),
+        **problem(kind),
         "instance": path,
         "request_id": "6f0e4c1b9a7d4e52",
     }

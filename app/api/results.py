@@ -22,9 +22,11 @@ _REPORT_POLICY = (
 )
 
 
-def _declare_file(media_type: str, kind: str) -> dict[int | str, dict[str, Any]]:
+def _serve_file(path: str, media_type: str, kind: str) -> Any:
+    """Return the decorator of a route that answers with a file."""
     content = {media_type: {"schema": {"type": kind}}}
-    return {200: {"content": content}, **declare_problems(404)}
+    responses = {200: {"content": content}, **declare_problems(404)}
+    return router.get(path, response_class=FileResponse, responses=responses)
 
 
 @router.get("/{job_id}/estimate", responses=declare_problems(404))
@@ -44,11 +46,7 @@ def get_estimate(job_id: str, service: ServiceDep) -> dict[str, Any]:
     return {"job_id": job.id, **newest, "course": estimates.course(job.id)}
 
 
-@router.get(
-    "/{job_id}/result",
-    response_class=FileResponse,
-    responses=_declare_file("application/json", "object"),
-)
+@_serve_file("/{job_id}/result", "application/json", "object")
 def get_result(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `result.json`: error tables, squareness, uncertainty, observability."""
     return FileResponse(_find_file(service, job_id, "result.json"))
@@ -67,42 +65,26 @@ def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
     }
 
 
-@router.get(
-    "/{job_id}/result/error-tables.csv",
-    response_class=FileResponse,
-    responses=_declare_file("text/csv", "string"),
-)
+@_serve_file("/{job_id}/result/error-tables.csv", "text/csv", "string")
 def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the error tables as `error_tables.csv`."""
     file = _find_file(service, job_id, "error_tables.csv")
     return FileResponse(file, filename=file.name)
 
 
-@router.get(
-    "/{job_id}/result/report.html",
-    response_class=FileResponse,
-    responses=_declare_file("text/html", "string"),
-)
+@_serve_file("/{job_id}/result/report.html", "text/html", "string")
 def get_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report, one page that needs nothing else."""
     return _send_page(_find_file(service, job_id, "report.html"))
 
 
-@router.get(
-    "/{job_id}/discovery",
-    response_class=FileResponse,
-    responses=_declare_file("application/json", "object"),
-)
+@_serve_file("/{job_id}/discovery", "application/json", "object")
 def get_discovery(job_id: str, service: ServiceDep) -> FileResponse:
     """Return `discovery.json`: the missing effects, the gap, where they disagree."""
     return FileResponse(_find_file(service, job_id, "discovery.json", discovers=True))
 
 
-@router.get(
-    "/{job_id}/discovery/report.html",
-    response_class=FileResponse,
-    responses=_declare_file("text/html", "string"),
-)
+@_serve_file("/{job_id}/discovery/report.html", "text/html", "string")
 def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
     """Return the report of a discovery, one page that needs nothing else."""
     return _send_page(_find_file(service, job_id, "report.html", discovers=True))

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import asdict
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 from fastapi import APIRouter, File, Response, UploadFile
 from fastapi.responses import FileResponse
+from pydantic import BaseModel, Field
 
 from app.api.models.base import PREFIX
-from app.api.models.run import RunOut, RunPage, describe_run
 from app.api.paging import PagingDep
 from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from app.files.bundle_archive import check_archive
 from app.jobs.errors import DiskFull
+from app.jobs.runs import RunRecord
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 uploads = APIRouter(prefix="/runs", tags=["runs"])
@@ -27,19 +29,50 @@ _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 
 
+class RunLinks(BaseModel):
+    """Where the Run can be had."""
+
+    self: str
+    bundle: str
+
+
+class RunOut(BaseModel):
+    """A Run: what was commanded and recorded."""
+
+    id: str
+    name: str = Field(examples=["mill-3 2026-05-04T09:30:00.000Z"])
+    origin: str = Field(examples=["measured"])
+    mode: str = Field(examples=["otf"])
+    machine: str = Field(examples=["mill-3"])
+    samples: int = Field(examples=[60000])
+    lost_samples: int = Field(examples=[0])
+    complete: bool = Field(description="Whether it was driven to its end.")
+    bytes: int
+    sha256: str
+    created: str
+    links: RunLinks
+
+
+class RunPage(BaseModel):
+    """Runs, the newest first."""
+
+    items: list[RunOut]
+    next: str | None = Field(description="`after` of the next page.")
+
+
 @router.get("", responses=declare_problems(422))
 def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
     """List Runs, the newest first."""
     runs, after = paging.read(
         lambda limit, seq: service.runs.list_page(limit, before_seq=seq)
     )
-    return RunPage(items=[describe_run(run) for run in runs], next=after)
+    return RunPage(items=[_describe(run) for run in runs], next=after)
 
 
 @router.get("/{run_id}", responses=declare_problems(404))
 def get_run(run_id: str, service: ServiceDep) -> RunOut:
     """Return a Run."""
-    return describe_run(service.runs.get(run_id))
+    return _describe(service.runs.get(run_id))
 
 
 @router.get(
@@ -75,7 +108,7 @@ def upload_bundle(
     finally:
         upload.unlink(missing_ok=True)
     response.headers["Location"] = f"{PREFIX}/runs/{run.id}"
-    return describe_run(run)
+    return _describe(run)
 
 
 def clean_run_name(filename: str | None) -> str:
@@ -87,3 +120,9 @@ def clean_run_name(filename: str | None) -> str:
 def _require_space(service: Service, size: int) -> None:
     if service.free_bytes() < 2 * size + LEAST_FREE_BYTES:
         raise DiskFull("too little room is left on the disk of the data folder")
+
+
+def _describe(run: RunRecord) -> RunOut:
+    at = f"{PREFIX}/runs/{run.id}"
+    links = RunLinks(self=at, bundle=f"{at}/bundle")
+    return RunOut(**asdict(run), links=links)

@@ -18,9 +18,14 @@ import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.api import failures
-from app.api.failures import BY_STATUS, INTERNAL, ProblemKind
-from app.api.problems import find_kind_of_status, make_problem_response
+from app.api.problems import (
+    BY_STATUS,
+    INTERNAL,
+    ProblemKind,
+    find_kind_of_status,
+    make_problem_response,
+    problem,
+)
 
 log = structlog.get_logger(__name__)
 
@@ -129,7 +134,7 @@ class _Answer:
             await self._send_problem(kind, detail)
 
     async def _send_problem(self, kind: ProblemKind, detail: str = "") -> None:
-        content = failures.problem(kind, detail)
+        content = problem(kind, detail)
         response = make_problem_response(content, self._scope["path"], self._request_id)
         await response(self._scope, _receive_disconnect, self.send)
 

@@ -14,7 +14,7 @@ from fastapi import APIRouter
 from pydantic import TypeAdapter
 
 from app import errors as app_errors
-from app.api import failures
+from app.api import problems
 from app.api.application import create_application
 from app.api.models.job_request import JobRequest
 from app.api.openapi import description
@@ -156,9 +156,9 @@ NO_ANSWER = {
 def test_every_family_of_errors_is_a_kind_of_problem(family):
     kind = next(
         (
-            failures.PROBLEM_KINDS[f]
+            problems.PROBLEM_KINDS[f]
             for f in family.__mro__
-            if f in failures.PROBLEM_KINDS
+            if f in problems.PROBLEM_KINDS
         ),
         None,
     )
@@ -167,9 +167,9 @@ def test_every_family_of_errors_is_a_kind_of_problem(family):
 
 def test_codes_and_titles_read_well():
     kinds = [
-        *failures.PROBLEM_KINDS.values(),
-        *failures.BY_STATUS.values(),
-        failures.INTERNAL,
+        *problems.PROBLEM_KINDS.values(),
+        *problems.BY_STATUS.values(),
+        problems.INTERNAL,
     ]
     for kind in kinds:
         assert re.fullmatch(r"[a-z]+(-[a-z]+)*", kind.code)
@@ -179,14 +179,14 @@ def test_codes_and_titles_read_well():
 
 
 def test_an_error_nobody_foresaw_is_internal_and_tells_nothing():
-    content = failures.describe_error(KeyError("secret"))
+    content = problems.describe_error(KeyError("secret"))
     assert (content["status"], content["code"]) == (500, "internal-error")
     assert "secret" not in str(content)
-    assert failures.find_kind(KeyError()) is failures.INTERNAL
+    assert problems.find_kind(KeyError()) is problems.INTERNAL
 
 
 def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():
-    content = failures.describe_failure(Failure("BundleError", "tracker.csv: NaN"))
+    content = problems.describe_failure(Failure("BundleError", "tracker.csv: NaN"))
     assert content["code"] == "bundle"
     assert content["detail"] == "tracker.csv: NaN"
     assert "status" not in content
@@ -194,7 +194,7 @@ def test_a_failure_of_a_job_is_found_by_the_name_of_its_family():
 
 def test_a_failure_named_by_the_machine_keeps_its_code_and_way_out():
     failure = Failure("MachineFault", "the beam is lost", "beam-lost", "lock it")
-    content = failures.describe_failure(failure)
+    content = problems.describe_failure(failure)
     assert (content["code"], content["action"]) == ("beam-lost", "lock it")
     assert content["type"] == "/problems/beam-lost"
     assert content["title"] == "Machine, tracker or link failed"

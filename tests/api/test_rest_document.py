@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from scripted_cell import wait_until
 
-from app.api import failures
+from app.api import problems
 from app.jobs.plan_orders import plan_measurement
 from app.jobs.transitions import FINAL, State
 
@@ -288,7 +288,7 @@ def test_every_code_of_the_document_exists_with_its_status():
     table = TEXT.split("\n## Refusals\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| ([\d, ]+) \| (.*) \|$", table, re.MULTILINE)
     assert len(rows) == 7
-    kinds = [*failures.PROBLEM_KINDS.values(), *failures.BY_STATUS.values()]
+    kinds = [*problems.PROBLEM_KINDS.values(), *problems.BY_STATUS.values()]
     for statuses, codes in rows:
         known = {k.code for k in kinds if str(k.status) in statuses.split(", ")}
         assert set(re.findall(r"`([\w-]+)`", codes)) <= known, statuses

@@ -1,4 +1,4 @@
-"""Bodies of requests and answers, a resource a file.
+"""Bodies of requests and answers that several routes share.
 
 Keys name their unit; readers take further keys.
 """

@@ -1,4 +1,4 @@
-"""What all bodies share: where the interface is, bounds of numbers sent in."""
+"""What bodies share: where the interface is, bounds of numbers sent in, problems."""
 
 from __future__ import annotations
 
@@ -25,3 +25,18 @@ class RequestBody(BaseModel):
     """What clients send: nothing else is in it."""
 
     model_config = ConfigDict(extra="forbid", str_max_length=200)
+
+
+class Problem(BaseModel):
+    """What went wrong and the way out (RFC 9457)."""
+
+    model_config = ConfigDict(extra="allow")
+
+    type: str = Field(examples=["/problems/busy"])
+    title: str = Field(examples=["Another job holds the machine"])
+    status: int | None = Field(None, examples=[409])
+    detail: str = Field(examples=[f"job {JOB_ID} (running) holds the machine"])
+    code: str = Field(examples=["busy"])
+    action: str = Field(examples=["Wait until current_job has ended, or abort it."])
+    instance: str | None = Field(None, examples=["/api/v1/jobs"])
+    request_id: str | None = Field(None, examples=["6f0e4c1b9a7d4e52"])

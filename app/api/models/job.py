@@ -7,11 +7,9 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from app.api.failures import describe_failure
-from app.api.models.base import JOB_ID, PREFIX
-from app.api.models.monte_carlo import MonteCarloOut
-from app.api.models.problem import Problem
-from app.jobs.job import EarlyEnd, Job
+from app.api.models.base import JOB_ID, PREFIX, Problem
+from app.api.problems import describe_failure
+from app.jobs.job import Job
 from app.jobs.transitions import State
 
 
@@ -72,6 +70,13 @@ class EarlyEndOut(BaseModel):
     total: int = Field(description="Lines or points of the plan.")
 
 
+class MonteCarloOut(BaseModel):
+    """The trials that were asked for."""
+
+    seed: int
+    interval: str = Field(examples=["symmetric"])
+
+
 class JobOut(BaseModel):
     """A job. `version` counts its changes of state; send it as If-Match."""
 
@@ -124,50 +129,42 @@ class Stopped(BaseModel):
 
 def describe_job(job: Job) -> JobOut:
     """Return a job as clients see it."""
-    end, trials, failure = job.early_end, job.monte_carlo, job.failure
-    progress = JobProgress(stage=str(job.stage), **asdict(job.progress))
+    at, failure = f"{PREFIX}/jobs/{job.id}", job.failure
+    end, trials = job.early_end, job.monte_carlo
     more = {
-        "progress": progress,
+        "progress": JobProgress(stage=str(job.stage), **asdict(job.progress)),
         "health": JobHealth(**asdict(job.health)),
         "monte_carlo": MonteCarloOut(**asdict(trials)) if trials else None,
-        "early_end": _describe_early_end(end) if end else None,
+        "early_end": EarlyEndOut(reason="target-reached", **asdict(end))
+        if end
+        else None,
         "run_ids": list(job.run_ids),
-        "result": _result_links(job.id) if job.has_result else None,
-        "discovery": _discovery_links(job.id) if job.has_discovery else None,
+        "result": _link_result(at) if job.has_result else None,
+        "discovery": _link_discovery(at, job.id) if job.has_discovery else None,
         "error": Problem(**describe_failure(failure)) if failure else None,
-        "links": _job_links(job),
+        "links": JobLinks(
+            self=at,
+            events=f"{at}/events",
+            plan=f"{at}/plan",
+            run=f"{PREFIX}/runs/{job.run_id}" if job.run_id else None,
+        ),
     }
     return JobOut(**{**asdict(job), **more})
 
 
-def _describe_early_end(end: EarlyEnd) -> EarlyEndOut:
-    return EarlyEndOut(reason="target-reached", **asdict(end))
-
-
-def _result_links(job_id: str) -> ResultLinks:
-    at = f"{PREFIX}/jobs/{job_id}/result"
+def _link_result(at: str) -> ResultLinks:
+    tables = f"{at}/result/error-tables"
     return ResultLinks(
-        result=at,
-        error_tables_json=f"{at}/error-tables.json",
-        error_tables_csv=f"{at}/error-tables.csv",
-        report_html=f"{at}/report.html",
+        result=f"{at}/result",
+        error_tables_json=f"{tables}.json",
+        error_tables_csv=f"{tables}.csv",
+        report_html=f"{at}/result/report.html",
     )
 
 
-def _discovery_links(job_id: str) -> DiscoveryLinks:
-    at = f"{PREFIX}/jobs/{job_id}/discovery"
+def _link_discovery(at: str, job_id: str) -> DiscoveryLinks:
     return DiscoveryLinks(
-        discovery=at,
-        report_html=f"{at}/report.html",
+        discovery=f"{at}/discovery",
+        report_html=f"{at}/discovery/report.html",
         model=f"{PREFIX}/models/{job_id}",
-    )
-
-
-def _job_links(job: Job) -> JobLinks:
-    at = f"{PREFIX}/jobs/{job.id}"
-    return JobLinks(
-        self=at,
-        events=f"{at}/events",
-        plan=f"{at}/plan",
-        run=f"{PREFIX}/runs/{job.run_id}" if job.run_id else None,
     )

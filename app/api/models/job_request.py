@@ -14,12 +14,11 @@ from app.api.models.base import (
     RequestBody,
     TargetUm,
 )
-from app.api.models.monte_carlo import MonteCarlo
-from app.api.models.plan import Point, Waypoint
-from app.api.models.planning import PlanRequest
+from app.api.models.plan import PlanRequest, Point, Waypoint
 from app.jobs.job import JobKind
 from app.jobs.plans import MAX_ROWS
 from app.jobs.requested_job import RequestedJob
+from app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
@@ -31,6 +30,19 @@ _ALLOWED = {
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
 }
+
+
+class MonteCarlo(RequestBody):
+    """Trials of JCGM 101 (GUM Supplement 1): the same seed gives the same answer."""
+
+    seed: int = Field(1, ge=0, le=2**53 - 1)
+    interval: Literal["symmetric", "shortest"] = Field(
+        "symmetric", description="Form of the 95 % coverage intervals."
+    )
+
+    def plan(self) -> TrialPlan:
+        """Return the trials as the analysis takes them."""
+        return TrialPlan(seed=self.seed, interval=self.interval)
 
 
 class JobRequest(RequestBody):

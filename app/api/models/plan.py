@@ -1,10 +1,40 @@
-"""Where to go: rows sent in, and the plan of a job."""
+"""Rows to drive, what is asked of a plan, what is checked, and what a plan says."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, Field
+from typing import Annotated, Any, Literal, Self
 
-from app.api.models.base import Deg, Dwell, Feed, Mm, RequestBody
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from app.api.models.base import (
+    JOB_ID,
+    PREFIX,
+    Deg,
+    Dwell,
+    Feed,
+    Identifier,
+    Mm,
+    Problem,
+    RequestBody,
+    TargetUm,
+)
+from app.jobs.plans import MAX_ROWS
+
+MOST_MINUTES = 60.0
+_MOST_BOXES = 100
+_EXAMPLE = {
+    "mode": "otf",
+    "minutes": 3,
+    "workspace": {
+        "keep_out": [
+            {"name": "probe", "min_mm": [0, 0, 0], "max_mm": [60, 40, 30]},
+        ],
+        "tracker": {"position_mm": [1200, -300, 200]},
+    },
+}
+
+_Place = Annotated[list[Mm], Field(min_length=3, max_length=3)]
+_Range = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
 class Point(RequestBody):
@@ -52,4 +82,185 @@ class PlanOut(BaseModel):
     )
     discovery_id: str | None = Field(
         None, description="Of extra lines: the job whose discovery asks for them."
+    )
+
+
+class Box(RequestBody):
+    """A closed box."""
+
+    name: str | None = Field(None, min_length=1)
+    min_mm: _Place
+    max_mm: _Place
+
+    @model_validator(mode="after")
+    def _has_room(self) -> Self:
+        if any(h <= low for low, h in zip(self.min_mm, self.max_mm, strict=True)):
+            raise ValueError(f"max_mm {self.max_mm} must exceed min_mm {self.min_mm}")
+        return self
+
+
+class TrackerSite(RequestBody):
+    """Where the tracker stands, in the frame that it stands on, and its range."""
+
+    position_mm: _Place
+    nearest_mm: _Range = 0.0
+    farthest_mm: _Range | None = None
+
+    @model_validator(mode="after")
+    def _has_range(self) -> Self:
+        if self.farthest_mm is not None and self.farthest_mm <= self.nearest_mm:
+            raise ValueError(f"farthest_mm must exceed nearest_mm, {self.nearest_mm:g}")
+        return self
+
+
+class WorkspaceIn(RequestBody):
+    """What limits a plan beside the travel, as in a workspace file."""
+
+    keep_out: list[Box] = Field(
+        [], max_length=_MOST_BOXES, description="In axis positions X, Y, Z."
+    )
+    tracker: TrackerSite | None = None
+    blocks_sight: list[Box] = Field(
+        [], max_length=_MOST_BOXES, description="In the frame that the tracker is in."
+    )
+
+    @model_validator(mode="after")
+    def _knows_the_tracker(self) -> Self:
+        if self.blocks_sight and self.tracker is None:
+            raise ValueError("blocks_sight needs to know where the tracker stands")
+        return self
+
+
+class PlanRequest(RequestBody):
+    """What a plan is to reach, and within what."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [_EXAMPLE, {"mode": "standstill"}]},
+    )
+
+    mode: Literal["otf", "standstill"] = Field("otf", description="Lines, or points.")
+    minutes: float | None = Field(
+        None,
+        ge=0.1,
+        le=MOST_MINUTES,
+        allow_inf_nan=False,
+        description="At most, dwells included; 3 on the fly and 4 at standstill "
+        "without a target.",
+    )
+    target_um: TargetUm | None = Field(
+        None,
+        description="`volumetric_uncertainty_um` to reach, a standard uncertainty "
+        "(k = 1): the shortest plan found that reaches it.",
+    )
+    feeds_mm_min: list[Feed] | None = Field(
+        None,
+        min_length=1,
+        max_length=5,
+        description="Several, driven in turn, tell dynamic effects from static ones.",
+    )
+    dwell_s: float | None = Field(None, ge=0.05, le=60, allow_inf_nan=False)
+    perpendicular_only: bool = False
+    corner_path: bool = Field(
+        False, description="The path of the 2023 paper instead, to compare with."
+    )
+    workspace: WorkspaceIn | None = None
+    seed: int = Field(0, ge=0, le=2**31 - 1)
+    model_id: Identifier | None = Field(
+        None,
+        description="Job whose model, or result, has effects of the machine that the "
+        "plan has to separate as well.",
+    )
+
+    @model_validator(mode="after")
+    def _leaves_a_corner_path_alone(self) -> Self:
+        limited = self.minutes is not None or self.target_um is not None
+        if self.corner_path and (limited or self.mode != "otf"):
+            raise ValueError(
+                "corner_path is of mode otf and as long as it is; leave minutes and "
+                "target_um out"
+            )
+        return self
+
+    def order(self) -> dict[str, Any]:
+        """Return the request as it is kept and computed."""
+        return self.model_dump(exclude_none=True, exclude={"model_id"})
+
+
+class PlanCheck(RequestBody):
+    """Rows to check without a job: of `path`, or of `points`."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "path": [
+                        {"x_mm": 10, "y_mm": 10, "z_mm": 10},
+                        {"x_mm": 400, "y_mm": 300, "z_mm": 200},
+                    ]
+                }
+            ]
+        },
+    )
+
+    path: list[Waypoint] | None = Field(None, min_length=2, max_length=MAX_ROWS)
+    points: list[Point] | None = Field(None, min_length=1, max_length=MAX_ROWS)
+    feed_mm_min: Feed | None = Field(None, description="Of rows that state none.")
+    workspace: WorkspaceIn | None = None
+
+    @model_validator(mode="after")
+    def _is_of_one_mode(self) -> Self:
+        if (self.path is None) == (self.points is None):
+            raise ValueError("give path or points, one of the two")
+        return self
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows in the columns of the bundle."""
+        rows = self.points if self.path is None else self.path
+        return [row.model_dump(exclude_none=True) for row in rows or ()]
+
+
+class PlanCheckOut(BaseModel):
+    """The rows may be driven: every swept line keeps to travel and workspace."""
+
+    rows: int
+    duration_s: float = Field(description="From the first row on, dwells included.")
+
+
+class PlanLinks(BaseModel):
+    """Where else to look."""
+
+    self: str
+    job: str
+    events: str
+    nc_program: str
+
+
+class PlanResource(BaseModel):
+    """A plan. It is made by a job of its own identifier, of kind `plan`."""
+
+    id: str = Field(examples=[JOB_ID])
+    state: str = Field(
+        examples=["succeeded"], description="Of its job; `succeeded` once it is there."
+    )
+    created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
+    progress: float = Field(description="From 0 to 1.")
+    request: dict[str, Any] = Field(description="What was asked.")
+    commanded: PlanOut | None = Field(description="The rows; null until they are.")
+    document: dict[str, Any] | None = Field(
+        description="The content of `plan.json`: predicted uncertainty of each error "
+        "and of the volume, what stays unobservable, the curve of uncertainty against "
+        "time; and the `grade` of the set-up."
+    )
+    error: Problem | None = Field(description="Why there is none.")
+    links: PlanLinks
+
+
+def plan_links(plan_id: str) -> PlanLinks:
+    """Return where else to look for a plan."""
+    job = f"{PREFIX}/jobs/{plan_id}"
+    at = f"{PREFIX}/plans/{plan_id}"
+    return PlanLinks(
+        self=at, job=job, events=f"{job}/events", nc_program=f"{at}/nc-program"
     )
