@@ -7,14 +7,12 @@ what is wrong and what to do. A defect of the program keeps its traceback and gi
 
 Commands import what they need when they run, so that `truepath --help` answers at once.
 
-    command             the list of commands
+    command             the list of commands; from an error to an exit status
     *_commands          the commands of a group: their options, and what they do
-    options, terminal   options, progress and tables that commands share
+    terminal            options, progress and tables that commands share
     summary             a result, and an effect, in a few lines
-    failures            from an error to one line and an exit status
     demo, following     a measurement on simulated devices, without a service
-    truth               a result against the true errors of a simulated machine
     recording           the tracker alone, beside a CNC without a link
-    serving, main_job   the service in this process, and a calibration through it
+    serving             the service in this process, and a calibration through it
     client              the service as its REST clients see it
 """

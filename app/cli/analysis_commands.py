@@ -1,23 +1,26 @@
-"""The commands that state errors: `analyse` measurements, `predict` at points."""
+"""The commands on measurements: `analyse`, `discover`, and `predict` from a result."""
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from app.cli.options import (
+from app.cli.summary import describe_effect, print_result, summarise_result
+from app.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
     compute_on_one_thread,
+    print_files,
+    print_json,
     require_folder,
+    say,
+    show_progress,
 )
-from app.cli.summary import print_result, summarise_result
-from app.cli.terminal import print_json, say, show_progress
 
 if TYPE_CHECKING:
     from app.numerics.adaptive_trials import Mapper
@@ -91,6 +94,48 @@ def analyse(
         print_result(analysis.result, output)
 
 
+def discover(
+    bundles: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BUNDLE...",
+            help="Measurements of one machine, each a folder or a .zip: the first, and "
+            "further lines that it asked for.",
+        ),
+    ],
+    output: OutputFolder,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL.json",
+            help="A model or result to hold it against. Else the rigid-body model "
+            "fitted to it.",
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Find what the model of a measurement lacks, and what to drive to be sure."""
+    compute_on_one_thread()
+    from app.estimation.prior_model import read_prior_model
+    from app.files.bundle import read_bundle
+    from app.reporting.analysis_files import read_runs
+    from app.reporting.discovery_files import discover_runs, write_discovery
+
+    require_folder(output, "the results")
+    with show_progress("discover") as on_progress:
+        on_progress(0.0, "reading")
+        parent = None if model is None else read_prior_model(model)
+        runs = read_runs(bundles, read_bundle)
+        discovered = discover_runs(runs, parent, on_progress)
+        on_progress(1.0, "writing")
+        write_discovery(discovered, output)
+    if json:
+        print_json(discovered.content)
+    else:
+        _print_discovery(discovered.content)
+        print_files(sorted(path for path in output.rglob("*") if path.is_file()))
+
+
 def predict(
     result: ResultFile,
     points: Annotated[
@@ -132,3 +177,17 @@ def _summarise_prediction(predicted: Prediction, output: Path) -> dict[str, obje
         "warnings": list(predicted.warnings),
         "files": [str(output)],
     }
+
+
+def _print_discovery(content: dict[str, Any]) -> None:
+    lines = [describe_effect(effect) for effect in content["effects"]]
+    lines += [f"without a name: {u['description']}" for u in content["unnamed"]]
+    for line in lines or ["nothing is missing"]:
+        print(line)
+    if content["ask"]:
+        print(content["ask"]["reason"])
+    gap = content["gap"]
+    print(
+        f"gap on lines not seen: {gap['before']:.2f} to {gap['after']:.2f} µm, "
+        f"noise alone {gap['noise_floor']:.2f} µm"
+    )

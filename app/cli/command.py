@@ -1,9 +1,9 @@
-"""The command line: what it is called with, and which commands it has."""
+"""The command line: its commands, and from an error to one line and an exit status."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Annotated, NoReturn
 
@@ -11,12 +11,15 @@ import typer
 
 from app.cli import (
     analysis_commands,
-    discovery_commands,
     planning_commands,
     result_commands,
     service_commands,
 )
-from app.cli.failures import run_command
+from app.errors import BadInput, TruepathError
+from drivers.interfaces.errors import DeviceError
+
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+_CTRL_C = 130  # as Typer answers it
 
 app = typer.Typer(
     help="Calibrates machine tools with a laser tracker, with the machine in the loop.",
@@ -64,10 +67,56 @@ app.command(
     }
 )(service_commands.simulate)
 app.command()(analysis_commands.analyse)
-app.command()(discovery_commands.discover)
+app.command()(analysis_commands.discover)
 app.command()(planning_commands.grade)
 app.command()(analysis_commands.predict)
 app.command()(result_commands.compare)
 app.command()(result_commands.export)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
+
+
+def run_command(call: Callable[[], int | None]) -> int:
+    """Run a command; say in one line why it failed, and return its exit status.
+
+    What is caught here is what a user can do something about. Anything else is a fault
+    of the program: it passes through with its traceback.
+    """
+    try:
+        return _map_status(call() or SUCCESS)
+    except typer.TyperException as error:
+        return _print_failure(error.format_message(), error.exit_code)
+    except BadInput as error:
+        return _print_failure(str(error), BAD_INPUT)
+    except (TruepathError, DeviceError) as error:
+        return _print_failure(str(error) or type(error).__name__, FAILURE)
+    except OSError as error:
+        return _report_file(error)
+    except (KeyboardInterrupt, typer.Abort):
+        return _map_status(_CTRL_C)
+
+
+def _map_status(status: int) -> int:
+    if status == _CTRL_C:
+        return _print_failure("interrupted", FAILURE)
+    return status if status in (SUCCESS, BAD_INPUT) else FAILURE
+
+
+def _report_file(error: OSError) -> int:
+    """A file that is not there or not ours to use is bad input; a full disk is not."""
+    if error.filename is None or not error.strerror:
+        raise error
+    mistaken = (
+        FileNotFoundError,
+        FileExistsError,
+        IsADirectoryError,
+        NotADirectoryError,
+        PermissionError,
+    )
+    status = BAD_INPUT if isinstance(error, mistaken) else FAILURE
+    return _print_failure(f"{error.filename}: {error.strerror}", status)
+
+
+def _print_failure(text: str, status: int) -> int:
+    print(f"truepath: {' '.join(text.split())}", file=sys.stderr, flush=True)
+    return status

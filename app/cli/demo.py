@@ -7,18 +7,21 @@ them: what a machine of iron never tells.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from app.cli.following import follow_measurement
 from app.cli.summary import print_result, summarise_result
 from app.cli.terminal import print_json, say, show_progress
-from app.cli.truth import TruthComparison, compare_with_truth
+from app.compensation.remaining_error import remove_rigid_motion
 from app.errors import BadInput, PlanningError
 from app.files.bundle import write_bundle
 from app.files.machine_file import decode_machine
+from app.files.result_file import result_from_json
 from app.files.run import Run
 from app.jobs.plan_orders import first_part, plan_measurement
 from app.jobs.plans import commanded_from_plan
@@ -36,10 +39,31 @@ from app.reporting.analysis_files import (
     write_analysis,
 )
 from app.results.analysis import analyse
+from app.results.prediction import predict
 from drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
 ADAPTIVE_MINUTES = 5.0
+_POINTS = 500  # places in the volume at which errors are compared
+_SEED = 7  # of the points, which the measurement does not use
+
+
+@dataclass(frozen=True, slots=True)
+class TruthComparison:
+    """Volumetric error at points all over the travel, without rigid motion.
+
+    before_um, after_um : mean length of the true error, and of what the result leaves
+    covered : share of all components that lie within two standard uncertainties
+    """
+
+    before_um: float
+    after_um: float
+    covered: float
+
+    @property
+    def left(self) -> float:
+        """Share of the error that calibration leaves."""
+        return self.after_um / self.before_um
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +167,28 @@ def plan_path(machine: Machine, feed_mm_min: float, minutes: float | None) -> To
         path = default_path(machine, feed_mm_min, lines=lines)
     check_travel(machine, path)
     return path
+
+
+def compare_with_truth(
+    result: Mapping[str, Any], truth_um: Callable[[np.ndarray], np.ndarray]
+) -> TruthComparison:
+    """Compare a result with the truth.
+
+    truth_um : axis positions (n, 3) in mm to true volumetric errors (n, 3) in µm
+    """
+    loaded = result_from_json(result)
+    low = np.array([axis.min_mm for axis in loaded.machine.linear_axes])
+    high = np.array([axis.max_mm for axis in loaded.machine.linear_axes])
+    share = np.random.default_rng(_SEED).random((_POINTS, 3))
+    position_mm = low + share * (high - low)
+    predicted = predict(loaded, position_mm)
+    before = remove_rigid_motion(position_mm, truth_um(position_mm))
+    left = before - remove_rigid_motion(position_mm, predicted.error_um)
+    return TruthComparison(
+        float(np.linalg.norm(before, axis=1).mean()),
+        float(np.linalg.norm(left, axis=1).mean()),
+        float((np.abs(left) <= 2 * predicted.uncertainty_um).mean()),
+    )
 
 
 def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:

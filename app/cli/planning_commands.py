@@ -9,15 +9,18 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.options import (
+from app.cli.summary import describe_effect
+from app.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
     compute_on_one_thread,
+    print_files,
+    print_json,
+    print_table,
     require_folder,
+    show_progress,
 )
-from app.cli.summary import describe_effect
-from app.cli.terminal import print_files, print_json, print_table, show_progress
 from app.errors import BadInput
 
 

@@ -8,14 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.options import (
+from app.cli.terminal import (
     Json,
     OutputFolder,
     ResultFile,
     compute_on_one_thread,
+    list_files,
+    print_files,
+    print_json,
+    print_table,
     require_folder,
+    say,
 )
-from app.cli.terminal import list_files, print_files, print_json, print_table, say
 
 _UNITS = (("um", "µm"), ("urad", "µrad"))
 

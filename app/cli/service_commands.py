@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.options import Json, OutputFolder, compute_on_one_thread
+from app.cli.terminal import Json, OutputFolder, compute_on_one_thread
 
 
 def serve(

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.cli.demo import plan_path
-from app.cli.truth import compare_with_truth
+from app.cli.demo import compare_with_truth, plan_path
 from app.errors import PlanningError
 from app.files.bundle import read_bundle
 from app.files.machine_file import machine_from_json

@@ -4,8 +4,7 @@ import errno
 
 import pytest
 
-from app.cli.command import run
-from app.cli.failures import run_command
+from app.cli.command import run, run_command
 from app.errors import AlignmentError, BadInput, BundleError
 from drivers.interfaces.errors import DeviceTimeout
 

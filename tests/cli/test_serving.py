@@ -19,7 +19,7 @@ import pytest
 from app.cli import serving
 from app.cli.client import Client
 from app.cli.command import run
-from app.cli.main_job import follow_to_the_end, measure_on_the_fly
+from app.cli.serving import follow_to_the_end, measure_on_the_fly
 from app.errors import JobError, MeasurementFailed
 
 TRUEPATH = Path(sys.executable).with_name("truepath")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scripted_cell import Inline
 
-from app.cli.truth import compare_with_truth
+from app.cli.demo import compare_with_truth
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.context import JobContext
 from app.jobs.dispatcher import Dispatcher
