@@ -80,7 +80,11 @@ class Dispatcher:
         The cell gets the command even if it has paused: it might continue by itself.
         """
         active = self._find_active(job_id, Verb.PAUSE)
-        self._refuse_computing(self._context.store.get(job_id))
+        job = self._context.store.get(job_id)
+        if job.state is State.RUNNING and job.stage is not Stage.MEASURING:
+            raise IllegalTransition(
+                f"cannot pause a job that is {job.stage}: nothing moves any more"
+            )
         job = active.apply_verb(Verb.PAUSE)
         if job.state in PAUSE_STATES:
             self._command_cell(Verb.PAUSE)
@@ -167,12 +171,6 @@ class Dispatcher:
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))
-
-    def _refuse_computing(self, job: Job) -> None:
-        if job.state is State.RUNNING and job.stage is not Stage.MEASURING:
-            raise IllegalTransition(
-                f"cannot pause a job that is {job.stage}: nothing moves any more"
-            )
 
     def _command_cell(self, verb: Verb) -> Future[None] | None:
         cell = self._context.cell

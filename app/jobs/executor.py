@@ -192,17 +192,11 @@ class Progressed:
 
 
 @dataclass(frozen=True, slots=True)
-class Returned:
-    """From the process: the value of the call."""
+class Answer:
+    """From the process: the value of the call, or what it has raised."""
 
-    value: Any
-
-
-@dataclass(frozen=True, slots=True)
-class Raised:
-    """From the process: what the call has raised."""
-
-    error: Exception
+    value: Any = None
+    error: Exception | None = None
 
 
 class WorkerProcess:
@@ -232,11 +226,9 @@ class WorkerProcess:
             self._is_busy = False
             if answer is None:
                 self.kill()
-        match answer:
-            case Returned(value):
-                return value
-            case Raised(error):
-                raise error
+        if answer.error is not None:
+            raise answer.error
+        return answer.value
 
     def kill(self) -> None:
         """End the process, whatever it does. Idempotent, any thread."""
@@ -250,7 +242,7 @@ class WorkerProcess:
             self._process.join(_END_S)
         self._process.close()
 
-    def _wait_for_answer(self, call: Call, on_progress: Progress) -> Returned | Raised:
+    def _wait_for_answer(self, call: Call, on_progress: Progress) -> Answer:
         self._exchange(lambda: self._process.link.send(call))
         while True:
             message = self._exchange(self._process.link.recv)
@@ -258,7 +250,7 @@ class WorkerProcess:
             match message:
                 case Progressed(share, stage):
                     on_progress(share, stage)
-                case Returned() | Raised():
+                case Answer():
                     return message
 
     def _exchange(self, step: Callable[[], Any]) -> Any:
@@ -285,20 +277,21 @@ def _compute(prepare: Callable[[], None] | None, link: Connection) -> None:
             try:
                 link.send(answer)
             except (TypeError, AttributeError, ValueError) as error:
-                link.send(Raised(TypeError(f"the value cannot be sent: {error}")))
+                unsent = TypeError(f"the value cannot be sent: {error}")
+                link.send(Answer(error=unsent))
 
 
-def _answer(link: Connection) -> Returned | Raised:
+def _answer(link: Connection) -> Answer:
     try:
         call: Call = link.recv()
     except (EOFError, OSError):
         raise
     except Exception as error:  # what was sent cannot be imported here
-        return Raised(error)
+        return Answer(error=error)
     keywords = dict(call.keywords)
     if call.reports_progress:
         keywords["on_progress"] = lambda *done: link.send(Progressed(*done))
     try:
-        return Returned(call.function(*call.arguments, **keywords))
+        return Answer(call.function(*call.arguments, **keywords))
     except Exception as error:
-        return Raised(error)
+        return Answer(error=error)

@@ -15,10 +15,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
-from app.errors import PlanningError
-from app.files.machine_file import machine_to_json
+from app.errors import BundleError, PlanningError
+from app.files.machine_file import machine_from_json, machine_to_json
+from app.files.one_machine import one_machine
 from app.files.workspace_file import workspace_from_json
 from app.jobs.job import JobKind, Json
 from app.jobs.plans import (
@@ -33,6 +35,7 @@ from app.measurement.progress import schedule_rows
 from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
 from app.motion.turning_points import moves_where_seen
 from app.progress import Progress
+from app.results.model_history import DISCOVERY, find_model_file
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
@@ -91,12 +94,10 @@ def plan_request(order: Json) -> PlanRequest:
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):
         given["feeds_mm_min"] = tuple(order["feeds_mm_min"])
-    file = order.get("model_file")
+    file, model_id = order.get("model_file"), order.get("model_id") or ""
     return PlanRequest(
         **given,
-        model=None
-        if file is None
-        else read_prior_model(file, order.get("model_id") or ""),
+        model=None if file is None else read_prior_model(file, model_id),
         workspace=workspace_from_json(order.get("workspace") or {}),
     )
 
@@ -158,3 +159,32 @@ def driven_plan(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
         )
     check_travel(machine, commanded)
     return {**plan_json(commanded), "predicted_um": plan["predicted_um"]}
+
+
+def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[str, Any]:
+    """Return the extra lines that a discovery asks for, as `plan_json` does,
+    with `discovery_id`.
+
+    machine : that is to drive them
+    folder, job_id : of the discovery
+
+    Raises PlanningError if the discovery asks for none, if its Runs are of another
+    machine, or if the lines leave the travel; NotFound if its model is gone.
+    """
+    ask = json.loads((folder / DISCOVERY).read_text(encoding="utf-8")).get("ask")
+    if ask is None:
+        raise PlanningError(
+            f"discovery {job_id} asks for no extra lines: no names compete, and no "
+            "evidence is thin"
+        )
+    model = find_model_file(folder.parent, job_id).read_text(encoding="utf-8")
+    name = f"model {job_id}"
+    try:
+        measured = machine_from_json(json.loads(model)["machine"], file=name)
+        one_machine([measured, machine], [name, "this service"])
+    except BundleError as error:
+        raise PlanningError(
+            f"the extra lines are for another machine: {error}"
+        ) from error
+    path = plan_motion(machine, JobKind.MEASURE_OTF, ask["rows"])
+    return {**plan_json(path), "discovery_id": job_id}

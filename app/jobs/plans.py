@@ -37,13 +37,17 @@ def plan_motion(
 
     Raises PlanningError, OutOfTravel among them, naming the row.
     """
-    feed = feed_mm_min or DEFAULT_FEED_MM_MIN
+    axes, position = machine.axis_names, _positions(machine, rows)
+    dwell_s = np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)
+    target = _targets(machine, rows)
     commanded: Commanded
     if kind is JobKind.MEASURE_OTF:
-        commanded = _path(machine, rows, feed)
+        usual = feed_mm_min or DEFAULT_FEED_MM_MIN
+        feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
+        commanded = Path(axes, position, feeds, dwell_s, target)
         _refuse_standing_lines(commanded)
     else:
-        commanded = _points(machine, rows)
+        commanded = Configurations(axes, position, dwell_s, target)
     if len(commanded) > MAX_ROWS:
         raise PlanningError(
             f"the plan has {len(commanded)} rows; a controller takes {MAX_ROWS}"
@@ -75,26 +79,6 @@ def commanded_from_plan(plan: Mapping[str, Any]) -> Commanded:
     return Path(axes, position, np.array(plan["feed_mm_min"], float), dwell_s, target)
 
 
-def _path(machine: Machine, rows: Sequence[Row], feed_mm_min: float) -> Path:
-    feeds = [row.get("feed_mm_min") or feed_mm_min for row in rows]
-    return Path(
-        machine.axis_names,
-        _positions(machine, rows),
-        np.array(feeds, float),
-        _dwell_s(rows),
-        _targets(machine, rows),
-    )
-
-
-def _points(machine: Machine, rows: Sequence[Row]) -> Configurations:
-    return Configurations(
-        machine.axis_names,
-        _positions(machine, rows),
-        _dwell_s(rows),
-        _targets(machine, rows),
-    )
-
-
 def _positions(machine: Machine, rows: Sequence[Row]) -> NDArray[np.float64]:
     columns = [
         f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
@@ -102,18 +86,13 @@ def _positions(machine: Machine, rows: Sequence[Row]) -> NDArray[np.float64]:
     ]
     for number, row in enumerate(rows, 1):
         given = {name for name in row if name.endswith(("_mm", "_deg"))}
-        _refuse_columns(number, sorted(given - set(columns)), "no axis of the machine")
-        _refuse_columns(number, sorted(set(columns) - given), "missing")
+        for names, problem in (
+            (given - set(columns), "no axis of the machine"),
+            (set(columns) - given, "missing"),
+        ):
+            if names:
+                raise PlanningError(f"row {number}: {min(names)} is {problem}")
     return np.array([[row[name] for name in columns] for row in rows], float)
-
-
-def _refuse_columns(number: int, names: Sequence[str], problem: str) -> None:
-    if names:
-        raise PlanningError(f"row {number}: {names[0]} is {problem}")
-
-
-def _dwell_s(rows: Sequence[Row]) -> NDArray[np.float64]:
-    return np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)
 
 
 def _targets(machine: Machine, rows: Sequence[Row]) -> tuple[str, ...]:

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 from app.errors import IllegalTransition, NotFound
 from app.jobs.context import JobContext
-from app.jobs.extra_lines import extra_lines
 from app.jobs.job import JobKind, Json, NewJob
-from app.jobs.plan_orders import driven_plan, refuse_several_targets
+from app.jobs.plan_orders import (
+    driven_plan,
+    plan_extra_lines,
+    refuse_several_targets,
+)
 from app.jobs.plans import Row, plan_json, plan_motion
 from app.motion.paths import default_points
 from app.numerics.adaptive_trials import TrialPlan
@@ -74,10 +77,8 @@ def _make_science_job(request: RequestedJob, context: JobContext) -> NewJob:
 
 def _make_planned_job(request: RequestedJob, context: JobContext) -> NewJob:
     """Return a job that plans, or drives rows that are known from the start."""
-    plan = {
-        **_find_rows(request, context),
-        "request": _make_plan_order(request, context),
-    }
+    order = _make_plan_order(request, context)
+    plan = {**_find_rows(request, context), "request": order}
     only, target_um = request.perpendicular_only, request.target_um
     return NewJob(request.kind, None, only, target_um, plan)
 
@@ -117,7 +118,7 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> NewJob:
     if not job.has_discovery:
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
     model_id = context.store.read_plan_request(job.id).get("model_id")
-    rows = extra_lines(machine, context.results / job.id, job.id)
+    rows = plan_extra_lines(machine, context.results / job.id, job.id)
     plan = {**rows, "request": {"model_id": model_id}}
     return NewJob(JobKind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)
 

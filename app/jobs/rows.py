@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from sqlalchemy import Connection, RowMapping, insert, select, update
@@ -71,17 +71,12 @@ def insert_job(connection: Connection, new: NewJob) -> Job:
     job = Job(
         seq=0,
         id=make_id(),
-        kind=new.kind,
         state=State.QUEUED,
         desired_state=str(State.READY if new.kind.measures else State.SUCCEEDED),
         version=1,
         stage=Stage.WAITING,
         created=format_utc_now(),
-        run_id=new.run_id,
-        further_run_ids=new.further_run_ids,
-        perpendicular_only=new.perpendicular_only,
-        monte_carlo=new.monte_carlo,
-        target_um=new.target_um,
+        **{f.name: getattr(new, f.name) for f in fields(new) if f.name != "plan"},
     )
     values = {**_encode_columns(job), "plan": new.plan}
     done = connection.execute(insert(jobs).values(**values))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import RowMapping, insert, select
+from sqlalchemy import insert, select
 
 from app.errors import NotFound
 from app.files.bundle import read_bundle, zip_bundle
@@ -106,7 +106,7 @@ class RunCatalogue:
             row = connection.execute(query).mappings().first()
         if row is None:
             raise NotFound(f"there is no run {run_id}")
-        return _decode_row(row)
+        return RunRecord(**row)
 
     def list_page(
         self, limit: int, *, before_seq: int | None = None
@@ -116,7 +116,7 @@ class RunCatalogue:
         if before_seq is not None:
             query = query.where(runs.c.seq < before_seq)
         with self._database.read() as connection:
-            return [_decode_row(row) for row in connection.execute(query).mappings()]
+            return [RunRecord(**row) for row in connection.execute(query).mappings()]
 
     def file(self, run_id: str) -> Path:
         """Return the file of a Run. Raises NotFound, also if somebody removed it."""
@@ -158,18 +158,21 @@ class RunCatalogue:
         complete: bool,
         name: str = "",
     ) -> RunRecord:
+        with file.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        lost_samples = np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum()
         record = RunRecord(
             seq=0,
             id=run_id,
             name=(name or run.name)[:_NAME_LENGTH],
             origin=origin,
             file=file.name,
-            sha256=_hash_file(file),
+            sha256=digest,
             bytes=file.stat().st_size,
             mode=run.mode,
             machine=run.machine.name[:_NAME_LENGTH],
             samples=len(run.tracker),
-            lost_samples=_count_lost(run),
+            lost_samples=int(lost_samples),
             complete=complete,
             plan=plan_json(run.commanded),
             created=format_utc_now(),
@@ -185,16 +188,3 @@ class RunCatalogue:
 def open_recorded(file: Path) -> Run:
     """Open the file of a Run, whichever form it has."""
     return read_bundle(file) if file.suffix == ".zip" else open_run(file)
-
-
-def _decode_row(row: RowMapping) -> RunRecord:
-    return RunRecord(**row)
-
-
-def _count_lost(run: Run) -> int:
-    return int(np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum())
-
-
-def _hash_file(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

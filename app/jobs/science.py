@@ -69,11 +69,9 @@ def discover_recorded(
     from app.reporting.analysis_files import read_runs
     from app.reporting.discovery_files import discover_runs, write_discovery
 
-    parent = (
-        None if model_file is None else read_prior_model(model_file, model_id or "")
-    )
+    model = read_prior_model(model_file, model_id or "") if model_file else None
     runs = read_runs(run_files, open_recorded)
-    found = discover_runs(runs, parent, on_progress)
+    found = discover_runs(runs, model, on_progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))
 
 

@@ -261,7 +261,7 @@ class ScriptedLive:
     def ask(self):
         self.heard.append("ask")
 
-    def part(self):
+    def take_part(self):
         return self.parts.pop(0) if self.parts else None
 
     def finish(self):
