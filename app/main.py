@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-from fastapi import FastAPI
 
 from app.api.application import create_application
 from app.api.server import Server, bind_socket, format_address, ignore_raised_signals
@@ -64,9 +63,11 @@ def serve(
     ):
         address = format_address(listener)
         _print_addresses(settings, address)
-        server = Server(
-            _make_application(settings, service), service, address, listening
+        app = create_application(
+            service, trusted_hosts=settings.trusted_hosts, pages=pages.router
         )
+        app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
+        server = Server(app, service, address, listening)
         with ignore_raised_signals():
             server.run(sockets=[listener])
     log.info("service ended")
@@ -76,7 +77,7 @@ def serve(
 def open_service(settings: Settings) -> Iterator[Service]:
     """Construct everything behind the routes; undone in reverse at the end."""
     with ExitStack() as stack:
-        folder = _make_folder(settings.data_dir)
+        folder = settings.data_dir
         stack.enter_context(_lock_folder(folder))
         stack.enter_context(_redirect_temporary_files(folder / "tmp"))
         database = Database(settings.database)
@@ -190,26 +191,11 @@ def _start_simulators(
     return machine_from_json(bench.machine), config
 
 
-def _make_application(settings: Settings, service: Service) -> FastAPI:
-    app = create_application(
-        service, trusted_hosts=settings.trusted_hosts, pages=pages.router
-    )
-    app.mount(pages.STATIC_PATH, pages.static_files(), name="static")
-    return app
-
-
-def _make_folder(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInput(f"setting data_dir: {folder}: {error.strerror}") from error
-    return folder
-
-
 @contextmanager
 def _lock_folder(folder: Path) -> Iterator[None]:
-    """Hold the data folder for this process alone."""
+    """Make the data folder and hold it for this process alone."""
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / ".lock").open("w")
     except OSError as error:
         raise BadInput(f"setting data_dir: {folder}: {error.strerror}") from error
@@ -236,7 +222,11 @@ def _redirect_temporary_files(folder: Path) -> Iterator[None]:
 
 def _print_addresses(settings: Settings, address: str) -> None:
     devices = "simulated" if settings.simulated else "as set up"
-    print(f"Truepath {version('truepath')}, devices {devices}", flush=True)
-    print(f"  page       {address}/", flush=True)
-    print(f"  interface  {address}/docs", flush=True)
-    print(f"  data       {settings.data_dir}", flush=True)
+    print(
+        f"Truepath {version('truepath')}, devices {devices}",
+        f"  page       {address}/",
+        f"  interface  {address}/docs",
+        f"  data       {settings.data_dir}",
+        sep="\n",
+        flush=True,
+    )

@@ -21,7 +21,7 @@ from app.api.set_ups import PROGRAM, Dialect, make_program_response
 from app.errors import NotFound
 from app.jobs.errors import NoMachine
 from app.jobs.job import Job, JobKind
-from app.jobs.plan_orders import checked_rows
+from app.jobs.plan_orders import check_rows
 from app.jobs.plans import commanded_from_plan
 from app.jobs.requested_job import RequestedJob
 from app.jobs.rows import IdempotencyKey
@@ -63,7 +63,7 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
         raise NoMachine
     kind = JobKind.MEASURE_STANDSTILL if check.path is None else JobKind.MEASURE_OTF
     workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
-    rows, duration_s = checked_rows(
+    rows, duration_s = check_rows(
         service.machine, kind, check.rows(), check.feed_mm_min, workspace
     )
     return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))

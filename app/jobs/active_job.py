@@ -14,7 +14,6 @@ from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
 from app.jobs.event_bus import EventBus
 from app.jobs.executor import Computation
 from app.jobs.job import (
-    EarlyEnd,
     Failure,
     Health,
     Job,
@@ -105,11 +104,13 @@ class ActiveJob:
 
     def abort(self) -> None:
         """End the job because a user asked. Does not wait for the catalogue."""
-        self._cancel(interrupted=False)
+        self._aborted = True
+        self._cancel()
 
     def interrupt(self) -> None:
         """End the job because the service ends."""
-        self._cancel(interrupted=True)
+        self._interrupted = True
+        self._cancel()
 
     def checkpoint(self) -> None:
         """Raise Aborted or Interrupted if the job has to end."""
@@ -176,14 +177,10 @@ class ActiveJob:
         def change(job: Job) -> Job:
             if job.is_final:
                 return job
-            held = failure is not None and job.state is State.RESUMING
-            if not held:
-                known = job.failure == failure
-                return job if known else replace(job, failure=failure)
-            paused = State.PAUSED
-            return replace(
-                job, state=paused, desired_state=str(paused), failure=failure
-            )
+            if failure is not None and job.state is State.RESUMING:
+                held = {"state": State.PAUSED, "desired_state": str(State.PAUSED)}
+                return replace(job, **held, failure=failure)
+            return job if job.failure == failure else replace(job, failure=failure)
 
         self._remember(self._store.change(self.job_id, change))
 
@@ -210,13 +207,13 @@ class ActiveJob:
 
         return self._remember(self._store.change(self.job_id, change))
 
-    def note_early_end(self, early_end: EarlyEnd) -> None:
-        """Store why the measurement leaves out the rest of its plan."""
-        self._store_unless_final(early_end=early_end)
+    def store_values(self, **values: Any) -> None:
+        """Store fields of the job, unless it has ended."""
 
-    def link_run(self, run_id: str) -> None:
-        """Store which Run the job has made."""
-        self._store_unless_final(run_id=run_id)
+        def change(job: Job) -> Job:
+            return job if job.is_final else replace(job, **values)
+
+        self._store.change(self.job_id, change)
 
     def report_progress(
         self,
@@ -232,7 +229,12 @@ class ActiveJob:
         now = self._clock()
         if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
             self._published_at = now
-            self._publish_progress()
+            body = {
+                "stage": str(self._stage),
+                "progress": encode_progress(self._progress),
+                "health": asdict(self._health),
+            }
+            self.publish("progress", body)
         if is_new_stage or now - self._stored_at >= STORE_EVERY_S:
             self._stored_at = now
             self._store_progress()
@@ -241,23 +243,9 @@ class ActiveJob:
         """Set what the Run holds: the last progress may be a little older."""
         self._health = replace(self._health, samples=samples, lost_samples=lost_samples)
 
-    def publish_live(self, live: Json) -> None:
-        """Publish where tracker and axes are, for display only."""
-        self._event_bus.publish(JobEvent("live", self.job_id, live))
-
-    def publish_estimate(self, estimate: Json) -> None:
-        """Publish the estimate so far."""
-        self._event_bus.publish(JobEvent("estimate", self.job_id, estimate))
-
-    def publish_plan(self, part: Json) -> None:
-        """Publish that the measurement continues with a further part."""
-        self._event_bus.publish(JobEvent("plan", self.job_id, part))
-
-    def _store_unless_final(self, **values: Any) -> None:
-        def change(job: Job) -> Job:
-            return job if job.is_final else replace(job, **values)
-
-        self._store.change(self.job_id, change)
+    def publish(self, type_: str, body: Json) -> None:
+        """Publish an event that is not stored: `live`, `estimate`, `plan`."""
+        self._event_bus.publish(JobEvent(type_, self.job_id, body))
 
     def _remember(self, job: Job) -> Job:
         with self._changed:
@@ -265,14 +253,6 @@ class ActiveJob:
                 self._state, self._since = job.state, self._clock()
             self._wants_pause = job.wants_pause
         return job
-
-    def _publish_progress(self) -> None:
-        body = {
-            "stage": str(self._stage),
-            "progress": encode_progress(self._progress),
-            "health": asdict(self._health),
-        }
-        self._event_bus.publish(JobEvent("progress", self.job_id, body))
 
     def _store_progress(self) -> None:
         try:
@@ -283,12 +263,8 @@ class ActiveJob:
             # Progress is a convenience: the measurement goes on without it.
             log.warning("progress not kept", job_id=self.job_id, reason=str(error))
 
-    def _cancel(self, *, interrupted: bool) -> None:
+    def _cancel(self) -> None:
         with self._changed:
-            if interrupted:
-                self._interrupted = True
-            else:
-                self._aborted = True
             computation = self._computation
             self._changed.notify_all()
         if computation is not None:

@@ -89,7 +89,9 @@ class CellMeasurement:
         Raises Aborted, Interrupted, MeasurementEnded, or MachineFault where somebody
         has to look. What was recorded is on disk in any case.
         """
-        if not self._cell.begin(order, self._events.put, self._is_cancelled):
+        if not self._cell.begin(
+            order, self._events.put, lambda: self._job.is_cancelled
+        ):
             self._job.checkpoint()
         try:
             self._follow_events()
@@ -100,9 +102,6 @@ class CellMeasurement:
         finally:
             self._cell.ignore_events()
         self._raise_outcome()
-
-    def _is_cancelled(self) -> bool:
-        return self._job.is_cancelled
 
     def _follow_events(self) -> None:
         while True:
@@ -116,7 +115,10 @@ class CellMeasurement:
             except queue.Empty:
                 continue
             if event is None:
-                self._record_cell_death()
+                self._outcome = CellState.FAULTED
+                text = "the cell process has died; the machine's watchdog holds"
+                died = FaultReported("cell-died", text, _INSPECT_MACHINE)
+                self._fault = self._fault or died
                 return
             if isinstance(event, RunClosed):
                 self._job.set_sample_counts(event.samples, event.lost_samples)
@@ -138,13 +140,9 @@ class CellMeasurement:
     def _handle_event(self, event: CellEvent) -> None:
         match event:
             case MeasurementProgress():
-                self._job.report_progress(
-                    _convert_progress(event),
-                    stage=Stage.MEASURING,
-                    health=_convert_health(event),
-                )
+                self._report_progress(event)
             case LivePoints():
-                self._job.publish_live(asdict(event))
+                self._job.publish("live", asdict(event))
             case BlockRecorded(samples) if self._live is not None:
                 self._live.offer(samples)
             case PartRequested() if self._growth is not None:
@@ -153,6 +151,18 @@ class CellMeasurement:
                 self._show_fault(event)
             case StateChanged(state):
                 self._follow_state(state)
+
+    def _report_progress(self, event: MeasurementProgress) -> None:
+        progress = Progress(
+            float(event.done),
+            float(event.total),
+            event.unit,
+            event.remaining_s,
+            event.elapsed_s,
+            event.position,
+        )
+        health = Health(event.samples, event.lost_samples, event.crc_errors)
+        self._job.report_progress(progress, stage=Stage.MEASURING, health=health)
 
     def _show_fault(self, fault: FaultReported) -> None:
         """Show a fault. Only the state of the cell says whether it ends the job."""
@@ -205,7 +215,7 @@ class CellMeasurement:
             self._is_concluded = True
             self._cell.conclude()
             early_end = EarlyEnd(reached_um, newest["done"], newest["total"])
-            self._job.note_early_end(early_end)
+            self._job.store_values(early_end=early_end)
 
     def _check_deadlines(self) -> None:
         state = self._job.state
@@ -226,14 +236,6 @@ class CellMeasurement:
         self._fault = FaultReported(code, ended, _INSPECT_MACHINE)
         self._cell.kill()
 
-    def _record_cell_death(self) -> None:
-        self._outcome = CellState.FAULTED
-        self._fault = self._fault or FaultReported(
-            "cell-died",
-            "the cell process has died; the machine's watchdog holds",
-            _INSPECT_MACHINE,
-        )
-
     def _raise_outcome(self) -> None:
         """Return if the measurement has finished, else raise what its end means."""
         fault = self._fault or FaultReported("", "", "")
@@ -249,18 +251,3 @@ class CellMeasurement:
             case CellState.FAILED:
                 raise MeasurementEnded(code or "failed", text or "it failed", action)
         raise MeasurementFailed("the cell closed its Run without saying why")
-
-
-def _convert_progress(event: MeasurementProgress) -> Progress:
-    return Progress(
-        done=float(event.done),
-        total=float(event.total),
-        unit=event.unit,
-        eta_s=event.remaining_s,
-        elapsed_s=event.elapsed_s,
-        position=event.position,
-    )
-
-
-def _convert_health(event: MeasurementProgress) -> Health:
-    return Health(event.samples, event.lost_samples, event.crc_errors)

@@ -42,6 +42,7 @@ _MOVING = frozenset(
 )
 
 
+Devices = Mapping[str, Mapping[str, str]]
 Command = Callable[[Cell], Any]
 EventHandler = Callable[[CellEvent | None], None]
 """Receives every event of a measurement, and None when the cell has died."""
@@ -57,7 +58,7 @@ class CellStatus:
     state: str = "starting"
     text: str = ""
     restarts: int = 0
-    devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    devices: Devices = field(default_factory=dict)
 
     @property
     def connected(self) -> bool:
@@ -95,16 +96,12 @@ class CellSupervisor:
         """Start the first cell."""
         self._thread.start()
 
-    def connect(self) -> Mapping[str, Mapping[str, str]]:
+    def connect(self) -> Devices:
         """Open the ports and return who answers; in a measurement, who answered.
 
         Raises DeviceError, or CellDown if there is no cell or it does not answer.
         """
-        future = self._put(self._connect)
-        try:
-            return future.result(CONNECT_TIMEOUT_S)
-        except TimeoutError as error:
-            raise CellDown("the cell process does not answer; see the log") from error
+        return self._ask(self._connect)
 
     def begin(
         self,
@@ -124,11 +121,7 @@ class CellSupervisor:
             cell.begin(order)
             return True
 
-        try:
-            return self._put(begin).result(CONNECT_TIMEOUT_S)
-        except TimeoutError as error:
-            self.kill()
-            raise CellDown("the cell process does not answer; see the log") from error
+        return self._ask(begin, kill_if_late=True)
 
     def ignore_events(self) -> None:
         """Pass the events of the measurement on no longer."""
@@ -164,6 +157,14 @@ class CellSupervisor:
         if self._thread.is_alive():
             self._thread.join(timeout_s)
 
+    def _ask(self, command: Command, *, kill_if_late: bool = False) -> Any:
+        try:
+            return self._put(command).result(CONNECT_TIMEOUT_S)
+        except TimeoutError as error:
+            if kill_if_late:
+                self.kill()
+            raise CellDown("the cell process does not answer; see the log") from error
+
     def _put(self, command: Command) -> Future[Any]:
         future: Future[Any] = Future()
         if self._closing.is_set():
@@ -195,7 +196,7 @@ class CellSupervisor:
             self._go_down(f"the cell process does not start: {error}")
             return
         self._must_kill.clear()
-        self._status = replace(self._status, state="disconnected", text="", devices={})
+        self._set_status("disconnected")
         try:
             self._serve(cell)
             if self._must_kill.is_set():
@@ -218,40 +219,41 @@ class CellSupervisor:
     def _handle(self, event: CellEvent) -> None:
         match event:
             case StateChanged(state):
-                self._note_state(state)
+                self._follow_state(state)
             case FaultReported(text=text):
                 self._status = replace(self._status, text=text)
         if self._on_event is not None:
             self._on_event(event)
 
-    def _note_state(self, state: CellState) -> None:
-        text = "" if state in _MOVING or state is CellState.READY else self._status.text
+    def _follow_state(self, state: CellState) -> None:
+        is_well = state in _MOVING or state is CellState.READY
+        text = "" if is_well else self._status.text
         devices = {} if state is CellState.FAULTED else self._status.devices
-        self._status = replace(
-            self._status, state=str(state), text=text, devices=devices
-        )
+        self._set_status(str(state), text, devices)
 
-    def _connect(self, cell: Cell) -> Mapping[str, Mapping[str, str]]:
+    def _set_status(
+        self, state: str, text: str = "", devices: Devices | None = None
+    ) -> None:
+        restarts = self._status.restarts
+        self._status = CellStatus(state, text, restarts, devices or {})
+
+    def _connect(self, cell: Cell) -> Devices:
         if self._on_event is not None:
             return self._status.devices
-        self._status = replace(self._status, state="connecting", text="", devices={})
+        self._set_status("connecting")
         try:
             found = cell.connect()
         except MeasurementFailed as error:
             raise CellDown(str(error)) from error
         except TruepathError as error:
-            self._note_disconnected(error)
+            self._set_status("disconnected", str(error))
             raise DeviceSettings(str(error)) from error
         except Exception as error:
-            self._note_disconnected(error)
+            self._set_status("disconnected", str(error))
             raise
         devices = {name: asdict(identity) for name, identity in found.items()}
-        self._status = replace(self._status, state="ready", text="", devices=devices)
+        self._set_status("ready", devices=devices)
         return devices
-
-    def _note_disconnected(self, error: Exception) -> None:
-        state = "disconnected"
-        self._status = replace(self._status, state=state, text=str(error))
 
     def _run_commands(self, cell: Cell) -> None:
         while True:

@@ -191,11 +191,7 @@ def estimate_json(now: Any) -> dict[str, Any]:
 
     tables = error_tables(now.model, now.theta, now.covariance)
     places = {
-        place.symbol: {
-            f"value_{place.unit}": round(place.value, 3),
-            f"uncertainty_{place.unit}": round(place.uncertainty, 3),
-        }
-        for place in tables.locations
+        place.symbol: _number(place, f"_{place.unit}") for place in tables.locations
     }
     return {
         "volumetric_uncertainty_um": round(_MICRO * now.volumetric_sigma_mm, 4),
@@ -203,15 +199,14 @@ def estimate_json(now: Any) -> dict[str, Any]:
         "cells": now.cells,
         "device_time_s": round(now.time_s, 4),
         "error_tables": {table.symbol: _table(table) for table in tables.tables},
-        "squareness_urad": {
-            s.symbol: {
-                "value": round(s.value, 3),
-                "uncertainty": round(s.uncertainty, 3),
-            }
-            for s in tables.squareness
-        },
+        "squareness_urad": {s.symbol: _number(s) for s in tables.squareness},
         **({"axis_location": places} if places else {}),
     }
+
+
+def _number(found: Any, unit: str = "") -> dict[str, float]:
+    values = round(found.value, 3), round(found.uncertainty, 3)
+    return {f"value{unit}": values[0], f"uncertainty{unit}": values[1]}
 
 
 def _table(table: Any) -> Mapping[str, Any]:

@@ -125,7 +125,7 @@ def refuse_several_targets(machine: Machine, order: Json) -> None:
         )
 
 
-def checked_rows(
+def check_rows(
     machine: Machine,
     kind: JobKind,
     rows: Sequence[Row],

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, insert, select, update
+from sqlalchemy import Connection, insert, select, update
 
 from app.errors import NotFound
 from app.jobs.errors import CellBusy, KeyReused, StaleVersion
@@ -107,11 +107,6 @@ def insert_event(connection: Connection, job: Job) -> JobEvent:
     done = connection.execute(insert(events).values(**row))
     assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
     return JobEvent("job", job.id, body, done.inserted_primary_key[0])
-
-
-def decode_event(row: RowMapping) -> JobEvent:
-    """Return the event of a row."""
-    return JobEvent(row["type"], row["job_id"], row["body"], row["id"])
 
 
 def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:

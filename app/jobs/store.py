@@ -31,7 +31,6 @@ from app.jobs.job import (
 from app.jobs.rows import (
     JOBS,
     IdempotencyKey,
-    decode_event,
     find_job_by_key,
     insert_event,
     insert_job,
@@ -182,7 +181,7 @@ class Store:
             query = query.where(events.c.job_id == job_id)
         with self._database.read() as connection:
             rows = connection.execute(query.limit(_MOST_EVENTS)).mappings()
-            return [decode_event(row) for row in rows]
+            return [JobEvent(r["type"], r["job_id"], r["body"], r["id"]) for r in rows]
 
     def read_last_event_id(self) -> int:
         """Return the identifier of the newest event, 0 if there is none."""

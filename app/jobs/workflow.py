@@ -214,7 +214,9 @@ class JobSteps:
         order = LiveOrder(
             self.context.require_machine(), commanded, only, self._plan_order()
         )
-        live = self.context.live(order, self.active.publish_estimate)
+        live = self.context.live(
+            order, lambda body: self.active.publish("estimate", body)
+        )
         try:
             live.start()
         except OSError:
@@ -234,7 +236,7 @@ class JobSteps:
         return Growth(live, commanded, cell.extend, cell.conclude, self._store_part)
 
     def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
-        self.active.publish_plan(part)
+        self.active.publish("plan", part)
         try:
             self.context.store.keep_plan(self.job.id, plan_json(rows))
         except StorageUnavailable:
@@ -249,7 +251,7 @@ class JobSteps:
             log.exception("the Run cannot be read; its file is kept")
             return
         if record is not None:
-            self.active.link_run(record.id)
+            self.active.store_values(run_id=record.id)
 
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
