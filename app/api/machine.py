@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter
@@ -160,23 +161,11 @@ def _describe_cell(service: Service) -> CellOut:
     if service.cell is None:
         return CellOut(state="none", text="", connected=False, restarts=0)
     status = service.cell.status
-    return CellOut(
-        state=status.state,
-        text=status.text,
-        connected=status.connected,
-        restarts=status.restarts,
-    )
+    return CellOut(**asdict(status), connected=status.connected)
 
 
 def _describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
     """Return who answers, as clients see it."""
-    known = {
-        name: DeviceIdentity(**devices[name])
-        for name in ("tracker", "motion")
-        if name in devices
-    }
-    return Connection(
-        connected=bool(devices),
-        tracker=known.get("tracker"),
-        motion=known.get("motion"),
-    )
+    known = {name: DeviceIdentity(**device) for name, device in devices.items()}
+    tracker, motion = known.get("tracker"), known.get("motion")
+    return Connection(connected=bool(devices), tracker=tracker, motion=motion)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import base64
 import binascii
 from collections.abc import Callable
-from typing import Annotated, Protocol, TypeVar
+from typing import Annotated, TypeVar
 
 from fastapi import Depends, Query, Request, Response
 from pydantic import StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 
 from app.errors import BadInput
+from app.jobs.job import Job
+from app.jobs.runs import RunRecord
 
 Limit = Annotated[int, Query(ge=1, le=200, description="Entries on a page.")]
 After = Annotated[
@@ -21,14 +23,7 @@ After = Annotated[
 ]
 
 
-class Numbered(Protocol):
-    """An entry of a list that is ordered by `seq`."""
-
-    @property
-    def seq(self) -> int: ...  # noqa: D102 (the class says it)
-
-
-T = TypeVar("T", bound=Numbered)
+T = TypeVar("T", bound=Job | RunRecord)
 
 
 class Paging:

@@ -106,13 +106,8 @@ def _report_file(error: OSError) -> int:
     """A file that is not there or not ours to use is bad input; a full disk is not."""
     if error.filename is None or not error.strerror:
         raise error
-    mistaken = (
-        FileNotFoundError,
-        FileExistsError,
-        IsADirectoryError,
-        NotADirectoryError,
-        PermissionError,
-    )
+    mistaken = FileNotFoundError | FileExistsError | PermissionError
+    mistaken |= IsADirectoryError | NotADirectoryError
     status = BAD_INPUT if isinstance(error, mistaken) else FAILURE
     return _print_failure(f"{error.filename}: {error.strerror}", status)
 

@@ -9,9 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from app.cli.terminal import print_json, say, show_progress
+from app.cli.terminal import (
+    list_files,
+    print_files,
+    print_json,
+    say,
+    show_progress,
+)
 from app.errors import BadInput
 from app.files.bundle import write_bundle
 from app.measurement.detached import record_stream
@@ -118,16 +123,11 @@ def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
 
 
 def _print_summary(closed: ClosedRun, output: Path, *, as_json: bool) -> None:
-    files = sorted(str(path) for path in output.iterdir() if path.is_file())
+    files = list_files(output)
     if as_json:
-        summary: dict[str, Any] = {
-            "schema": "recording-summary/1",
-            "samples": closed.samples,
-            "lost_samples": closed.lost_samples,
-            "files": files,
-        }
-        print_json(summary)
+        counts = {"samples": closed.samples, "lost_samples": closed.lost_samples}
+        names = [str(file) for file in files]
+        print_json({"schema": "recording-summary/1", **counts, "files": names})
         return
     print(f"{closed.samples} samples, {closed.lost_samples} lost")
-    for file in files:
-        print(file)
+    print_files(files)

@@ -97,8 +97,7 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
     print(f"do: {account['note']}")
     for statement in account["unobservable"]:
         print(f"not in the tables: {statement}")
-    for file in account["files"]:
-        print(file)
+    print_files(account["files"])
 
 
 def _print_comparison(content: Mapping[str, Any], files: Sequence[Path]) -> None:

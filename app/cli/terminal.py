@@ -111,7 +111,7 @@ def list_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_file())
 
 
-def print_files(files: Iterable[Path]) -> None:
+def print_files(files: Iterable[Path | str]) -> None:
     """Write the places of files to standard output, a line each."""
     for file in files:
         print(file)

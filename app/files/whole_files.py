@@ -38,12 +38,12 @@ def replace_file(file: Path, data: bytes) -> None:
         draft.replace(file)
     finally:
         draft.unlink(missing_ok=True)
-    sync_folder(file.parent)
+    sync_to_disk(file.parent)
 
 
-def sync_folder(folder: Path) -> None:
-    """Make a rename in a folder outlast a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
+def sync_to_disk(place: Path) -> None:
+    """Make a file, or a rename in a folder, outlast a power cut."""
+    handle = os.open(place, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

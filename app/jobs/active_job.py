@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -45,17 +44,11 @@ class ActiveJob:
     reads what they asked for at its checkpoints, and stores state and progress.
     """
 
-    def __init__(
-        self,
-        job: Job,
-        store: Store,
-        event_bus: EventBus,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
         self.job_id, self.kind = job.id, job.kind
-        self._store, self._event_bus, self._clock = store, event_bus, clock
+        self._store, self._event_bus = store, event_bus
         self._changed = threading.Condition()
-        self._state, self._since = job.state, clock()
+        self._state, self._since = job.state, time.monotonic()
         self._wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
         self._computation: Computation | None = None
@@ -80,7 +73,7 @@ class ActiveJob:
     @property
     def state_lasts_s(self) -> float:
         """How long the job has been in that state."""
-        return self._clock() - self._since
+        return time.monotonic() - self._since
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
         """Store what a user asks for. Raises IllegalTransition, StaleVersion.
@@ -226,7 +219,7 @@ class ActiveJob:
         is_new_stage = stage is not None and stage is not self._stage
         self._stage = stage or self._stage
         self._progress, self._health = progress, health or self._health
-        now = self._clock()
+        now = time.monotonic()
         if is_new_stage or now - self._published_at >= PUBLISH_EVERY_S:
             self._published_at = now
             body = {
@@ -250,7 +243,7 @@ class ActiveJob:
     def _remember(self, job: Job) -> Job:
         with self._changed:
             if job.state is not self._state:
-                self._state, self._since = job.state, self._clock()
+                self._state, self._since = job.state, time.monotonic()
             self._wants_pause = job.wants_pause
         return job
 

@@ -36,6 +36,7 @@ POLL_S = 0.05
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
+END_TIMEOUT_S = 10.0
 
 _MOVING = frozenset(
     {CellState.RUNNING, CellState.PAUSING, CellState.PAUSED, CellState.RESUMING}
@@ -151,11 +152,11 @@ class CellSupervisor:
         """Kill the cell process; another takes its place."""
         self._must_kill.set()
 
-    def close(self, timeout_s: float = 10.0) -> None:
+    def close(self) -> None:
         """End the cell. What moves is held by the cell on its way out."""
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join(timeout_s)
+            self._thread.join(END_TIMEOUT_S)
 
     def _ask(self, command: Command, *, kill_if_late: bool = False) -> Any:
         try:

@@ -93,10 +93,10 @@ class LiveEstimation:
         """Whether no estimate and no part follows."""
         return self._publisher.ended.is_set()
 
-    def ask(self, timeout_s: float = FINISH_S) -> None:
+    def ask(self) -> None:
         """Ask what to drive next, once the blocks so far have been looked at."""
         with suppress(queue.Full):
-            self._queue.put(ChoosePart(), timeout=timeout_s)
+            self._queue.put(ChoosePart(), timeout=FINISH_S)
 
     def take_part(self) -> Part | None:
         """Return the answer to `ask` as soon as there is one. Never waits."""
@@ -104,11 +104,11 @@ class LiveEstimation:
             return self._parts.get_nowait()
         return None
 
-    def finish(self, timeout_s: float = FINISH_S) -> None:
+    def finish(self) -> None:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
-            self._queue.put(EndOfStream(), timeout=timeout_s)
-            self._publisher.ended.wait(timeout_s)
+            self._queue.put(EndOfStream(), timeout=FINISH_S)
+            self._publisher.ended.wait(FINISH_S)
 
     def close(self) -> None:
         """End the process, whatever it does. Idempotent."""

@@ -22,7 +22,7 @@ from sqlalchemy import insert, select
 from app.errors import NotFound
 from app.files.bundle import read_bundle, zip_bundle
 from app.files.run import Run
-from app.files.whole_files import replace_file, sync_folder
+from app.files.whole_files import replace_file, sync_to_disk
 from app.jobs.database import Database
 from app.jobs.job import format_utc_now, make_id
 from app.jobs.plans import plan_json
@@ -96,7 +96,7 @@ class RunCatalogue:
         run = read_bundle(bundle)
         file = self._folder / f"{run_id}.zip"
         os.replace(bundle, file)
-        sync_folder(self._folder)
+        sync_to_disk(self._folder)
         return self._insert(run_id, run, file, "uploaded", complete=True, name=name)
 
     def get(self, run_id: str) -> RunRecord:

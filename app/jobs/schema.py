@@ -2,89 +2,77 @@
 
 from __future__ import annotations
 
-from sqlalchemy import (
-    JSON,
-    BigInteger,
-    Boolean,
-    Column,
-    Float,
-    ForeignKey,
-    Index,
-    Integer,
-    MetaData,
-    String,
-    Table,
-)
+import sqlalchemy as sa
 
-metadata = MetaData()
+metadata = sa.MetaData()
 
 # SQLite counts up only what is called INTEGER.
-_Counter = BigInteger().with_variant(Integer, "sqlite")
+_Counter = sa.BigInteger().with_variant(sa.Integer, "sqlite")
 
-runs = Table(
+runs = sa.Table(
     "runs",
     metadata,
-    Column("seq", _Counter, primary_key=True),
-    Column("id", String(36), nullable=False, unique=True),
-    Column("name", String(200), nullable=False),
-    Column("origin", String(16), nullable=False),  # measured, uploaded
-    Column("file", String(200), nullable=False),  # inside the folder of runs
-    Column("sha256", String(64), nullable=False),
-    Column("bytes", BigInteger, nullable=False),
-    Column("mode", String(16), nullable=False),
-    Column("machine", String(200), nullable=False),
-    Column("samples", BigInteger, nullable=False),
-    Column("lost_samples", BigInteger, nullable=False),
-    Column("complete", Boolean, nullable=False),
-    Column("plan", JSON, nullable=False),
-    Column("created", String(32), nullable=False),
+    sa.Column("seq", _Counter, primary_key=True),
+    sa.Column("id", sa.String(36), nullable=False, unique=True),
+    sa.Column("name", sa.String(200), nullable=False),
+    sa.Column("origin", sa.String(16), nullable=False),  # measured, uploaded
+    sa.Column("file", sa.String(200), nullable=False),  # inside the folder of runs
+    sa.Column("sha256", sa.String(64), nullable=False),
+    sa.Column("bytes", sa.BigInteger, nullable=False),
+    sa.Column("mode", sa.String(16), nullable=False),
+    sa.Column("machine", sa.String(200), nullable=False),
+    sa.Column("samples", sa.BigInteger, nullable=False),
+    sa.Column("lost_samples", sa.BigInteger, nullable=False),
+    sa.Column("complete", sa.Boolean, nullable=False),
+    sa.Column("plan", sa.JSON, nullable=False),
+    sa.Column("created", sa.String(32), nullable=False),
     sqlite_autoincrement=True,
 )
 
-jobs = Table(
+jobs = sa.Table(
     "jobs",
     metadata,
-    Column("seq", _Counter, primary_key=True),
-    Column("id", String(36), nullable=False, unique=True),
-    Column("kind", String(32), nullable=False),
-    Column("state", String(16), nullable=False),
-    Column("desired_state", String(16), nullable=False),
-    Column("version", Integer, nullable=False),
-    Column("stage", String(16), nullable=False),
-    Column("run_id", String(36), ForeignKey("runs.id"), nullable=True),
-    Column("further_run_ids", JSON, nullable=True),
-    Column("perpendicular_only", Boolean, nullable=False),
-    Column("monte_carlo", JSON, nullable=True),
-    Column("target_um", Float, nullable=True),
-    Column("early_end", JSON, nullable=True),
-    Column("plan", JSON, nullable=True),
-    Column("progress", JSON, nullable=False),
-    Column("health", JSON, nullable=False),
-    Column("failure", JSON, nullable=True),
-    Column("created", String(32), nullable=False),
-    Column("started", String(32), nullable=True),
-    Column("ended", String(32), nullable=True),
-    Index("jobs_by_state", "state", "seq"),
+    sa.Column("seq", _Counter, primary_key=True),
+    sa.Column("id", sa.String(36), nullable=False, unique=True),
+    sa.Column("kind", sa.String(32), nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("desired_state", sa.String(16), nullable=False),
+    sa.Column("version", sa.Integer, nullable=False),
+    sa.Column("stage", sa.String(16), nullable=False),
+    sa.Column("run_id", sa.String(36), sa.ForeignKey("runs.id"), nullable=True),
+    sa.Column("further_run_ids", sa.JSON, nullable=True),
+    sa.Column("perpendicular_only", sa.Boolean, nullable=False),
+    sa.Column("monte_carlo", sa.JSON, nullable=True),
+    sa.Column("target_um", sa.Float, nullable=True),
+    sa.Column("early_end", sa.JSON, nullable=True),
+    sa.Column("plan", sa.JSON, nullable=True),
+    sa.Column("progress", sa.JSON, nullable=False),
+    sa.Column("health", sa.JSON, nullable=False),
+    sa.Column("failure", sa.JSON, nullable=True),
+    sa.Column("created", sa.String(32), nullable=False),
+    sa.Column("started", sa.String(32), nullable=True),
+    sa.Column("ended", sa.String(32), nullable=True),
+    sa.Index("jobs_by_state", "state", "seq"),
     sqlite_autoincrement=True,
 )
 
-events = Table(
+events = sa.Table(
     "events",
     metadata,
-    Column("id", _Counter, primary_key=True),
-    Column("job_id", String(36), ForeignKey("jobs.id"), nullable=False),
-    Column("type", String(16), nullable=False),
-    Column("body", JSON, nullable=False),
-    Column("created", String(32), nullable=False),
-    Index("events_by_job", "job_id", "id"),
+    sa.Column("id", _Counter, primary_key=True),
+    sa.Column("job_id", sa.String(36), sa.ForeignKey("jobs.id"), nullable=False),
+    sa.Column("type", sa.String(16), nullable=False),
+    sa.Column("body", sa.JSON, nullable=False),
+    sa.Column("created", sa.String(32), nullable=False),
+    sa.Index("events_by_job", "job_id", "id"),
     sqlite_autoincrement=True,
 )
 
-idempotency_keys = Table(
+idempotency_keys = sa.Table(
     "idempotency_keys",
     metadata,
-    Column("key", String(200), primary_key=True),
-    Column("body_sha256", String(64), nullable=False),
-    Column("job_id", String(36), ForeignKey("jobs.id"), nullable=False),
-    Column("created_s", BigInteger, nullable=False),
+    sa.Column("key", sa.String(200), primary_key=True),
+    sa.Column("body_sha256", sa.String(64), nullable=False),
+    sa.Column("job_id", sa.String(36), sa.ForeignKey("jobs.id"), nullable=False),
+    sa.Column("created_s", sa.BigInteger, nullable=False),
 )

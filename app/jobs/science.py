@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
+from app.files.whole_files import sync_to_disk
 from app.jobs.runs import open_recorded
 from app.jobs.workers import Workers, opened
 from app.numerics.adaptive_trials import TrialPlan
@@ -87,15 +88,7 @@ def _replace(final: Path, write: Callable[[Path], None]) -> None:
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     write(part)
-    _sync(part)
+    for place in (*part.iterdir(), part):
+        sync_to_disk(place)
     shutil.rmtree(final, ignore_errors=True)
     os.replace(part, final)
-
-
-def _sync(folder: Path) -> None:
-    for place in (*folder.iterdir(), folder):
-        handle = os.open(place, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

@@ -14,6 +14,7 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, func, select, update
 
+from app.jobs import rows
 from app.jobs.database import Database
 from app.jobs.errors import StaleVersion
 from app.jobs.job import (
@@ -28,18 +29,7 @@ from app.jobs.job import (
     encode_progress,
     format_utc_now,
 )
-from app.jobs.rows import (
-    JOBS,
-    IdempotencyKey,
-    find_job_by_key,
-    insert_event,
-    insert_job,
-    insert_key,
-    read_job,
-    read_unfinished_jobs,
-    refuse_second_measurement,
-    update_job,
-)
+from app.jobs.rows import JOBS, IdempotencyKey
 from app.jobs.schema import events, idempotency_keys, jobs
 from app.jobs.transitions import State, check_transition
 
@@ -70,15 +60,15 @@ class Store:
         """
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
-            earlier = find_job_by_key(connection, key) if key else None
+            earlier = rows.find_job_by_key(connection, key) if key else None
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
-                refuse_second_measurement(connection)
-            job = insert_job(connection, new)
+                rows.refuse_second_measurement(connection)
+            job = rows.insert_job(connection, new)
             if key is not None:
-                insert_key(connection, key, job.id)
-            return job, insert_event(connection, job)
+                rows.insert_key(connection, key, job.id)
+            return job, rows.insert_event(connection, job)
 
         job, event = self._database.write(change, self._publish)
         return job, event is not None
@@ -86,12 +76,12 @@ class Store:
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:
-            return find_job_by_key(connection, key)
+            return rows.find_job_by_key(connection, key)
 
     def get(self, job_id: str) -> Job:
         """Return a job. Raises NotFound."""
         with self._database.read() as connection:
-            return read_job(connection, job_id)
+            return rows.read_job(connection, job_id)
 
     def read_plan(self, job_id: str) -> Mapping[str, Any] | None:
         """Return what a job commands or has planned; None if it does not, or not yet.
@@ -133,7 +123,7 @@ class Store:
     def list_unfinished(self) -> list[Job]:
         """Return the jobs that have not ended, the oldest first."""
         with self._database.read() as connection:
-            return read_unfinished_jobs(connection)
+            return rows.read_unfinished_jobs(connection)
 
     def change(
         self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
@@ -146,7 +136,7 @@ class Store:
         """
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
-            before = read_job(connection, job_id)
+            before = rows.read_job(connection, job_id)
             if version is not None and before.version != version:
                 raise StaleVersion(version, before.version, before.state)
             after = change(before)
@@ -155,8 +145,8 @@ class Store:
             if after.state is not before.state:
                 check_transition(before.state, after.state)
             after = _stamp_times(before, replace(after, version=before.version + 1))
-            update_job(connection, before, after)
-            return after, insert_event(connection, after)
+            rows.update_job(connection, before, after)
+            return after, rows.insert_event(connection, after)
 
         return self._database.write(apply, self._publish)[0]
 
@@ -180,8 +170,8 @@ class Store:
         if job_id is not None:
             query = query.where(events.c.job_id == job_id)
         with self._database.read() as connection:
-            rows = connection.execute(query.limit(_MOST_EVENTS)).mappings()
-            return [JobEvent(r["type"], r["job_id"], r["body"], r["id"]) for r in rows]
+            kept = connection.execute(query.limit(_MOST_EVENTS)).mappings()
+            return [JobEvent(r["type"], r["job_id"], r["body"], r["id"]) for r in kept]
 
     def read_last_event_id(self) -> int:
         """Return the identifier of the newest event, 0 if there is none."""
@@ -213,7 +203,6 @@ class Store:
 
 def _stamp_times(before: Job, after: Job) -> Job:
     if after.started is None and after.state is State.RUNNING:
-        after = replace(after, started=format_utc_now())
-    if after.is_final and not before.is_final:
-        after = replace(after, ended=format_utc_now())
-    return after
+        return replace(after, started=format_utc_now())
+    is_end = after.is_final and not before.is_final
+    return replace(after, ended=format_utc_now()) if is_end else after

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from app.errors import MeasurementFailed
-from app.files.whole_files import sync_folder
+from app.files.whole_files import sync_to_disk
 from app.measurement.run_database import (
     connect,
     insert_batches,
@@ -228,7 +228,7 @@ class Recorder:
             insert_manifest(database, self._manifest)
             # Without its tables and its manifest a log that is cut is worth nothing.
             database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            sync_folder(self.file.parent)
+            sync_to_disk(self.file.parent)
         except (sqlite3.Error, OSError) as error:
             raise MeasurementFailed(
                 _describe_storage_error(self.file, error)

@@ -20,7 +20,7 @@ import numpy as np
 
 from app.errors import BundleError
 from app.files.run import Run, RunEvent
-from app.files.whole_files import sync_folder
+from app.files.whole_files import sync_to_disk
 from app.measurement.recorder import ClosedRun
 from app.measurement.run_database import (
     connect,
@@ -273,5 +273,5 @@ def _salvage(file: Path, content: _Content) -> str:
         _log(file).replace(file.with_name(file.name + ".torn-wal"))
     file.with_name(file.name + "-shm").unlink(missing_ok=True)
     draft.replace(file)
-    sync_folder(file.parent)
+    sync_to_disk(file.parent)
     return sha256

@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.files.whole_files import sync_folder
+from app.files.whole_files import sync_to_disk
 from app.measurement.run_file import Batch
 
 
@@ -73,7 +73,7 @@ def seal(database: sqlite3.Connection, file: Path) -> str:
             raise sqlite3.OperationalError("the Run file is open elsewhere")
         database.execute("PRAGMA journal_mode = DELETE")
     file.chmod(0o444)
-    sync_folder(file.parent)
+    sync_to_disk(file.parent)
     return hash_file(file)
 
 

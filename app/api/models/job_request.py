@@ -175,18 +175,13 @@ class JobRequest(RequestBody):
     def to_requested_job(self) -> RequestedJob:
         """Return the request as the dispatcher takes it."""
         rows = self.path if self.path is not None else self.points
+        same = ("feed_mm_min", "perpendicular_only", "target_um")
+        same += ("plan_id", "model_id", "discovery_id")
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],
-            rows=None
-            if rows is None
-            else [r.model_dump(exclude_none=True) for r in rows],
-            feed_mm_min=self.feed_mm_min,
-            perpendicular_only=self.perpendicular_only,
-            target_um=self.target_um,
+            rows=rows and [r.model_dump(exclude_none=True) for r in rows],
             monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
-            plan_id=self.plan_id,
-            model_id=self.model_id,
-            discovery_id=self.discovery_id,
             plan_request=self._order(),
+            **{name: getattr(self, name) for name in same},
         )
