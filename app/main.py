@@ -53,8 +53,7 @@ def serve(
 
     listening : receives the service's address once it answers, in a thread of its own
 
-    Raises BadInput for settings that cannot work, InUse if another instance runs on the
-    same data folder.
+    Raises BadInput, InUse.
     """
     configure_log(settings.log_level, settings.log_format)
     with (

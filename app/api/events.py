@@ -74,10 +74,7 @@ class Subscription:
             self._loop.call_soon_threadsafe(self._changed.set)
 
     async def events(self, last_event_id: str) -> AsyncIterator[ServerSentEvent]:
-        """Yield what the client has missed, then new events, until the service ends.
-
-        A client that has seen nothing yet gets the present state first.
-        """
+        """Yield what was missed, or the present state first, then new events."""
         service, job_id = self._service, self._job_id
         newest = await run_sync(service.store.read_last_event_id)
         known = _parse_last_event_id(last_event_id, newest)

@@ -1,4 +1,4 @@
-"""What stands before every route: names, origins, identifiers, headers, the last net.
+"""What stands before every route: host names, origins, identifiers, headers, defects.
 
 Plain ASGI, so that streams pass through untouched. Browsers are kept from being used
 against the service: a page of another site cannot post to it (Sec-Fetch-Site, Origin),

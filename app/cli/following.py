@@ -41,11 +41,9 @@ def follow_measurement(
     """Measure and return what the cell said of the closed Run.
 
     target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
-    request : where the order grows: within what its further parts are planned, as
-        `plan_orders` states it
+    request : within what further parts are planned, as `plan_orders` states it
 
-    Raises DeviceError if the devices do not answer, MeasurementFailed if the
-    measurement ended before its path did. Stops the machine on the way out in any case.
+    Raises DeviceError, MeasurementFailed. Stops the machine on the way out in any case.
     """
     cell.start()
     try:

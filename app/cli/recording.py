@@ -49,8 +49,7 @@ def record_bundle(
 ) -> None:
     """Record until Ctrl-C, or for so many seconds; write the bundle.
 
-    Raises BadInput for files that cannot be used, DeviceError if the tracker fails;
-    what was recorded by then is in the Run file.
+    Raises BadInput, DeviceError; what was recorded by then is in the Run file.
     """
     settings = load_settings(config)
     machine_file = machine or settings.machine_file

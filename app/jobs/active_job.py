@@ -38,11 +38,7 @@ PUBLISH_EVERY_S = 0.1
 
 
 class ActiveJob:
-    """One job under way. Any thread may call it.
-
-    Request threads call `apply_verb`, `arm`, `abort` and `interrupt`. The job's thread
-    reads what they asked for at its checkpoints, and stores state and progress.
-    """
+    """One job under way. Request threads ask, the job's thread obeys at checkpoints."""
 
     def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
         self.job_id, self.kind = job.id, job.kind
@@ -76,10 +72,7 @@ class ActiveJob:
         return time.monotonic() - self._since
 
     def apply_verb(self, verb: Verb, version: int | None = None) -> Job:
-        """Store what a user asks for. Raises IllegalTransition, StaleVersion.
-
-        A job that has paused by itself stays paused once a user asks for a pause.
-        """
+        """Store what a user asks for. Raises IllegalTransition, StaleVersion."""
 
         def change(job: Job) -> Job:
             state, desired = apply_verb(verb, job.state), _DESIRED_STATES[verb]
@@ -136,8 +129,7 @@ class ActiveJob:
     def enter(self, state: State, stage: Stage, *, unless_pausing: bool = False) -> Job:
         """Enter a state or a stage; what the table does not allow changes nothing.
 
-        An abort under way is never left this way. With `unless_pausing` neither is a
-        pause that a user has asked for and the cell has not confirmed.
+        unless_pausing : keep a pause that the cell has not confirmed yet
         """
 
         def change(job: Job) -> Job:
@@ -162,10 +154,7 @@ class ActiveJob:
         return self._remember(self._store.change(self.job_id, change))
 
     def show_failure(self, failure: Failure | None) -> None:
-        """Store why the machine stands; None when it moves again.
-
-        A failure while resuming means that the machine is still held.
-        """
+        """Store why the machine stands, held if it was resuming; None when it moves."""
 
         def change(job: Job) -> Job:
             if job.is_final:
@@ -178,10 +167,7 @@ class ActiveJob:
         self._remember(self._store.change(self.job_id, change))
 
     def end(self, state: State, failure: Failure | None) -> Job:
-        """Enter a final state, unless the job has ended.
-
-        An abort under way wins over success and failure.
-        """
+        """Enter a final state; an abort under way wins over success and failure."""
 
         def change(job: Job) -> Job:
             if job.is_final:

@@ -84,10 +84,9 @@ class CellMeasurement:
         self._is_killed = False
 
     def run(self, order: MeasurementOrder) -> None:
-        """Measure. Returns when the path has been driven and the Run is closed.
+        """Measure until the Run is closed; what was recorded is on disk in any case.
 
-        Raises Aborted, Interrupted, MeasurementEnded, or MachineFault where somebody
-        has to look. What was recorded is on disk in any case.
+        Raises Aborted, Interrupted, MeasurementEnded, MachineFault.
         """
         if not self._cell.begin(
             order, self._events.put, lambda: self._job.is_cancelled

@@ -46,7 +46,7 @@ _MOVING = frozenset(
 Devices = Mapping[str, Mapping[str, str]]
 Command = Callable[[Cell], Any]
 EventHandler = Callable[[CellEvent | None], None]
-"""Receives every event of a measurement, and None when the cell has died."""
+"""Receives each event, None when the cell has died; must return at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +98,9 @@ class CellSupervisor:
         self._thread.start()
 
     def connect(self) -> Devices:
-        """Open the ports and return who answers; in a measurement, who answered.
+        """Open the ports, unless in a measurement; return who answers.
 
-        Raises DeviceError, or CellDown if there is no cell or it does not answer.
+        Raises DeviceError, DeviceSettings, CellDown.
         """
         return self._ask(self._connect)
 
@@ -110,10 +110,7 @@ class CellSupervisor:
         on_event: EventHandler,
         unless: Callable[[], bool],
     ) -> bool:
-        """Begin a measurement; False if it was called off before the cell was asked.
-
-        on_event : called by the cell thread with every event; must return at once
-        """
+        """Begin a measurement; False if it was called off before the cell was asked."""
 
         def begin(cell: Cell) -> bool:
             if unless():

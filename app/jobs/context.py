@@ -25,10 +25,8 @@ class JobContext:
     """What every job works with.
 
     machine, cell : None where the service drives no machine
-    planner : task `(machine, order, *, on_progress)` that returns the plan as JSON
-    science : task `(run_files, folder, perpendicular_only, monte_carlo, workers,
-        model_file, model_id, *, on_progress)`
-    discoverer : task `(run_files, folder, model_file, model_id, *, on_progress)`
+    planner, science, discoverer : called as `plan_measurement`, `analyse_recorded`,
+        `discover_recorded`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
     confirm_s : time in which the cell has to confirm each state; None for the usual

@@ -61,8 +61,7 @@ class Database:
     ) -> T:
         """Run `change` in one transaction, alone, repeated while the file is locked.
 
-        `then` runs after the commit and before the next writer: what it publishes is in
-        the order of the commits. Raises StorageUnavailable after `patience_s`.
+        then : runs before the next writer. Raises StorageUnavailable after `patience_s`
         """
         deadline = time.monotonic() + self._patience_s
         with self._writer:

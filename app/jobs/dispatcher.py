@@ -27,10 +27,7 @@ MAX_WAITING = 100
 
 
 class Dispatcher:
-    """The jobs under way. Any thread may call it.
-
-    No lock is held while the catalogue is written: an abort never waits for one.
-    """
+    """The jobs under way, for any thread; no lock is held while one is stored."""
 
     def __init__(self, context: JobContext, event_bus: EventBus) -> None:
         self._context, self._event_bus = context, event_bus
@@ -51,8 +48,7 @@ class Dispatcher:
     ) -> tuple[Job, bool]:
         """Take a job on; False if this key has made it before.
 
-        Raises BadInput for a plan that must not be driven, NotFound for an unknown Run,
-        CellBusy, KeyReused, NoMachine.
+        Raises BadInput, NotFound, CellBusy, KeyReused, NoMachine, QueueFull.
         """
         earlier = self._context.store.find_by_key(key) if key is not None else None
         if earlier is not None:

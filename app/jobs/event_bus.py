@@ -17,12 +17,7 @@ Listener = Callable[[JobEvent], None]
 
 
 class EventBus:
-    """Passes events to every listener.
-
-    Listeners are called by the thread that publishes, so they must return at once.
-
-    estimates : history of the `estimate` events
-    """
+    """Passes events to listeners, in the thread that publishes: return at once."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -49,10 +44,7 @@ class EventBus:
 
 
 class EstimateHistory:
-    """Estimates of a few jobs: the newest, and how the uncertainty came down.
-
-    Any thread may call it.
-    """
+    """Estimates of a few jobs: the newest, and how the uncertainty came down."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

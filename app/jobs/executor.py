@@ -167,10 +167,7 @@ def _run_task(
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """To the process: call a function of a module.
-
-    reports_progress : it takes a keyword `on_progress`
-    """
+    """To the process: call a function, with a keyword `on_progress` if it reports."""
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
@@ -213,10 +210,9 @@ class WorkerProcess:
         self._is_busy = self._is_ready = False
 
     def call(self, call: Call, on_progress: Progress = ignore_progress) -> Any:
-        """Return the value of a call, or raise what it raises.
+        """Return the value of a call, or raise what it raises, or WorkerDied.
 
-        Raises WorkerDied if the process ends without an answer. If `on_progress`
-        raises, the process is ended.
+        The process is ended if `on_progress` raises.
         """
         self._is_busy = True
         answer = None

@@ -20,11 +20,10 @@ Json = Mapping[str, Any]
 
 
 class JobKind(StrEnum):
-    """What a job does. The first three drive the machine and end with an analysis.
+    """What a job does.
 
-    `PLAN` chooses what a measuring job may then drive; an adaptive one chooses itself,
-    part after part. `MEASURE_EXTRA` drives the lines that a discovery asks for and ends
-    with a discovery in all their Runs.
+    `PLAN` chooses what a measuring job may drive. `MEASURE_EXTRA` drives the lines that
+    a discovery asks for and ends with a discovery in all their Runs.
     """
 
     MEASURE_OTF = "measure-otf"
@@ -87,7 +86,7 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class EarlyEnd:
-    """Why the rest of the plan was left out: the target uncertainty was reached.
+    """The target uncertainty was reached and the rest of the plan left out.
 
     reached_um : volumetric uncertainty (k = 1) at that moment
     done, total : finished lines or points behind it, and those of the plan
@@ -176,8 +175,7 @@ class Job:
 class NewJob:
     """What a job starts with.
 
-    plan : what `plans.plan_json` makes; of a job that plans its `request` alone,
-        as `plan_orders` states it
+    plan : as `plans.plan_json` makes it, and the `request` of a job that plans
     """
 
     kind: JobKind

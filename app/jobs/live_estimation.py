@@ -6,8 +6,7 @@ the closed Run misses nothing. What fails in there ends the live estimate and no
 else.
 
 An estimate is shown as soon as it is made, and again every `PERIOD_S` with its age
-until there is a newer one. However long a solve takes, clients receive an estimate more
-than twice a second and know how old it is.
+until there is a newer one.
 """
 
 from __future__ import annotations
@@ -189,9 +188,8 @@ class _Publisher:
 class Growth:
     """Further parts of an adaptive measurement: from the live estimate to the cell.
 
-    The cell asks when the machine stands at the end of what it has been given. Where
-    the live estimate has nothing to add, or says nothing in time, the measurement ends
-    in order with what has been recorded. One thread.
+    Where the estimate has nothing to add, or says nothing in time, the measurement ends
+    in order. One thread.
 
     commanded : the first part
     extend, conclude : of the cell

@@ -31,9 +31,8 @@ _MICRO = 1e3  # mm to µm
 class LiveOrder:
     """What is measured.
 
-    request : what is asked beside the rows, as `plan_orders` states it: the model whose
-        effects are estimated beside; of an adaptive measurement, what its further parts
-        are chosen for in here, where the estimate is
+    request : as `plan_orders` states it: the model whose effects are estimated beside,
+        and what the further parts of an adaptive measurement are chosen for
     """
 
     machine: Machine
@@ -118,10 +117,7 @@ def _estimate(link: Connection, order: LiveOrder) -> None:
 
 
 class _Supply:
-    """What is commanded, and the further parts of it.
-
-    total : lines or points so far
-    """
+    """What is commanded, and its further parts; `total` lines or points so far."""
 
     def __init__(
         self, order: LiveOrder, request: PlanRequest, live: LiveEstimator

@@ -51,12 +51,10 @@ _POINTS = JobKind.MEASURE_STANDSTILL
 def plan_measurement(
     machine: Machine, order: Json, *, on_progress: Progress
 ) -> dict[str, Any]:
-    """Return a plan as `plans.plan_json` states it, with its `document`.
+    """Return a plan as `plan_json` does, with its `document` unless it is the default.
 
-    The document is the content of `plan.json` and the grade of the set-up; the default
-    path has none.
-
-    Raises PlanningError if nothing can be planned; it names the reason.
+    The document is the content of `plan.json` and the grade of the set-up. Raises
+    PlanningError.
     """
     # Imported where it computes: the service itself carries no science.
     from app.planning.default_path import default_path
@@ -132,10 +130,7 @@ def check_rows(
     feed_mm_min: float | None,
     workspace: Json,
 ) -> tuple[int, float]:
-    """Return how many rows there are and how long they take, s.
-
-    Raises PlanningError, OutOfTravel among them, naming row and reason.
-    """
+    """Return the number of rows and their duration, s. Raises PlanningError."""
     commanded = plan_motion(machine, kind, rows, feed_mm_min)
     workspace_from_json(workspace).refuse(machine, commanded)
     schedule = schedule_rows(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
@@ -165,7 +160,6 @@ def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[st
     """Return the extra lines that a discovery asks for, as `plan_json` does,
     with `discovery_id`.
 
-    machine : that is to drive them
     folder, job_id : of the discovery
 
     Raises PlanningError if the discovery asks for none, if its Runs are of another

@@ -1,7 +1,4 @@
-"""What a measuring job commands: made and checked before anything moves, kept as JSON.
-
-Every row is inside the travel, or the job is refused before it exists.
-"""
+"""What a measuring job commands: made and checked before anything moves, as JSON."""
 
 from __future__ import annotations
 
@@ -31,11 +28,9 @@ def plan_motion(
     rows: Sequence[Row],
     feed_mm_min: float | None = None,
 ) -> Commanded:
-    """Return what the machine will do, checked against its travel.
+    """Return what the machine will do, checked; PlanningError names the row.
 
     feed_mm_min : of rows that state none
-
-    Raises PlanningError, OutOfTravel among them, naming the row.
     """
     axes, position = machine.axis_names, _positions(machine, rows)
     dwell_s = np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)

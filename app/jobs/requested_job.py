@@ -26,7 +26,6 @@ class RequestedJob:
     run_ids : the Runs to analyse together
     rows : path or points in the columns of the bundle
     target_um : volumetric uncertainty (k = 1) at which the measurement may end
-    monte_carlo : trials to hold the uncertainty of an analysis against
     plan_id : of a plan whose rows are driven
     model_id : of the job whose model or result Runs are held against, analysed with,
         or planned for
@@ -49,11 +48,7 @@ class RequestedJob:
 
 
 def check_requested_job(request: RequestedJob, context: JobContext) -> NewJob:
-    """Return the job that a request asks for.
-
-    Raises BadInput for a plan that must not be driven, NotFound for an unknown Run, job
-    or model, NoMachine.
-    """
+    """Return the job that a request asks for. Raises BadInput, NotFound, NoMachine."""
     match request.kind:
         case JobKind.ANALYSE | JobKind.DISCOVER:
             return _make_science_job(request, context)

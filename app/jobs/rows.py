@@ -1,7 +1,4 @@
-"""Rows of the catalogue: jobs, their events and idempotency keys, in and out.
-
-Each function works within the transaction of its caller.
-"""
+"""Rows of jobs, events and idempotency keys, in the transaction of the caller."""
 
 from __future__ import annotations
 

@@ -56,10 +56,7 @@ class RunRecord:
 
 
 class RunCatalogue:
-    """Runs on disk and their rows. Any thread may call it.
-
-    folder : where the files are
-    """
+    """Runs in a folder and their rows. Any thread may call it."""
 
     def __init__(self, database: Database, folder: Path) -> None:
         self._database, self._folder = database, folder
@@ -71,10 +68,9 @@ class RunCatalogue:
         return self._folder / f"{run_id}.sqlite"
 
     def add_measured(self, run_id: str) -> RunRecord | None:
-        """Catalogue what the cell has recorded; None if it never opened the file.
+        """Catalogue what the cell has recorded, once; None if it never opened the file.
 
-        A file whose writer was killed is settled first: nobody may be writing to it.
-        Twice is once.
+        Nobody may be writing to it: what a killed writer has left is repaired first.
         """
         file = self.name_run_file(run_id)
         if not file.is_file():

@@ -42,10 +42,7 @@ Listener = Callable[[JobEvent], None]
 
 
 class Store:
-    """The catalogue of jobs. Any thread may call it.
-
-    listener : receives every event after its commit, in the order of identifiers
-    """
+    """The jobs; `listener` receives each event after its commit, in their order."""
 
     def __init__(self, database: Database, listener: Listener) -> None:
         self._database, self._listener = database, listener
@@ -55,8 +52,7 @@ class Store:
     ) -> tuple[Job, bool]:
         """Add a job; True if it is new, False if the key has made it before.
 
-        Raises KeyReused if the key came with another body, CellBusy if the job would
-        measure while another one has not ended.
+        Raises KeyReused, CellBusy.
         """
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
@@ -84,10 +80,7 @@ class Store:
             return rows.read_job(connection, job_id)
 
     def read_plan(self, job_id: str) -> Mapping[str, Any] | None:
-        """Return what a job commands or has planned; None if it does not, or not yet.
-
-        Beside the rows stand `request` and `document` of what has been planned.
-        """
+        """Return what a job commands or has planned, None if nothing or not yet."""
         content = self._read_plan_content(job_id)
         return content if "kind" in content else None
 
@@ -128,11 +121,9 @@ class Store:
     def change(
         self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
     ) -> Job:
-        """Replace a job by `change(job)`; returning the same object changes nothing.
+        """Replace a job by `change(job)`, stamped; the same object changes nothing.
 
-        version : what the caller has read; StaleVersion if the job has moved on since.
-        Raises IllegalTransition if the table does not allow the new state. The start
-        and the end of a job are stamped here.
+        Raises StaleVersion if `version` is given and not the newest, IllegalTransition.
         """
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:

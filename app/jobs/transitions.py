@@ -10,7 +10,7 @@ from app.errors import IllegalTransition
 class State(StrEnum):
     """Where a job is. The last five are final."""
 
-    QUEUED = "queued"  # waits for a lane of the executor, or for its thread
+    QUEUED = "queued"  # waits for a worker process, or for its thread
     PREPARING = "preparing"  # devices are connected, the plan is checked
     READY = "ready"  # waits to be armed; nothing has moved
     RUNNING = "running"
@@ -63,8 +63,8 @@ FINAL = frozenset(state for state, after in TRANSITIONS.items() if not after)
 PAUSE_STATES = frozenset({_PSG, _PSD})
 """A pause is on its way or in force."""
 
-# verb -> states it acts in -> the state it leads to. In the states of `SETTLED` the
-# same verb has been obeyed already and changes nothing.
+# verb -> states it acts in -> the state it leads to. In the states of `VERB_SATISFIED`
+# it has been obeyed already and changes nothing.
 VERB_TRANSITIONS: dict[Verb, dict[State, State]] = {
     Verb.ARM: {_R: _RUN},
     Verb.PAUSE: {_RUN: _PSG, _RES: _PSG},
@@ -87,9 +87,9 @@ def may_follow(before: State, after: State) -> bool:
 
 
 def apply_verb(verb: Verb, state: State) -> State:
-    """Return the state a verb leads to; the same state where it is obeyed already.
+    """Return the state a verb leads to, the same where it is obeyed already.
 
-    Raises IllegalTransition naming the states in which the verb works; abort never.
+    Raises IllegalTransition; abort never.
     """
     if state in VERB_SATISFIED[verb]:
         return state

@@ -1,9 +1,7 @@
-"""Who computes the blocks of a large sum: a `concurrent.futures.Executor`, whichever.
+"""Who computes the blocks of a large sum: processes on this computer, or Dask.
 
-Science that can be cut into blocks asks for no more than that interface. Two adapters
-give it: processes on this computer, and Dask for those who outgrow it
-(`truepath[dask]`; imported only where it is chosen). A block depends on its number
-alone, so the answer is the same on either, whatever the number of workers.
+Dask (`truepath[dask]`) is imported only where it is chosen. A block depends on its
+number alone, so the answer is the same on either, whatever the number of workers.
 """
 
 from __future__ import annotations
@@ -28,11 +26,9 @@ Ordered = Callable[[Callable[[int], T], Iterable[int]], Iterator[T]]
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Which executor to open.
+    """Which executor to open, and for dask its scheduler's address and time to answer.
 
     count : calls under way together; 0 for one a core, or a thread of the cluster
-    scheduler : address of the Dask scheduler; patience_s : how long it may take to
-        answer
     """
 
     kind: Literal["processes", "dask"] = "processes"
@@ -65,10 +61,7 @@ def workers_of(settings: Settings) -> Workers:
 def opened(workers: Workers) -> Iterator[Ordered[Any]]:
     """Open the executor; yield a `map` over it that keeps the order of the numbers.
 
-    Calls are under way ahead of what was asked for, one a worker. At the end what is
-    under way is dropped.
-
-    Raises BadInput if Dask is not installed, WorkersAway if its scheduler is not there.
+    At the end what is under way is dropped. Raises BadInput, WorkersAway.
     """
     workers.check()
     if workers.kind == "dask":

@@ -204,10 +204,7 @@ class JobSteps:
         ).run(order)
 
     def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
-        """Start the live estimate. The measurement goes on without it if need be.
-
-        A few extra lines on their own would say little about the machine.
-        """
+        """Start the live estimate; a few extra lines alone would say too little."""
         if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
             return None
         only = self.job.perpendicular_only
