@@ -22,7 +22,7 @@ from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models
 from app.kinematics.effects.candidate_term import propose_terms
-from app.kinematics.effects.installed import list_families
+from app.kinematics.effects.catalogue import list_families
 from app.progress import ShareProgress, ignore_progress
 
 

@@ -67,7 +67,7 @@ def locate_event(
         joined = _Trials.join(list(trials.values()))
         if not len(joined.time_s):
             break
-        best = term.with_value(at, joined.best_s)
+        best = term.with_value(joined.best_s)
         term = replace(best, value_sigma=joined.sigma_s())
     # Each cell of the Run was a candidate, and neighbours hardly differ.
     return replace(term, price=float(np.log(max(len(at) / 4.0, 1.0))))
@@ -81,8 +81,7 @@ def _try_line(
     time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     if not len(time_s):
         return _Trials(time_s, width_s, width_s)
-    at = data.conditions_of(term)
-    terms = [term.with_value(at, float(t)) for t in time_s]
+    terms = [term.with_value(float(t)) for t in time_s]
     blocks = data.lines.collect_blocks_along(
         [t.effect for t in beside], [t.effect for t in terms], line
     )

@@ -17,7 +17,8 @@ from scipy.optimize import minimize_scalar
 from app.discovery.evidence import log_bayes
 from app.estimation.residual import Residual
 from app.kinematics.effects.candidate_term import CandidateTerm
-from app.kinematics.effects.catalogue import Scan, Wave, attenuate_wave
+from app.kinematics.effects.catalogue import Scan, Wave
+from app.kinematics.effects.sinusoid import attenuate_wave
 from app.numerics.spectrum import transform
 
 _RATES = 8  # groups of cells of similar rate
@@ -42,7 +43,7 @@ def scan_term(term: CandidateTerm, residuals: Sequence[Residual]) -> CandidateTe
     else:
         value = _best_value(term, scan, residuals)
     price = float(np.log(max(len(scan.values) / 4.0, 1.0)))
-    return replace(term.with_value(at, value), price=price)
+    return replace(term.with_value(value), price=price)
 
 
 def _best_wave(
@@ -79,7 +80,7 @@ def _best_value(
 
 def _gain(term: CandidateTerm, residuals: Sequence[Residual], value: float) -> float:
     """Return the quick log Bayes factor of a term at a value."""
-    candidate = term.with_value(residuals[0].at, value).candidate
+    candidate = term.with_value(value).candidate
     data, information = np.zeros(term.size), np.zeros((term.size, term.size))
     for one in residuals:
         J = candidate.effect.jacobian(one.at)

@@ -58,8 +58,7 @@ class TermData:
         values: Float64[np.ndarray, " v"],
     ) -> ValueTrials:
         """Return what the data tell of a term at each of several values."""
-        at = self.conditions_of(term)
-        terms = [term.with_value(at, float(value)) for value in values]
+        terms = [term.with_value(float(value)) for value in values]
         remainder = self.compare(beside, terms)
         known = prior_precision(np.zeros((0, 0)), [term])
         covariance = np.linalg.inv(np.array(remainder.information) + known)

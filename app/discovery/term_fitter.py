@@ -166,7 +166,7 @@ class TermFitter:
         scan = term.scan(at)
         if scan is None or term.wave(at) is not None:
             return term
-        terms = [term.with_value(at, float(value)) for value in scan.values]
+        terms = [term.with_value(float(value)) for value in scan.values]
         best = self.rank(fit, [term, *terms])[0].term
         if not term.family.happens_once:
             return best

@@ -45,7 +45,7 @@ def average_value(
     mean = float(weight @ values)
     off = trials.theta - weight @ trials.theta
     return replace(
-        term.with_value(at, mean),
+        term.with_value(mean),
         value_sigma=float(np.sqrt(weight @ (values - mean) ** 2)),
         covariance=np.tensordot(weight, trials.covariance, 1) + (off.T * weight) @ off,
     )

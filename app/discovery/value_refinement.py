@@ -137,7 +137,7 @@ def _take_best_of_grid(
     least = float(values[1] - values[0]) / np.sqrt(12.0)
     equal = log_bayes > log_bayes.max() - _EQUAL
     best = int(np.argmin(np.where(equal, np.abs(values - mean), np.inf)))
-    best_term = term.with_value(at, float(values[best]))
+    best_term = term.with_value(float(values[best]))
     return replace(best_term, value_sigma=max(sigma, float(least)))
 
 
@@ -149,7 +149,7 @@ def _follow_slopes(data: TermData, terms: _Terms, smooth: Sequence[int]) -> _Ter
             [_spacing(terms[k], data.conditions_of(terms[k])) for k in smooth]
         )
         slopes = [
-            _derivative(data, terms[k], fit.theta[_columns(data, terms, k)], _STEP * h)
+            _derivative(terms[k], fit.theta[_columns(data, terms, k)], _STEP * h)
             for k, h in zip(smooth, spacing, strict=True)
         ]
         fit = _fit(data, terms, slopes, spacing)
@@ -176,7 +176,7 @@ def _move_values(
         value = (terms[k].candidate.value or 0.0) + float(step)
         value = float(_clip(np.array([value]), terms[k], at)[0])
         moved[k] = replace(
-            terms[k].with_value(at, value),
+            terms[k].with_value(value),
             value_sigma=value_sigma,
             covariance=fit.covariance[part, part],
         )
@@ -230,10 +230,9 @@ def _mean_spacing(term: CandidateTerm, at: Conditions) -> float:
 
 
 def _derivative(
-    data: TermData, term: CandidateTerm, theta: Float64[np.ndarray, " p"], step: float
+    term: CandidateTerm, theta: Float64[np.ndarray, " p"], step: float
 ) -> ValueDerivative:
-    at, value = data.conditions_of(term), term.candidate.value or 0.0
-    before, after = (
-        term.with_value(at, value + side * 0.5 * step).effect for side in (-1.0, 1.0)
-    )
+    value = term.candidate.value or 0.0
+    before = term.with_value(value - 0.5 * step).effect
+    after = term.with_value(value + 0.5 * step).effect
     return ValueDerivative(before, after, step, tuple(theta.tolist()))

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from app.alignment.observations import Observations, find_lines
 from app.alignment.reduction import beam_frame
 from app.estimation.noise import NoiseModel
-from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.of_run import EffectOfRun
+from app.kinematics.effects.base import Effect, EffectOfRun, Parameter
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel

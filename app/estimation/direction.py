@@ -25,7 +25,7 @@ from app.estimation.runs import (
     combine_runs,
 )
 from app.kinematics.coarse_model import add_half_widths
-from app.kinematics.effects.approach import make_half_shape
+from app.kinematics.effects.backlash import make_half_shape
 from app.kinematics.model import MachineModel
 
 # A precision fitted to nothing gains a little evidence; not this much, in −2 log.

@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from scipy.linalg import eigh
 
 from app.estimation.prior import diagonal_precision, guess_prior
-from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.effects.base import ErrorCurve
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, is_turn
 

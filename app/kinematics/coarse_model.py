@@ -8,22 +8,61 @@ explained, splines of time: neither must pass for noise.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import null_space
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.approach import make_half_width
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.of_run import EffectOfRun
-from app.kinematics.effects.time_spline import time_splines
+from app.kinematics.effects.backlash import make_half_width
+from app.kinematics.effects.base import (
+    Effect,
+    EffectOfRun,
+    Parameter,
+    QuadraticPrior,
+    Role,
+    columns_along,
+)
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.symbols import LINEAR
+from app.numerics.splines import CubicSpline, natural_spline
 
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0
+_USUAL_MM = 0.005  # of a slow shift
 _POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
+
+
+@dataclass(frozen=True)
+class TimeSpline(Effect):
+    """A slow shift of everything with time: a natural spline without its mean."""
+
+    kind = "time-spline"
+    role = Role.NUISANCE
+    direction: str
+    spline: CubicSpline
+    gauge: Float64[np.ndarray, "k p"]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One for each knot but one, in mm."""
+        return tuple(
+            Parameter(f"{self.name}[{i}]", "mm") for i in range(self.gauge.shape[1])
+        )
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the direction times the spline's rows."""
+        return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
+
+    def prior(self) -> QuadraticPrior:
+        """Return the mean square over the run."""
+        length = float(self.spline.knots[-1] - self.spline.knots[0])
+        form = self.gauge.T @ self.spline.gram() @ self.gauge / length
+        rank = self.gauge.shape[1]
+        return QuadraticPrior(form, rank, rank * _USUAL_MM**2, "time")
 
 
 def build_baseline_models(
@@ -37,7 +76,7 @@ def build_baseline_models(
     reference : the model; all that the Runs can identify of a rigid body if None
     """
     offsets_mm = [at.offset_mm for at in conditions]
-    slow = [spline for at in conditions for spline in _time_splines(at)]
+    slow = [spline for at in conditions for spline in _make_time_splines(at)]
     if reference is None:
         model, _ = build_identifiable_model(machine, *offsets_mm)
         return model, build_coarse_model(machine, offsets_mm, (), slow)
@@ -45,14 +84,17 @@ def build_baseline_models(
     return reference, build_coarse_model(reference.machine, offsets_mm, (), beside)
 
 
-def _time_splines(at: Conditions) -> Iterator[Effect]:
-    """Yield splines of the time of a Run, their knots too far apart for one point."""
+def _make_time_splines(at: Conditions) -> Iterator[Effect]:
+    """Yield a spline a direction of a Run, its knots too far apart for one point."""
     spacing_s = LONGEST_NOISE_S
+    first, last = float(at.time_s.min()), float(at.time_s.max())
     if (at.line < 0).all():
-        each_s = float(np.ptp(at.time_s)) / len(at)
-        spacing_s = max(LONGEST_NOISE_S, _POINTS_PER_KNOT * each_s)
-    for spline in time_splines(at, spacing_s):
-        yield EffectOfRun(spline, at.run)
+        spacing_s = max(spacing_s, _POINTS_PER_KNOT * (last - first) / len(at))
+    count = max(3, int(np.ceil((last - first) / spacing_s)) + 1)
+    spline = natural_spline(np.linspace(first, last, count))
+    gauge = null_space((spline.gram() @ np.ones(spline.size))[None, :])
+    for direction in LINEAR:
+        yield EffectOfRun(TimeSpline(direction, spline, gauge), at.run)
 
 
 def build_coarse_model(

@@ -126,6 +126,12 @@ class Conditions:
         """Return the positions of one axis."""
         return self.position_mm[:, self.machine.axis_names.index(axis)]
 
+    def axis_rate(self, axis: str) -> Float64[np.ndarray, " n"]:
+        """Return the mm/s or deg/s of one axis; 0 where nothing is recorded."""
+        if self.recorded is None:
+            return np.zeros(len(self))
+        return self.recorded.rate[:, self.machine.axis_names.index(axis)]
+
 
 def make_standstill(
     machine: Machine,

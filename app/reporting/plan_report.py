@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from app.kinematics.effects.installed import find_family
+from app.kinematics.effects.catalogue import find_family
 from app.reporting.chart import Scale
 from app.reporting.svg import (
     NUMBER,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.files.units import scale_of
-from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.effects.base import ErrorCurve
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import find_unit
 from app.results.error_tables import choose_table_positions

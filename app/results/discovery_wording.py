@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from app.discovery.findings import Finding
-from app.kinematics.effects.catalogue import Candidate
-from app.kinematics.effects.installed import find_family
+from app.kinematics.effects.catalogue import Candidate, find_family
 
 
 def title(candidate: Candidate) -> str:

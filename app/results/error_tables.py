@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64
 from app.estimation.extrapolation import Ranges
 from app.files.result_file import CalibrationResult
 from app.files.units import scale_of
-from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.effects.base import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, find_unit

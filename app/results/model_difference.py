@@ -9,8 +9,7 @@ import numpy as np
 
 from app.files.model_file import EstimatedModel
 from app.files.units import unit_of
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.effects.base import Effect, ErrorCurve
 from app.results.error_tables import choose_table_positions, error_table
 from app.results.number_format import format_expanded, format_number
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from functools import cache
 from importlib.resources import files
 
-from app.kinematics.effects.installed import list_families
+from app.kinematics.effects.catalogue import list_families
 
 LANGUAGES = ("en", "de")
 DEFAULT_LANGUAGE = "en"

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from app.discovery.aligned_run import align_runs
-from app.kinematics.effects.catalogue import CandidateEstimate
+from app.kinematics.effects.catalogue import CandidateEstimate, list_families
 from app.kinematics.effects.catalogue_effect import restore_effect
-from app.kinematics.effects.installed import list_families
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp
 from app.web.catalogues import LANGUAGES, catalogue

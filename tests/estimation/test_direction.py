@@ -8,7 +8,7 @@ import pytest
 from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.approach import make_half_shape, make_half_width
+from app.kinematics.effects.backlash import make_half_shape, make_half_width
 from app.kinematics.machine import LinearAxis
 from app.results.direction_tables import compute_half_differences
 

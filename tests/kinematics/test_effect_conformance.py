@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.kinematics.effects.base import Effect, columns_along
+from app.kinematics.effects.catalogue import list_families
 from app.kinematics.effects.conformance import (
     CHECKS,
     NotConforming,
@@ -14,7 +15,6 @@ from app.kinematics.effects.conformance import (
     jacobian_is_the_slope_of_the_displacement,
     words_are_there,
 )
-from app.kinematics.effects.installed import list_families
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 
 

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
-from app.kinematics.effects.installed import list_families
+from app.kinematics.effects.catalogue import list_families
 from app.web.catalogues import catalogue
 
 WORDS = ("cause", "looks_like", "remedy")

@@ -12,7 +12,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from app.kinematics.effects.installed import list_families
+from app.kinematics.effects.catalogue import list_families
 from app.web.catalogues import LANGUAGES, catalogue, choose_language
 from app.web.pages import LANGUAGE_COOKIE, STATIC_PATH, router, static_files
 

@@ -1,4 +1,4 @@
-"""What an effect answers, under given conditions."""
+"""What an effect answers, under given conditions; in one Run, or in all."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.error_curve import ErrorCurve
-from app.kinematics.machine import LinearAxis, RotaryAxis
+from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
 from app.kinematics.symbols import DIRECTION
+from app.numerics.splines import CubicSpline
 from app.numerics.value_equality import ValueEquality
 
 
@@ -56,6 +56,24 @@ class QuadraticPrior:
     rank: int
     usual: float
     kind: str = ""
+
+
+@dataclass(frozen=True)
+class ErrorCurve(ValueEquality):
+    """An error over the travel of an axis, as a table states it: a spline.
+
+    symbol : ISO 230-1 symbol of the error motion
+    gauge : (K, p), control values per parameter
+    """
+
+    symbol: str
+    axis: Axis
+    spline: CubicSpline
+    gauge: Float64[np.ndarray, "k p"]
+
+    def rows(self, position: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
+        """Return the value per parameter at positions of the axis, mm or deg."""
+        return self.spline.basis(position) @ self.gauge
 
 
 @dataclass(frozen=True)
@@ -168,11 +186,55 @@ def _spell_fields(effect: Effect, digits: str) -> Iterator[str]:
             yield format(value, digits)
 
 
+@dataclass(frozen=True)
+class EffectOfRun(Effect):
+    """An effect in the Run of its number; nothing in all others."""
+
+    role = Role.MEASUREMENT
+    effect: Effect
+    run: int
+
+    def spell(self, digits: str) -> str:
+        """Return the effect, with the number of its Run beyond the first."""
+        return name_in_run(self.effect.spell(digits), self.run)
+
+    @property
+    def own_run(self) -> int:
+        """The Run of its number."""
+        return self.run
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of the effect."""
+        return self.effect.parameters
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return that of the effect in its own Run."""
+        if at.run != self.run:
+            return np.zeros((len(at), 3, len(self.parameters)))
+        return self.effect.jacobian(at)
+
+    def jacobian_in_time(
+        self, time_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3 p"] | None:
+        """Return those of the effect, at moments of its own Run."""
+        return self.effect.jacobian_in_time(time_s)
+
+    def prior(self) -> QuadraticPrior | None:
+        """Return that of the effect."""
+        return self.effect.prior()
+
+
 def columns_along(
-    direction: str, size: Float64[np.ndarray, "n p"]
+    direction: str | Float64[np.ndarray, "n 3"], size: Float64[np.ndarray, "n ..."]
 ) -> Float64[np.ndarray, "n 3 p"]:
-    """Return columns of displacements along X, Y or Z, of given sizes."""
-    return np.eye(3)[DIRECTION[direction]][:, None] * size[:, None, :]
+    """Return columns of displacements along X, Y or Z, or along arms.
+
+    size : of each column; (n,) for one column
+    """
+    arm = np.eye(3)[DIRECTION[direction]] if isinstance(direction, str) else direction
+    columns = size if size.ndim > 1 else size[:, None]
+    return arm.reshape(-1, 3, 1) * columns[:, None, :]
 
 
 def name_in_run(name: str, run: int) -> str:

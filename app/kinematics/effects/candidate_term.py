@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, name_in_run
+from app.kinematics.effects.base import Effect, EffectOfRun, name_in_run
 from app.kinematics.effects.catalogue import Candidate, Family, Scan, Wave
-from app.kinematics.effects.of_run import EffectOfRun
 
 
 @dataclass(frozen=True)
@@ -69,11 +68,9 @@ class CandidateTerm:
         """Return the scan as a wave, if it is one."""
         return self.family.find_wave(self.candidate, at)
 
-    def with_value(self, at: Conditions, value: float) -> CandidateTerm:
+    def with_value(self, value: float) -> CandidateTerm:
         """Return the term with another scanned value."""
-        return replace(
-            self, candidate=self.family.with_value(self.candidate, at, value)
-        )
+        return replace(self, candidate=self.family.with_value(self.candidate, value))
 
 
 def propose_terms(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -20,9 +21,11 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.keys import Key
 from app.kinematics.machine import LinearAxis, Machine
 from app.numerics.value_equality import ValueEquality
+from app.plugins import installed, load
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
 LANGUAGES = ("en", "de")
+GROUP = "truepath.effects"  # of the entry points: our families, and those of others
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +110,7 @@ class CandidateEstimate:
     value_sigma: float = 0.0
 
     @property
-    def scanned(self) -> Quantity:
+    def value(self) -> Quantity:
         """What was scanned."""
         return Quantity(self.candidate.value or 0.0, self.value_sigma)
 
@@ -133,7 +136,11 @@ class Family(ABC):
     is_rigid_body : every model has it; where that is the base, it is not missing
     is_smooth : in what is scanned; else every value is tried, for want of a slope
     happens_once : what is scanned is the moment; all shifts by it, then and for good
-    scanned : name of what is scanned, as files state it and the effect has it
+    value_name : of what is scanned, as files state it and the effect has it
+    stated : factors from inside units, by the names that files give the parameters
+    covariates : what structure depends on: axes, `t` the time, `v(X)` a speed; braces
+        hold a key
+    sentence : that describes structure; braces hold a key, or a number of a file
     """
 
     name: ClassVar[str]
@@ -145,7 +152,10 @@ class Family(ABC):
     is_rigid_body: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
     happens_once: ClassVar[bool] = False
-    scanned: ClassVar[str] = ""
+    value_name: ClassVar[str] = ""
+    stated: ClassVar[Mapping[str, float]] = {}
+    covariates: ClassVar[tuple[str, ...]] = ()
+    sentence: ClassVar[str] = ""
 
     @property
     def names_cause(self) -> bool:
@@ -161,12 +171,11 @@ class Family(ABC):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return what may be looked for in these conditions, scans at their middle."""
 
-    def offer(
-        self, effect: Effect, usual: Iterable[float], value: float | None = None
-    ) -> Candidate:
-        """Return a candidate whose keys are fields of the effect, of the same names."""
+    def offer(self, effect: Effect, usual: Iterable[float]) -> Candidate:
+        """Return a candidate whose keys and value are fields of the effect."""
         keys = {key: getattr(effect, key) for key in self.keys}
         keys = {k: v.name if isinstance(v, LinearAxis) else v for k, v in keys.items()}
+        value = getattr(effect, self.value_name, None) if self.value_name else None
         sigma = np.array([*usual], np.float64)
         return Candidate(self.name, keys, effect, sigma, value)
 
@@ -180,12 +189,9 @@ class Family(ABC):
         del candidate, at
         return None
 
-    def with_value(
-        self, candidate: Candidate, at: Conditions, value: float
-    ) -> Candidate:
+    def with_value(self, candidate: Candidate, value: float) -> Candidate:
         """Return the candidate with what is scanned at another value."""
-        del at
-        effect = replace(candidate.effect, **{self.scanned: value})
+        effect = replace(candidate.effect, **{self.value_name: value})
         return replace(candidate, effect=effect, value=value)
 
     def list_numbers(self, candidate: Candidate) -> dict[str, float]:
@@ -210,19 +216,22 @@ class Family(ABC):
         numbers = self.list_numbers(candidate)
         return self.restore(machine, candidate.keys, numbers) is not None
 
-    @abstractmethod
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return what files state: names with units, values, standard uncertainties."""
+        parts = zip(self.stated.items(), found.parameters, strict=True)
+        stated = {name: one.scale(factor) for (name, factor), one in parts}
+        return stated | ({self.value_name: found.value} if self.value_name else {})
 
     def list_covariates(self, candidate: Candidate) -> list[str]:
-        """Return what structure depends on: axes, `t` the time, `v(X)` a speed."""
-        del candidate
-        return []
+        """Return what structure depends on."""
+        return [each.format(**candidate.keys) for each in self.covariates]
 
     def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
         """Return structure in one sentence. stated : of `state`."""
-        del stated
-        return self.title(candidate.keys)
+        said = {name: quantity.value for name, quantity in stated.items()}
+        said |= self.list_numbers(candidate)
+        text = self.sentence.format(**candidate.keys, **said)
+        return text or self.title(candidate.keys)
 
     def title(self, keys: Mapping[str, str]) -> str:
         """Return an effect in words: `Backlash of Y`."""
@@ -230,15 +239,16 @@ class Family(ABC):
         return " ".join([self.words["en"].title, *filter(None, said)])
 
 
-def find_speed(at: Conditions, axis: str) -> Float64[np.ndarray, " n"]:
-    """Return how fast an axis moves in each cell."""
-    if at.recorded is None:
-        return np.zeros(len(at))
-    return np.abs(at.recorded.rate[:, at.machine.axis_names.index(axis)])
+def list_families() -> tuple[Family, ...]:
+    """Return one of each installed family, in the order of their names."""
+    return tuple(map(find_family, sorted(installed(GROUP))))
 
 
-def attenuate_wave(
-    angular_rate: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, " n"]:
-    """Return what is left of a wave after averaging it over each span."""
-    return np.sinc(angular_rate * span_s / (2.0 * np.pi))
+def find_family(name: str) -> Family:
+    """Return the family of a name. Raises BadInput, telling what is installed."""
+    return _make_family(load(GROUP, name))
+
+
+@cache
+def _make_family(factory: type[Family]) -> Family:
+    return factory()

@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter
+from app.kinematics.effects.base import Effect, ErrorCurve, Parameter
 from app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
     Family,
     Quantity,
+    find_family,
 )
-from app.kinematics.effects.error_curve import ErrorCurve
-from app.kinematics.effects.installed import find_family
 from app.kinematics.machine import Machine
 
 
@@ -47,7 +46,7 @@ class CatalogueEffect(Effect):
     ) -> dict[str, Quantity]:
         """Return what files state of it; the numbers that make it as they are."""
         family, usual = find_family(self.family), np.ones(len(theta))
-        value = dict(self.numbers).get(family.scanned)
+        value = dict(self.numbers).get(family.value_name)
         known = Candidate(self.family, dict(self.keys), self.effect, usual, value)
         return family.state(CandidateEstimate(known, theta, covariance))
 

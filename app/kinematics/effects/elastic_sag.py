@@ -21,9 +21,7 @@ from app.kinematics.effects.base import Effect, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    CandidateEstimate,
     Family,
-    Quantity,
     Words,
 )
 from app.kinematics.effects.keys import AXIS, DIRECTION
@@ -54,7 +52,7 @@ class ElasticSag(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the direction times the product."""
         u, v = (_share(axis, at) for axis in (self.axis, self.by))
-        return columns_along(self.direction, (-4.0 * u * (1.0 - u) * v)[:, None])
+        return columns_along(self.direction, -4.0 * u * (1.0 - u) * v)
 
 
 def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
@@ -66,11 +64,8 @@ class ElasticSagFamily(Family):
 
     name = "elastic-sag"
     makes = ElasticSag
-    keys = {
-        "axis": AXIS,
-        "by": replace(AXIS, phrase="under {}"),
-        "direction": DIRECTION,
-    }
+    keys = {"axis": AXIS, "by": _UNDER, "direction": DIRECTION}
+    stated = {"amplitude_um": 1e3}
     words = {
         "en": Words(
             title="Sag of a guide",
@@ -99,7 +94,3 @@ class ElasticSagFamily(Family):
             for axis, by in permutations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the amplitude."""
-        return {"amplitude_um": found.parameters[0].scale(1e3)}

@@ -13,8 +13,13 @@ from jaxtyping import Float64
 from scipy.linalg import null_space
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, QuadraticPrior
-from app.kinematics.effects.error_curve import ErrorCurve
+from app.kinematics.effects.base import (
+    Effect,
+    ErrorCurve,
+    Parameter,
+    QuadraticPrior,
+    columns_along,
+)
 from app.kinematics.machine import Axis, RotaryAxis
 from app.kinematics.rotary_axes import find_local_directions
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
@@ -61,7 +66,7 @@ class ErrorMotion(ErrorCurve, Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
         rows = self.rows(at.axis_mm(self.axis.name))
-        return find_arm(self.symbol, at)[:, :, None] * rows[:, None, :]
+        return columns_along(find_arm(self.symbol, at), rows)
 
     def prior(self) -> QuadraticPrior:
         """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).

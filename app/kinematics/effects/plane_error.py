@@ -7,7 +7,7 @@ work).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -45,6 +45,11 @@ class PlaneError(Effect):
     direction: str
 
     @property
+    def plane(self) -> str:
+        """Both axes as files name them."""
+        return self.first.name + self.second.name
+
+    @property
     def axis_pair(self) -> tuple[str, str]:
         """Both axes of the plane."""
         return self.first.name, self.second.name
@@ -61,9 +66,8 @@ def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:
     return legendre.legvander(2.0 * share - 1.0, _DEGREE)
 
 
-def _in_plane(plane: tuple[LinearAxis, ...], direction: str) -> PlaneError:
-    first, second = plane
-    return PlaneError(first, second, direction)
+def _in_plane(plane: tuple[LinearAxis, LinearAxis], direction: str) -> PlaneError:
+    return PlaneError(*plane, direction)
 
 
 class PlaneErrorFamily(Family):
@@ -73,6 +77,11 @@ class PlaneErrorFamily(Family):
     role = Role.STRUCTURE
     makes = _in_plane
     keys = {"plane": PLANE, "direction": DIRECTION}
+    covariates = ("{plane[0]}", "{plane[1]}")
+    sentence = (
+        "a displacement along {direction} of {rms_um:.2g} µm (root mean square) that "
+        "depends on {plane[0]} and {plane[1]} together"
+    )
     words = {
         "en": Words(
             title="Error of two axes at once",
@@ -96,13 +105,8 @@ class PlaneErrorFamily(Family):
         """Return one for each pair of axes and direction."""
         falling = np.array([1.0 / (i * j) for i, j in _PAIRS])
         return [
-            Candidate(
-                self.name,
-                {"plane": first.name + second.name, "direction": direction},
-                PlaneError(first, second, direction),
-                USUAL_MM * falling,
-            )
-            for first, second in combinations(at.machine.linear_axes, 2)
+            self.offer(PlaneError(*plane, direction), USUAL_MM * falling)
+            for plane in combinations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]
 
@@ -110,16 +114,3 @@ class PlaneErrorFamily(Family):
         """Return the root mean square over the plane."""
         weight = np.array([1.0 / ((2 * i + 1) * (2 * j + 1)) for i, j in _PAIRS])
         return {"rms_um": found.root_mean_square(weight).scale(1e3)}
-
-    def list_covariates(self, candidate: Candidate) -> list[str]:
-        """Return both axes."""
-        return list(candidate.keys["plane"])
-
-    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
-        """Return direction, size and both axes."""
-        one, two = candidate.keys["plane"]
-        return (
-            f"a displacement along {candidate.keys['direction']} of "
-            f"{stated['rms_um'].value:.2g} µm (root mean square) that depends on "
-            f"{one} and {two} together"
-        )

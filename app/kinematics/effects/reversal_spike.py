@@ -9,13 +9,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
+from app.kinematics.effects.base import Effect, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    CandidateEstimate,
     Family,
-    Quantity,
     Scan,
     Words,
 )
@@ -47,17 +45,18 @@ class ReversalSpike(Effect):
         column = at.machine.axis_names.index(self.axis.name)
         left = np.exp(-at.recorded.since_reversal[:, column] / self.decay_mm)
         arm = find_arm(f"E{self.direction}{self.axis.name}", at)
-        return (arm * (left * at.approach[:, column])[:, None])[:, :, None]
+        return columns_along(arm, left * at.approach[:, column])
 
 
 class ReversalSpikeFamily(Family):
     """Every axis in every direction, the decay scanned."""
 
     name = "reversal-spike"
-    scanned = "decay_mm"
+    value_name = "decay_mm"
     numbers = ("decay_mm",)
     makes = ReversalSpike
     keys = {"axis": AXIS, "direction": DIRECTION}
+    stated = {"amplitude_um": 1e3}
     words = {
         "en": Words(
             title="Spike at reversal",
@@ -83,7 +82,7 @@ class ReversalSpikeFamily(Family):
         """Return one for each axis that reverses, and direction."""
         axes = at.machine.linear_axes
         return [
-            self.offer(ReversalSpike(axis, other.name, 10.0), [USUAL_MM], 10.0)
+            self.offer(ReversalSpike(axis, other.name, 10.0), [USUAL_MM])
             for axis in axes
             for other in axes
             if _reverses(axis, at)
@@ -91,12 +90,7 @@ class ReversalSpikeFamily(Family):
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return decays."""
-        return Scan(self.scanned, _DECAYS_MM)
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return amplitude and decay."""
-        amplitude = found.parameters[0].scale(1e3)
-        return {"amplitude_um": amplitude, self.scanned: found.scanned}
+        return Scan(self.value_name, _DECAYS_MM)
 
 
 def _reverses(axis: LinearAxis, at: Conditions) -> bool:

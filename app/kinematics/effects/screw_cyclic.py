@@ -9,25 +9,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue import (
-    USUAL_MM,
-    Candidate,
-    CandidateEstimate,
-    Family,
-    Quantity,
-    Scan,
-    Wave,
-    Words,
-    find_speed,
-)
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, Words
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS
 from app.kinematics.effects.sinusoid import (
-    average_over_cells,
+    Sinusoid,
+    SinusoidFamily,
     is_resolved,
     list_wave_numbers,
-    state_wave,
 )
 from app.kinematics.machine import LinearAxis
 
@@ -36,7 +25,7 @@ _SECOND = 0.2  # usual share of the second harmonic
 
 
 @dataclass(frozen=True)
-class ScrewCyclic(Effect):
+class ScrewCyclic(Sinusoid):
     """Positioning of an axis as sin and cos of its position over a lead and half of it.
 
     A screw that errs every turn hardly does so as a pure sine.
@@ -44,23 +33,27 @@ class ScrewCyclic(Effect):
 
     kind = "screw-cyclic"
     units = dict.fromkeys(("sin", "cos", "sin2", "cos2"), "mm")
+    harmonics = (1, 2)
     axis: LinearAxis
     lead_mm: float
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 4"]:
-        """Return the axis' direction times the waves, averaged over each cell."""
-        name, turn = self.axis.name, 2.0 * np.pi / self.lead_mm
-        angle, rate = turn * at.axis_mm(name), turn * find_speed(at, name)
-        waves = [average_over_cells(k * angle, k * rate, at) for k in (1, 2)]
+    @property
+    def wave_number(self) -> float:
+        """Waves a millimetre."""
+        return 1.0 / self.lead_mm
+
+    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+        """Return the wave of the axis' position."""
+        name = self.axis.name
         arm = find_arm(f"E{name}{name}", at)
-        return arm[:, :, None] * np.concatenate(waves, axis=1)[:, None, :]
+        return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
 
 
-class ScrewCyclicFamily(Family):
+class ScrewCyclicFamily(SinusoidFamily):
     """Candidates of every straight axis, the lead scanned."""
 
     name = "screw-cyclic"
-    scanned = "lead_mm"
+    value_name = "lead_mm"
     numbers = ("lead_mm",)
     makes = ScrewCyclic
     keys = {"axis": AXIS}
@@ -88,27 +81,14 @@ class ScrewCyclicFamily(Family):
         """Return one an axis."""
         usual = USUAL_MM * np.array([1.0, 1.0, _SECOND, _SECOND])
         return [
-            self.offer(ScrewCyclic(axis, 10.0), usual, 10.0)
+            self.offer(ScrewCyclic(axis, 10.0), usual)
             for axis in at.machine.linear_axes
             if is_resolved(at, axis.name, _LONGEST_MM)
         ]
 
-    def scan(self, candidate: Candidate, at: Conditions) -> Scan:
-        """Return leads at equal steps of turns, four to a period over the travel."""
+    def list_waves(
+        self, candidate: Candidate, at: Conditions
+    ) -> Float64[np.ndarray, " v"]:
+        """Return turns, four steps to one over the travel."""
         axis = candidate.keys["axis"]
-        turns = list_wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)
-        return Scan(self.scanned, 1.0 / turns[::-1])
-
-    def find_wave(self, candidate: Candidate, at: Conditions) -> Wave:
-        """Return the scan as a wave of the position."""
-        axis = candidate.keys["axis"]
-        return Wave(
-            find_arm(f"E{axis}{axis}", at),
-            at.axis_mm(axis),
-            find_speed(at, axis),
-            1.0 / self.scan(candidate, at).values,
-        )
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return lead, amplitude and phase at the axis zero."""
-        return state_wave(self.scanned, found)
+        return list_wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)

@@ -9,12 +9,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
+from app.kinematics.effects.base import Effect, columns_along
 from app.kinematics.effects.catalogue import (
     Candidate,
-    CandidateEstimate,
     Family,
-    Quantity,
     Words,
 )
 from app.kinematics.effects.error_motion import find_arm
@@ -39,11 +37,8 @@ class ServoMismatch(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return how far the axis is behind for each second of lag."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3, 1))
-        rate = at.recorded.rate[:, at.machine.axis_names.index(self.axis.name)]
         arm = find_arm(f"E{self.axis.name}{self.axis.name}", at)
-        return -(arm * rate[:, None])[:, :, None]
+        return columns_along(arm, -at.axis_rate(self.axis.name))
 
 
 class ServoMismatchFamily(Family):
@@ -52,6 +47,7 @@ class ServoMismatchFamily(Family):
     name = "servo-mismatch"
     makes = ServoMismatch
     keys = {"axis": AXIS}
+    stated = {"lag_ms": 1e3}
     words = {
         "en": Words(
             title="Servo mismatch",
@@ -81,7 +77,3 @@ class ServoMismatchFamily(Family):
             return []
         axes = at.machine.linear_axes
         return [self.offer(ServoMismatch(axis), [_USUAL_S]) for axis in axes]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the lag."""
-        return {"lag_ms": found.parameters[0].scale(1e3)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -32,11 +32,11 @@ class SetupStep(Effect):
     kind = "setup-step"
     role = Role.MEASUREMENT
     units = dict.fromkeys(_AXES, "mm")
-    at_s: float
+    t_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
         """Return half a unit after the moment and minus half before."""
-        side = np.where(at.time_s >= self.at_s, 0.5, -0.5)
+        side = np.where(at.time_s >= self.t_s, 0.5, -0.5)
         return side[:, None, None] * np.eye(3)
 
 
@@ -47,6 +47,7 @@ class SetupStepFamily(Family):
     role = Role.MEASUREMENT
     is_smooth = False
     happens_once = True
+    value_name = "t_s"
     words = {
         "en": Words(
             title="Step of the set-up",
@@ -68,7 +69,7 @@ class SetupStepFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the step in the middle of the run."""
         middle = 0.5 * float(at.time_s.min() + at.time_s.max())
-        return [self.offer(SetupStep(middle), [USUAL_MM] * 3, middle)]
+        return [self.offer(SetupStep(middle), [USUAL_MM] * 3)]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return moments, none so early or late that one line would decide.
@@ -81,19 +82,13 @@ class SetupStepFamily(Family):
         even = np.linspace(first + margin, last - margin, count)
         between = _between_lines(at)
         inside = (between > even[0]) & (between < even[-1])
-        return Scan("t_s", np.union1d(even, between[inside]))
-
-    def with_value(
-        self, candidate: Candidate, at: Conditions, value: float
-    ) -> Candidate:
-        """Return the candidate of another moment."""
-        return replace(candidate, effect=SetupStep(value), value=value)
+        return Scan(self.value_name, np.union1d(even, between[inside]))
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return the moment and the step."""
         steps = zip(_AXES, found.parameters, strict=True)
         shifts = {f"step_um[{axis}]": step.scale(1e3) for axis, step in steps}
-        return {"t_s": found.scanned, **shifts}
+        return {"t_s": found.value, **shifts}
 
 
 def _between_lines(at: Conditions) -> Float64[np.ndarray, " l"]:

@@ -1,46 +1,113 @@
-"""Effects that are a sine and a cosine of one coordinate: how both are stated."""
+"""Effects that are a sine and a cosine of one coordinate, and their families."""
 
 from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import columns_along
+from app.kinematics.effects.base import Effect, columns_along
 from app.kinematics.effects.catalogue import (
+    Candidate,
     CandidateEstimate,
+    Family,
     Quantity,
+    Scan,
     Wave,
-    attenuate_wave,
 )
 
 _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
 
 
+class Sinusoid(Effect):
+    """Sine and cosine of 2π coordinate · waves along an arm, averaged over each cell.
+
+    harmonics : multiples of the waves, a sine and a cosine each
+    """
+
+    units = {"sin": "mm", "cos": "mm"}
+    harmonics: ClassVar[tuple[int, ...]] = (1,)
+
+    @property
+    @abstractmethod
+    def wave_number(self) -> float:
+        """Waves in a unit of the coordinate."""
+
+    @property
+    def origin(self) -> float:
+        """The coordinate where the phase is 0."""
+        return 0.0
+
+    @abstractmethod
+    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+        """Return its wave with other wave numbers."""
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the arm times the waves."""
+        wave = self.make_wave(at, np.array([self.wave_number]))
+        span_s = np.zeros(len(at)) if at.recorded is None else at.recorded.span_s
+        turn = 2.0 * np.pi * self.wave_number
+        angle, turned = turn * (wave.coordinate - self.origin), turn * wave.rate
+        columns = [
+            sine_and_cosine(k * angle) * attenuate_wave(k * turned, span_s)[:, None]
+            for k in self.harmonics
+        ]
+        return columns_along(wave.arm, np.concatenate(columns, axis=1))
+
+
+class SinusoidFamily(Family):
+    """Sinusoids whose waves are scanned.
+
+    scans_periods : what is scanned is a period; else a frequency
+    """
+
+    scans_periods: ClassVar[bool] = True
+
+    @abstractmethod
+    def list_waves(
+        self, candidate: Candidate, at: Conditions
+    ) -> Float64[np.ndarray, " v"]:
+        """Return wave numbers at equal steps; none where there is nothing to scan."""
+
+    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
+        """Return periods or frequencies at equal steps of waves."""
+        waves = self.list_waves(candidate, at)
+        values = 1.0 / waves[::-1] if self.scans_periods else waves
+        return Scan(self.value_name, values) if len(values) else None
+
+    def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
+        """Return the scan as a wave of the coordinate."""
+        scan = self.scan(candidate, at)
+        if scan is None or not isinstance(candidate.effect, Sinusoid):
+            return None
+        waves = 1.0 / scan.values if self.scans_periods else scan.values
+        return candidate.effect.make_wave(at, waves)
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return what was scanned, amplitude and phase of the first harmonic."""
+        amplitude, phase = find_amplitude_and_phase(
+            found.theta[:2], found.covariance[:2, :2]
+        )
+        return {
+            self.value_name: found.value,
+            "amplitude_um": amplitude.scale(1e3),
+            "phase_rad": phase,
+        }
+
+
 def sine_and_cosine(angle: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 2"]:
-    """Return sine and cosine."""
+    """Return sine and cosine as columns."""
     return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
 
-def average_over_cells(
-    angle: Float64[np.ndarray, " n"], rate: Float64[np.ndarray, " n"], at: Conditions
-) -> Float64[np.ndarray, "n 2"]:
-    """Return sine and cosine, averaged over each cell.
-
-    angle : rad, in the middle of the cell; rate : its change, rad/s
-    """
-    if at.recorded is None:
-        return sine_and_cosine(angle)
-    return sine_and_cosine(angle) * attenuate_wave(rate, at.recorded.span_s)[:, None]
-
-
-def make_time_wave(
-    direction: str, at: Conditions, frequency_hz: Float64[np.ndarray, " v"]
-) -> Wave:
-    """Return waves in time of several frequencies, along X, Y or Z."""
-    one = np.ones((len(at), 1))
-    arm = columns_along(direction, one)[:, :, 0]
-    return Wave(arm, at.time_s, one[:, 0], frequency_hz)
+def attenuate_wave(
+    angular_rate: Float64[np.ndarray, " n"], span_s: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """Return what is left of a wave after averaging it over each span."""
+    return np.sinc(angular_rate * span_s / (2.0 * np.pi))
 
 
 def is_resolved(at: Conditions, axis: str, longest_mm: float) -> bool:
@@ -76,18 +143,3 @@ def find_amplitude_and_phase(
     size = np.sqrt(radial + 0.5 * bent**2)
     turn = np.sqrt(turned + (radial * turned + both**2) / amplitude**2) / amplitude
     return Quantity(amplitude, float(size)), Quantity(phase, float(turn))
-
-
-def state_wave(scanned: str, found: CandidateEstimate) -> dict[str, Quantity]:
-    """Return what files state of a wave: what was scanned, amplitude and phase.
-
-    The first two parameters are sine and cosine, in mm.
-    """
-    amplitude, phase = find_amplitude_and_phase(
-        found.theta[:2], found.covariance[:2, :2]
-    )
-    return {
-        scanned: found.scanned,
-        "amplitude_um": amplitude.scale(1e3),
-        "phase_rad": phase,
-    }

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role
+from app.kinematics.effects.base import Effect, Role, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -17,7 +17,6 @@ from app.kinematics.effects.catalogue import (
     Family,
     Quantity,
     Words,
-    find_speed,
 )
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION
@@ -43,9 +42,9 @@ class SpeedError(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times speed and its square."""
-        speed = find_speed(at, self.axis.name) / self.fastest_mm_s
+        speed = np.abs(at.axis_rate(self.axis.name)) / self.fastest_mm_s
         arm = find_arm(f"E{self.direction}{self.axis.name}", at)
-        return arm[:, :, None] * np.stack([speed, speed**2], axis=1)[:, None, :]
+        return columns_along(arm, np.stack([speed, speed**2], axis=1))
 
 
 class SpeedErrorFamily(Family):
@@ -56,6 +55,11 @@ class SpeedErrorFamily(Family):
     makes = SpeedError
     keys = {"axis": AXIS, "direction": DIRECTION}
     numbers = ("fastest_mm_s",)
+    covariates = ("v({axis})",)
+    sentence = (
+        "a displacement along {direction} that depends on how fast {axis} moves, "
+        "whichever way: {amplitude_um:.2g} µm at {fastest_mm_s:.3g} mm/s"
+    )
     words = {
         "en": Words(
             title="Error that depends on speed",
@@ -81,7 +85,7 @@ class SpeedErrorFamily(Family):
         """Return one for each axis and direction."""
         found: list[Candidate] = []
         for axis in at.machine.linear_axes:
-            speed = find_speed(at, axis.name)
+            speed = np.abs(at.axis_rate(axis.name))
             fastest = float(speed.max(initial=0.0))
             if np.std(speed) <= _LEAST_SPREAD * fastest:
                 continue
@@ -95,16 +99,3 @@ class SpeedErrorFamily(Family):
         """Return the displacement at the highest speed."""
         sigma = float(np.sqrt(found.covariance.sum()))
         return {"amplitude_um": Quantity(float(found.theta.sum()), sigma).scale(1e3)}
-
-    def list_covariates(self, candidate: Candidate) -> list[str]:
-        """Return the axis' speed."""
-        return [f"v({candidate.keys['axis']})"]
-
-    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
-        """Return axis, direction and size at the highest speed."""
-        keys, size = candidate.keys, stated["amplitude_um"].value
-        fastest = self.list_numbers(candidate)["fastest_mm_s"]
-        return (
-            f"a displacement along {keys['direction']} that depends on how fast "
-            f"{keys['axis']} moves, whichever way: {size:.2g} µm at {fastest:.3g} mm/s"
-        )

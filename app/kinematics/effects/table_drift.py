@@ -13,13 +13,9 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    CandidateEstimate,
     Family,
-    Quantity,
     Words,
 )
-
-_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -28,7 +24,7 @@ class TableDrift(Effect):
 
     kind = "table-drift"
     role = Role.MEASUREMENT
-    units = dict.fromkeys(_AXES, "mm/s")
+    units = dict.fromkeys("xyz", "mm/s")
     middle_s: float
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
@@ -41,6 +37,7 @@ class TableDriftFamily(Family):
 
     name = "table-drift"
     role = Role.MEASUREMENT
+    stated = {f"rate_um_per_s[{axis}]": 1e3 for axis in "xyz"}
     words = {
         "en": Words(
             title="Drift of tracker or table",
@@ -67,8 +64,3 @@ class TableDriftFamily(Family):
         span = max(float(np.ptp(at.time_s)), 1.0)
         middle = 0.5 * float(at.time_s.min() + at.time_s.max())
         return [self.offer(TableDrift(middle), [2.0 * USUAL_MM / span] * 3)]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the rates."""
-        rates = zip(_AXES, found.parameters, strict=True)
-        return {f"rate_um_per_s[{a}]": rate.scale(1e3) for a, rate in rates}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect
+from app.kinematics.effects.base import Effect, columns_along
 from app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
@@ -66,9 +66,8 @@ def _strain(
     axis: LinearAxis, at: Conditions, by: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3 1"]:
     reach = at.axis_mm(axis.name) - reference_position_mm(axis)
-    return (find_arm(f"E{axis.name}{axis.name}", at) * (reach * by)[:, None])[
-        :, :, None
-    ]
+    arm = find_arm(f"E{axis.name}{axis.name}", at)
+    return columns_along(arm, reach * by)
 
 
 def _read_sensor(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"] | None:
@@ -84,7 +83,7 @@ class ThermalGrowthFamily(Family):
     """Every straight axis: by its sensor where that has seen a change, else by time."""
 
     name = "thermal-growth"
-    scanned = "tau_s"
+    value_name = "tau_s"
     makes = ThermalGrowth
     keys = {"axis": AXIS}
     words = {
@@ -120,28 +119,20 @@ class ThermalGrowthFamily(Family):
             return self.offer(ThermalGrowth(axis, first), [_USUAL_PER_K])
         half_s = 0.5 * float(np.ptp(at.time_s))
         effect = WarmingUp(axis, half_s, float(at.time_s.min()))
-        return self.offer(effect, [_USUAL_GROWTH], half_s)
+        return self.offer(effect, [_USUAL_GROWTH])
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return time constants, where there is no sensor."""
         if candidate.value is None:
             return None
         span = float(np.ptp(at.time_s))
-        return Scan("tau_s", np.geomspace(0.03 * span, 5.0 * span, _TAUS))
-
-    def with_value(
-        self, candidate: Candidate, at: Conditions, value: float
-    ) -> Candidate:
-        """Return the candidate of another time constant."""
-        axis = at.machine.linear(candidate.keys["axis"])
-        effect = WarmingUp(axis, value, float(at.time_s.min()))
-        return replace(candidate, effect=effect, value=value)
+        return Scan(self.value_name, np.geomspace(0.03 * span, 5.0 * span, _TAUS))
 
     def list_numbers(self, candidate: Candidate) -> dict[str, float]:
         """Return the temperature at which there is no growth, or the time constant."""
         if isinstance(candidate.effect, ThermalGrowth):
             return {_START: candidate.effect.start_degc}
-        return {self.scanned: candidate.value or 0.0}
+        return {self.value_name: candidate.value or 0.0}
 
     def restore(
         self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
@@ -156,4 +147,4 @@ class ThermalGrowthFamily(Family):
         strain = found.parameters[0].scale(1e6)
         if found.candidate.value is None:
             return {"coefficient_um_per_m_K": strain}
-        return {"growth_um_per_m": strain, "tau_s": found.scanned}
+        return {"growth_um_per_m": strain, "tau_s": found.value}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,8 @@ class TimeWanderFamily(Family):
     name = "time-wander"
     role = Role.STRUCTURE
     keys = {"direction": DIRECTION}
+    covariates = ("t",)
+    sentence = "a slow wander along {direction} of {rms_um:.2g} µm (root mean square)"
     words = {
         "en": Words(
             title="Slow wander in time",
@@ -77,14 +79,3 @@ class TimeWanderFamily(Family):
         """Return the root mean square over the run."""
         half = np.full(len(_HALF_WAVES), 0.5)
         return {"rms_um": found.root_mean_square(half).scale(1e3)}
-
-    def list_covariates(self, candidate: Candidate) -> list[str]:
-        """Return the time."""
-        return ["t"]
-
-    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
-        """Return direction and size."""
-        return (
-            f"a slow wander along {candidate.keys['direction']} of "
-            f"{stated['rms_um'].value:.2g} µm (root mean square)"
-        )

@@ -1,65 +1,100 @@
-"""A periodic behaviour in time, slower than a second, that no cause explains."""
+"""Periodic motions in time: vibration, and slower waves that no cause explains."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role, columns_along
-from app.kinematics.effects.catalogue import (
-    USUAL_MM,
-    Candidate,
-    CandidateEstimate,
-    Family,
-    Quantity,
-    Scan,
-    Wave,
-    Words,
-)
+from app.kinematics.effects.base import Role, columns_along
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, Words
 from app.kinematics.effects.keys import DIRECTION
-from app.kinematics.effects.sinusoid import (
-    average_over_cells,
-    make_time_wave,
-    state_wave,
-)
+from app.kinematics.effects.sinusoid import Sinusoid, SinusoidFamily, sine_and_cosine
 from app.kinematics.symbols import LINEAR
 
-_FASTEST_HZ = 1.0
+_LIMIT_HZ = 1.0  # between both
+_FASTEST = 0.45  # of the tracker's rate
 _FEWEST = 3.0  # periods in the run: what is slower wanders
 
 
-@dataclass(frozen=True)
-class TimeWave(Effect):
+class SinusoidOfTime(Sinusoid):
     """Sine and cosine of time in one direction.
 
     middle_s : of the run, where the phase is 0: so it does not turn with the period
     """
 
+    direction: str
+    middle_s: float
+
+    @property
+    def origin(self) -> float:
+        """The middle of the run."""
+        return self.middle_s
+
+    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+        """Return the wave of time."""
+        one = np.ones(len(at))
+        return Wave(columns_along(self.direction, one)[:, :, 0], at.time_s, one, waves)
+
+
+@dataclass(frozen=True)
+class TimeWave(SinusoidOfTime):
+    """A wave slower than a second."""
+
     kind = "time-wave"
     role = Role.STRUCTURE
-    units = {"sin": "mm", "cos": "mm"}
     direction: str
     period_s: float
     middle_s: float
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+    @property
+    def wave_number(self) -> float:
+        """Waves a second."""
+        return 1.0 / self.period_s
+
+
+@dataclass(frozen=True)
+class Vibration(SinusoidOfTime):
+    """A wave of 1 Hz or faster."""
+
+    kind = "vibration"
+    role = Role.MEASUREMENT
+    direction: str
+    frequency_hz: float
+    middle_s: float
+
+    @property
+    def wave_number(self) -> float:
+        """Waves a second."""
+        return self.frequency_hz
+
+    def jacobian_in_time(
+        self, time_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n 3 2"]:
         """Return the direction times the waves."""
-        rate = np.full(len(at), 2.0 * np.pi / self.period_s)
-        angle = rate * (at.time_s - self.middle_s)
-        return columns_along(self.direction, average_over_cells(angle, rate, at))
+        angle = 2.0 * np.pi * self.frequency_hz * (time_s - self.middle_s)
+        return columns_along(self.direction, sine_and_cosine(angle))
 
 
-class TimeWaveFamily(Family):
+def _find_middle_s(at: Conditions) -> float:
+    return 0.5 * float(at.time_s.min() + at.time_s.max())
+
+
+class TimeWaveFamily(SinusoidFamily):
     """Every direction, the period scanned down to a second."""
 
     name = "time-wave"
     role = Role.STRUCTURE
-    scanned = "period_s"
+    value_name = "period_s"
     keys = {"direction": DIRECTION}
+    covariates = ("t",)
+    sentence = (
+        "a wave in time along {direction} with a period of {period_s:.3g} s and an "
+        "amplitude of {amplitude_um:.2g} µm"
+    )
     words = {
         "en": Words(
             title="Wave in time",
@@ -82,35 +117,57 @@ class TimeWaveFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""
-        middle_s = 0.5 * float(at.time_s.min() + at.time_s.max())
-        waves = [TimeWave(direction, 20.0, middle_s) for direction in LINEAR]
-        return [self.offer(w, [USUAL_MM] * 2, w.period_s) for w in waves]
+        waves = [TimeWave(direction, 20.0, _find_middle_s(at)) for direction in LINEAR]
+        return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
 
-    def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
-        """Return periods from a second to a third of the run."""
-        span = float(np.ptp(at.time_s))
-        frequency = np.arange(_FEWEST / span, _FASTEST_HZ, 0.25 / span)
-        return Scan(self.scanned, 1.0 / frequency[::-1]) if len(frequency) else None
+    def list_waves(
+        self, candidate: Candidate, at: Conditions
+    ) -> Float64[np.ndarray, " v"]:
+        """Return waves from a third of the run to a second, four steps to one."""
+        span_s = float(np.ptp(at.time_s))
+        return np.arange(_FEWEST / span_s, _LIMIT_HZ, 0.25 / span_s)
 
-    def find_wave(self, candidate: Candidate, at: Conditions) -> Wave | None:
-        """Return the scan as a wave of time."""
-        scan = self.scan(candidate, at)
-        if scan is None or at.recorded is None:
-            return None
-        return make_time_wave(candidate.keys["direction"], at, 1.0 / scan.values)
 
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return period and amplitude."""
-        return state_wave(self.scanned, found)
+class VibrationFamily(SinusoidFamily):
+    """Every direction, the frequency scanned as far as the samples can follow."""
 
-    def list_covariates(self, candidate: Candidate) -> list[str]:
-        """Return the time."""
-        return ["t"]
+    name = "vibration"
+    role = Role.MEASUREMENT
+    value_name = "frequency_hz"
+    scans_periods = False
+    keys = {"direction": DIRECTION}
+    words = {
+        "en": Words(
+            title="Vibration",
+            cause="A pump, a fan, a drive or the floor shakes table, spindle or "
+            "tracker.",
+            looks_like="A wave in time of one frequency, the same whatever axis moves.",
+            remedy="Find what turns at this frequency and stop or isolate it; check "
+            "the tracker's stand.",
+        ),
+        "de": Words(
+            title="Schwingung",
+            cause="Eine Pumpe, ein Lüfter, ein Antrieb oder der Boden rüttelt an "
+            "Tisch, Spindel oder Tracker.",
+            looks_like="Eine Welle in der Zeit mit einer einzigen Frequenz, gleich "
+            "welche Achse fährt.",
+            remedy="Suchen, was sich mit dieser Frequenz dreht, und es anhalten oder "
+            "entkoppeln; das Stativ des Trackers prüfen.",
+        ),
+    }
 
-    def describe(self, candidate: Candidate, stated: Mapping[str, Quantity]) -> str:
-        """Return direction, period and amplitude."""
-        return (
-            f"a wave in time along {candidate.keys['direction']} with a period of "
-            f"{stated['period_s'].value:.3g} s and an amplitude of "
-            f"{stated['amplitude_um'].value:.2g} µm"
-        )
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one a direction."""
+        if at.recorded is None:
+            return []
+        middle_s = _find_middle_s(at)
+        waves = [Vibration(direction, _LIMIT_HZ, middle_s) for direction in LINEAR]
+        return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
+
+    def list_waves(
+        self, candidate: Candidate, at: Conditions
+    ) -> Float64[np.ndarray, " v"]:
+        """Return frequencies, two steps to a period over the run."""
+        fastest = _FASTEST * at.machine.tracker.rate_hz
+        step = 0.5 / max(float(np.ptp(at.time_s)), 1.0)
+        return np.arange(_LIMIT_HZ, fastest, step)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role
+from app.kinematics.effects.base import Effect, Role, columns_along
 from app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
@@ -18,7 +18,7 @@ from app.kinematics.effects.catalogue import (
     Words,
 )
 from app.kinematics.effects.keys import choose_from
-from app.kinematics.effects.sinusoid import find_amplitude_and_phase
+from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
 
 _USUAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")
@@ -46,8 +46,7 @@ class TrackerEccentricity(Effect):
         else:
             angle = elevation
             moved = np.stack([-z * np.cos(azimuth), -z * np.sin(azimuth), flat], axis=1)
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        return (moved @ at.recorded.rotation)[:, :, None] * wave[:, None, :]
+        return columns_along(moved @ at.recorded.rotation, sine_and_cosine(angle))
 
 
 class TrackerEccentricityFamily(Family):

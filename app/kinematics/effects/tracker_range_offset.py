@@ -13,9 +13,7 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    CandidateEstimate,
     Family,
-    Quantity,
     Words,
 )
 
@@ -42,6 +40,7 @@ class TrackerRangeOffsetFamily(Family):
 
     name = "tracker-range-offset"
     role = Role.MEASUREMENT
+    stated = {"offset_um": 1e3}
     words = {
         "en": Words(
             title="Range offset of the tracker",
@@ -68,7 +67,3 @@ class TrackerRangeOffsetFamily(Family):
         if at.recorded is None:
             return []
         return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the offset."""
-        return {"offset_um": found.parameters[0].scale(1e3)}

@@ -1,4 +1,10 @@
-"""Lost motion of an axis in its own direction, and error motions that it tilts."""
+"""Error motions that depend on the direction of approach: backlash and its kin.
+
+Going up an axis errs by E + h, coming down by E − h. The 2023 paper leaves both ways of
+modelling h to the future: one number an error motion (14 of them with one target), or
+tables of both directions. Here h is a constant, and for tables a spline besides. As
+families, it is the lost motion of an axis in its own direction, and across it.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import null_space
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.approach import Backlash, make_half_width
-from app.kinematics.effects.base import Effect
+from app.kinematics.effects.base import (
+    Effect,
+    ErrorCurve,
+    Parameter,
+    QuadraticPrior,
+    Role,
+    columns_along,
+)
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
@@ -20,11 +33,77 @@ from app.kinematics.effects.catalogue import (
     Scan,
     Words,
 )
+from app.kinematics.effects.error_motion import (
+    find_arm,
+    find_usual_size,
+    list_spline_parameters,
+)
 from app.kinematics.effects.keys import AXIS, MOTION
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.kinematics.symbols import is_positioning, is_turn, list_error_motions
+from app.numerics.splines import CubicSpline, natural_spline
 
+_SHARE = 0.3  # usual size of h, in usual errors
+_INTERVALS = 5  # h changes slowly along an axis
 _USUAL_RAD = 1e-5
+
+
+@dataclass(frozen=True)
+class Backlash(ErrorCurve, Effect):
+    """Half the difference between both directions of approach of an error motion.
+
+    varies : the part that changes along the axis and has no mean; else the constant
+    """
+
+    role = Role.DIRECTION
+    varies: bool
+
+    def spell(self, digits: str) -> str:
+        """Return `backlash` with the symbol."""
+        del digits
+        return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The half width, or one for each degree of freedom beside the mean."""
+        return list_spline_parameters(self.name, self.symbol, self.gauge.shape[1])
+
+    @property
+    def half_difference(self) -> Backlash:
+        """Itself."""
+        return self
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the error's arm times h, with the sign of its axis' last motion."""
+        rows = self.rows(at.axis_mm(self.axis.name))
+        sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
+        arm = find_arm(self.symbol, at) * sign[:, None]
+        return columns_along(arm, rows)
+
+    def prior(self) -> QuadraticPrior:
+        """Return the mean square of h over the travel."""
+        length = self.axis.high - self.axis.low
+        form = self.gauge.T @ self.spline.gram() @ self.gauge / length
+        rank = self.gauge.shape[1]
+        usual = rank * (_SHARE * find_usual_size(self.symbol)) ** 2
+        return QuadraticPrior(form, rank, usual)
+
+
+def make_half_width(symbol: str, axis: Axis) -> Backlash:
+    """Return the half difference that is the same everywhere."""
+    spline = _few_knots(axis)
+    return Backlash(symbol, axis, spline, np.ones((spline.size, 1)), False)
+
+
+def make_half_shape(symbol: str, axis: Axis) -> Backlash:
+    """Return what the half difference does beyond its mean over the travel."""
+    spline = _few_knots(axis)
+    mean = spline.gram() @ np.ones(spline.size)
+    return Backlash(symbol, axis, spline, null_space(mean[None, :]), True)
+
+
+def _few_knots(axis: Axis) -> CubicSpline:
+    return natural_spline(np.linspace(axis.low, axis.high, _INTERVALS + 1))
 
 
 def _lost_positioning(axis: LinearAxis) -> Backlash:
@@ -37,6 +116,8 @@ class BacklashFamily(Family):
     name = "backlash"
     makes = _lost_positioning
     keys = {"axis": AXIS}
+    # Coming from below, the axis stops short by half the width.
+    stated = {"width_um": -2e3}
     words = {
         "en": Words(
             title="Backlash",
@@ -62,10 +143,6 @@ class BacklashFamily(Family):
         """Return one an axis."""
         axes = at.machine.linear_axes
         return [self.offer(_lost_positioning(a), [0.5 * USUAL_MM]) for a in axes]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return the width: coming from below, the axis stops short by half of it."""
-        return {"width_um": found.parameters[0].scale(-2e3)}
 
 
 @dataclass(frozen=True)
@@ -116,7 +193,7 @@ class LateralBacklashFamily(Family):
     """One candidate an error motion across or about an axis, its turnover scanned."""
 
     name = "lateral-backlash"
-    scanned = "turnover_mm"
+    value_name = "turnover_mm"
     numbers = ("turnover_mm",)
     is_smooth = False
     makes = TurningOver
@@ -166,11 +243,11 @@ class LateralBacklashFamily(Family):
         axis, symbol = machine.linear(keys["axis"]), keys["motion"]
         if symbol not in list_error_motions(axis.name):
             raise KeyError(symbol)
-        return _turning_over(symbol, axis, numbers.get(self.scanned, 0.0))
+        return _turning_over(symbol, axis, numbers.get(self.value_name, 0.0))
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan | None:
         """Return turnovers, where it is known how far each axis has gone."""
-        return None if at.recorded is None else Scan(self.scanned, _TURNOVERS_MM)
+        return None if at.recorded is None else Scan(self.value_name, _TURNOVERS_MM)
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return half the difference between both directions, in µm or µrad.
@@ -179,7 +256,7 @@ class LateralBacklashFamily(Family):
         """
         scale = 1e6 if is_turn(found.candidate.keys["motion"]) else 1e3
         half_width = found.parameters[0].scale(scale)
-        return {"half_width": half_width, self.scanned: found.scanned}
+        return {"half_width": half_width, self.value_name: found.value}
 
 
 def _turning_over(symbol: str, axis: LinearAxis, turnover_mm: float) -> TurningOver:
