@@ -24,7 +24,7 @@ from document import table
 from recordings import random_air, random_content
 from study import study
 
-from app.estimation.poorly_observable import usual_precision_matrix
+from app.estimation.observability import usual_precision_matrix
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.machine_file import machine_from_json
 from app.kinematics.effects.error_motion import ErrorMotion

@@ -16,8 +16,8 @@ import numpy as np
 from judging import Volume, map_mm, true_parameters
 
 from app.alignment.observations import Observations
+from app.estimation.batch import Estimate
 from app.estimation.design_matrix import linearise
-from app.estimation.estimate import Estimate
 from app.estimation.information import compute_posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.normal_equations import compute_information

@@ -10,8 +10,7 @@ from recordings import run_of
 
 from app.alignment.align import align
 from app.alignment.observations import Observations
-from app.estimation.batch import estimate
-from app.estimation.estimate import Estimate
+from app.estimation.batch import Estimate, estimate
 from simulators.recording import Recording
 
 

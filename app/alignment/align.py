@@ -13,10 +13,9 @@ from app.alignment.cell_blocks import (
     reduce_standstills,
     uses_standstills,
 )
-from app.alignment.cleaning import find_valid_samples
+from app.alignment.cleaning import find_valid_samples, require_units
 from app.alignment.nominal_path import NominalPath, compute_nominal_path
 from app.alignment.observations import Observations
-from app.alignment.plausibility import require_units
 from app.alignment.reduction import CELL_MM
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops

@@ -6,10 +6,11 @@ stops at the waypoints, whose *sequence* tells which line is which.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 SPEED_BLOCK = 10  # samples on either side: 20 ms at 500 Hz
 SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
@@ -109,3 +110,149 @@ def _merge(
         for b, e in zip(begins, ends, strict=True)
     ]
     return StopSequence(first[begins], last[ends], where[longest])
+
+
+ARRIVED_S = 0.2  # at rest for so long: told without waiting for the next motion
+_ENOUGH = 2000  # samples that tell the place of a standstill
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """One standstill; `first` and `last` count the samples since the beginning.
+
+    last : one after the newest sample at rest; grows until the next motion
+    position_mm : (3,) where, in the frame of the stream
+    """
+
+    first: int
+    last: int
+    position_mm: Float64[np.ndarray, "3"]
+
+
+class StopStream:
+    """Valid samples in order of time, and the standstills among them. One thread.
+
+    slowest_mm_s : of any motion
+    """
+
+    def __init__(self, slowest_mm_s: float) -> None:
+        self._threshold_mm_s = standstill_speed_mm_s(slowest_mm_s)
+        self._time_s = np.empty(0)
+        self._point_mm = np.empty((0, 3))
+        self._dropped = 0  # samples that are forgotten
+        self._judged = 0  # samples of which it is known whether they are at rest
+        self._rest_since: int | None = None
+        self._is_told = False  # the standstill under way is among the stops
+        self.stops: list[Stop] = []
+
+    def __len__(self) -> int:
+        return self._dropped + len(self._time_s)
+
+    def add(
+        self, time_s: Float64[np.ndarray, " n"], point_mm: Float64[np.ndarray, "n 3"]
+    ) -> None:
+        """Take further samples and note the standstills that show."""
+        self._time_s = np.concatenate([self._time_s, time_s])
+        self._point_mm = np.concatenate([self._point_mm, point_mm])
+        self._judge(len(self) - SPEED_BLOCK)
+
+    def end(self) -> None:
+        """Nothing follows: judge the last samples as well."""
+        self._judge(len(self))
+        if self._rest_since is not None:
+            self._note(self._rest_since, len(self))
+
+    def forget_before(self, index: int) -> None:
+        """Let go of samples that are no longer needed."""
+        gone = min(index, self._judged - SPEED_BLOCK) - self._dropped
+        if gone > 0:
+            self._time_s, self._point_mm = self._time_s[gone:], self._point_mm[gone:]
+            self._dropped += gone
+
+    @property
+    def begin(self) -> int:
+        """Index of the first sample that is kept."""
+        return self._dropped
+
+    @property
+    def kept(self) -> int:
+        """How many samples are kept."""
+        return len(self._time_s)
+
+    def part(
+        self, first: int, last: int
+    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+        """Return time and point of a range of the samples."""
+        inside = slice(first - self._dropped, last - self._dropped)
+        return self._time_s[inside], self._point_mm[inside]
+
+    def _judge(self, until: int) -> None:
+        if until <= self._judged or self.kept < 3 * SPEED_BLOCK:
+            return
+        at_rest = self._at_rest(self._judged, until)
+        for first, last, rests in _runs(at_rest, self._judged):
+            if not rests:
+                self._depart(first)
+            else:
+                self._stay(first, last)
+        self._judged = until
+
+    def _at_rest(self, first: int, last: int) -> Bool[np.ndarray, " n"]:
+        """Tell which samples are at rest, from a little more than those."""
+        context = max(first - 2 * SPEED_BLOCK, self._dropped)
+        context = min(context, max(len(self) - 3 * SPEED_BLOCK, self._dropped))
+        time_s, point_mm = self.part(context, len(self))
+        slow = speed_mm_s(time_s, point_mm) < self._threshold_mm_s
+        return slow[first - context : last - context]
+
+    def _stay(self, first: int, last: int) -> None:
+        if self._rest_since is None:
+            self._rest_since, self._is_told = first, False
+        time_s, _ = self.part(self._rest_since, last)
+        if self._is_told or time_s[-1] - time_s[0] >= ARRIVED_S:
+            self._note(self._rest_since, last)
+            self._is_told = True
+
+    def _depart(self, first: int) -> None:
+        if self._rest_since is not None:
+            self._note(self._rest_since, first)
+        self._rest_since = None
+
+    def _note(self, first: int, last: int) -> None:
+        """Add a standstill, or prolong the last: a lost frame does not make two."""
+        begin = max(first, self._dropped)
+        inside = self.part(begin, min(last, begin + _ENOUGH))[1]
+        stop = Stop(first, last, rest_position_mm(inside))
+        before = self.stops[-1] if self.stops else None
+        if before is None or self._is_another(stop, before):
+            self.stops.append(stop)
+            return
+        longer = stop if last - first >= before.last - before.first else before
+        self.stops[-1] = Stop(before.first, last, longer.position_mm)
+
+    def _is_another(self, stop: Stop, before: Stop) -> bool:
+        if stop.first <= before.first:
+            return False
+        if float(np.linalg.norm(stop.position_mm - before.position_mm)) > SAME_PLACE_MM:
+            return True
+        between = self.part(max(before.last, self._dropped), stop.first)[1]
+        return leaves_between(between, before.position_mm)
+
+
+def as_stops(stops: list[Stop], origin: int) -> StopSequence:
+    """Return standstills as one block, counted from `origin`."""
+    return StopSequence(
+        np.array([s.first - origin for s in stops]),
+        np.array([s.last - origin for s in stops]),
+        np.array([s.position_mm for s in stops]),
+    )
+
+
+def _runs(
+    flags: Bool[np.ndarray, " n"], origin: int
+) -> Iterator[tuple[int, int, bool]]:
+    """Yield (first, last, flag) of stretches of equal flags."""
+    edges = np.flatnonzero(np.diff(flags)) + 1
+    begins = [0, *edges.tolist()]
+    for first, last in zip(begins, [*edges.tolist(), len(flags)], strict=True):
+        yield origin + first, origin + last, bool(flags[first])

@@ -24,7 +24,7 @@ from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import SKIP, TOLERANCE_MM, Matching, match_stops
-from app.alignment.stop_stream import StopStream, as_stops
+from app.alignment.stops import StopStream, as_stops
 from app.errors import AlignmentError
 from app.files.run import Run
 from app.kinematics.machine import Machine

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.alignment.surroundings import add_surroundings
+from app.alignment.observations import Observations, add_surroundings
 from app.files.run import Run
 from app.kinematics.conditions import Conditions
 

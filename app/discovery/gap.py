@@ -9,8 +9,8 @@ import numpy as np
 
 from app.alignment.reduction import beam_frame
 from app.discovery.term_fitter import TermFit
+from app.estimation.line_blocks import RunData
 from app.estimation.noise import floor_mm
-from app.estimation.run_data import RunData
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from app.discovery.discover import Discovery
 from app.discovery.term_fitter import TermFit
 from app.discovery.term_search import LEAST_EVIDENCE
 from app.estimation.design_matrix import Linearisation
-from app.estimation.run_data import RunData
+from app.estimation.line_blocks import RunData
 from app.estimation.term_equations import Lines
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.run import Run

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations, find_lines
-from app.estimation.residual import Residual
+from app.estimation.line_blocks import Residual
 
 _BINS, _SIDE = 8, 4
 

@@ -15,7 +15,7 @@ from app.discovery.term_data import TermData
 from app.discovery.value_refinement import refine_values
 from app.estimation.baseline import MachinePrior
 from app.estimation.information import Posterior
-from app.estimation.residual import Residual, weight_residual
+from app.estimation.line_blocks import Residual, weight_residual
 from app.estimation.term_equations import Lines
 from app.kinematics.effects.candidate_term import CandidateTerm
 

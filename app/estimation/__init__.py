@@ -2,11 +2,11 @@
 
 Measured minus nominal is linear in the parameters of machine, pose and timing. The rows
 of this problem are built in one place (`design_matrix`), whitened by the noise
-(`noise`, `whitening`) and summed to normal equations (`normal_equations`). Timing
-belongs to one line and the pose to one Run: both are integrated out (`elimination`), so
+(`noise`) and summed to normal equations (`normal_equations`). Timing
+belongs to one line and the pose to one Run: both are integrated out (`information`), so
 information on the machine adds over lines and Runs (`information`, `runs`;
 brunn-hanebeck-2005, eq. 31–33). Cells may be added one by one while the machine moves
-(`recursive`, `live`): the sums equal those of the batch to rounding.
+(`normal_equations`, `live`): the sums equal those of the batch to rounding.
 
 The prior is the bending energy of an elastic beam (`prior`; eq. 12–13). Its precisions
 maximise the evidence (MacKay 1992), as do the parameters of the noise (`noise_evidence`
@@ -16,7 +16,7 @@ evidence too (`direction`). Uncertain precisions widen the covariance (Kass & St
 1989); Monte Carlo trials check the linear law (`monte_carlo`; GUM Supplement 1).
 
 What no measurement of this kind shows is named, never hidden by a pseudo-inverse
-(`observability`, `separation`, `poorly_observable`). Beyond the measured range of an
+(`observability`, `separation`). Beyond the measured range of an
 axis the prior softens (`extrapolation`). `batch` joins all of this for closed Runs,
 `baseline` for discovery. The volumetric error is stated without the rigid motion of the
 whole volume (`volumetric_map`).

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from app.alignment.observations import Observations, find_lines
 from app.alignment.reduction import beam_frame
-from app.estimation.noise import NoiseModel
+from app.estimation.noise import NoiseModel, cell_noise
 from app.kinematics.effects.base import Effect, EffectOfRun, Parameter
 from app.kinematics.effects.timing_law import TimingLaw
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.model import MachineModel
+from app.numerics.correlated_noise import Whitener, factorise
 from app.numerics.rigid import RigidTransform
 
 _CELLS = 500  # of a block: few enough for the processor's cache, enough for its BLAS
@@ -64,6 +65,24 @@ class DesignMatrix:
     def travel(self) -> Float64[np.ndarray, "n 3"]:
         """Direction of travel, 0 at a standstill."""
         return np.einsum("nij,nj->ni", self.frame, self.observations.direction)
+
+    def whiten(self, noise: NoiseModel) -> Whitener:
+        """Return V⁻¹ of the cells, in the beam frame."""
+        precision, ou_sigma = cell_noise(self.observations, noise, self.travel)
+        time_s = self.observations.at.time_s
+        return factorise(time_s, precision, ou_sigma, noise.ou_time_s)
+
+    def fit_timing(
+        self, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
+    ) -> tuple[Float64[np.ndarray, "t p"], Float64[np.ndarray, "n 3 t"]]:
+        """Return phase and speed that explain columns best, and V⁻¹ timing."""
+        timing = self.timing
+        weighted = whitener.apply(timing)
+        if not timing.size:
+            return np.zeros((timing.shape[2], columns.shape[2])), weighted
+        H = np.tensordot(weighted, timing, axes=((0, 1), (0, 1)))
+        right = np.tensordot(weighted, columns, axes=((0, 1), (0, 1)))
+        return np.linalg.lstsq(H, right, rcond=None)[0], weighted
 
 
 @dataclass(frozen=True)

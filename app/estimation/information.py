@@ -1,7 +1,10 @@
 """The information form of a linear Gaussian problem (brunn-hanebeck-2005, eq. 31–33).
 
 Information adds: that of all cells is the sum over cells, and the prior is one more
-term.
+term. Parameters that one Run or one line has for itself have no prior: integrating them
+out loses nothing for the others (a Schur complement; Golub & Van Loan, Matrix
+Computations, 3.2.11), and the problem grows neither with the lines nor with the Runs.
+A parameter without information keeps its value.
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ from jaxtyping import Float64, Int64
 
 from app.errors import Unidentifiable
 from app.numerics.scaled_cholesky import ScaledCholesky
+
+_NEGLIGIBLE = 1e-20  # of the largest information on a parameter: rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,3 +97,70 @@ def compute_posterior(
         data.square - float(data.vector @ theta),
         factor.log_determinant,
     )
+
+
+def find_informative(square: Float64[np.ndarray, " r"]) -> Int64[np.ndarray, " k"]:
+    """Return the parameters of which the data say anything at all."""
+    return np.flatnonzero(square > _NEGLIGIBLE * square.max(initial=0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class OwnParameters:
+    """The last parameters of an information, to be eliminated: those of one Run.
+
+    coupling : (r, k) B, with the parameters before them; vector : (r,)
+    factor : of D, their own information
+    """
+
+    data: Information
+    coupling: Float64[np.ndarray, "r k"]
+    vector: Float64[np.ndarray, " r"]
+    factor: ScaledCholesky
+
+    @staticmethod
+    def of(data: Information, kept: int) -> OwnParameters:
+        """Split off all but the first parameters.
+
+        Raises Unidentifiable if the data do not determine them.
+        """
+        matrix, vector = data.matrix[kept:].copy(), data.vector[kept:].copy()
+        D = matrix[:, kept:]
+        unknown = np.ones(len(D), bool)
+        unknown[find_informative(np.diag(D))] = False
+        matrix[unknown], vector[unknown], D[:, unknown] = 0.0, 0.0, 0.0
+        D[unknown, unknown] = 1.0
+        try:
+            return OwnParameters(data, matrix[:, :kept], vector, ScaledCholesky.of(D))
+        except np.linalg.LinAlgError as error:
+            raise Unidentifiable(
+                "the pose of the tracker or the timing of a line is not determined; "
+                "use longer lines in different directions"
+            ) from error
+
+    def eliminate(self) -> Information:
+        """Return the information on the parameters before, these integrated out."""
+        data, kept = self.data, self.coupling.shape[1]
+        half = self.factor.solve_half(self.coupling)
+        right = self.factor.solve_half(self.vector)
+        return Information(
+            data.matrix[:kept, :kept] - half.T @ half,
+            data.vector[:kept] - half.T @ right,
+            data.square - float(right @ right),
+            data.log_determinant + self.factor.log_determinant,
+        )
+
+    def follow(self) -> Float64[np.ndarray, "r k"]:
+        """Return D⁻¹B: how far they go against those before, to follow the data."""
+        return self.factor.solve(self.coupling)
+
+    def restore(
+        self, known: Posterior
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "r r"]]:
+        """Return all parameters where those before are known.
+
+        And the covariance of these. The reverse of `eliminate`.
+        """
+        follow = self.follow()
+        theta = self.factor.solve(self.vector) - follow @ known.theta
+        covariance = self.factor.invert() + follow @ known.covariance @ follow.T
+        return np.concatenate([known.theta, theta]), covariance

@@ -1,17 +1,109 @@
-"""The base of one line, whitened, the timing of the line taken out of it."""
+"""The data that terms are fitted to, line by line: whitened, timing eliminated.
+
+With V = D + C the covariance of white and Ornstein–Uhlenbeck noise, aᵀ V⁻¹ b is the
+difference of two products: the information under white noise alone, less what the
+correlated noise and eliminated parameters remove. Both factors of a column are computed
+once and then give its products with any other column.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
-from app.estimation.design_matrix import DesignMatrix
-from app.estimation.elimination import orthonormalise, project_out
-from app.estimation.run_data import RunData
-from app.estimation.whitening import WhitenedBlocks, whiten
+from app.alignment.observations import Observations
+from app.estimation.baseline import Baseline, with_pose
+from app.estimation.design_matrix import DesignMatrix, Linearisation
+from app.estimation.information import find_informative
+from app.estimation.noise import NoiseModel
+from app.estimation.within_cells import Within, within_cells
+from app.files.run import Run
+from app.kinematics.conditions import Conditions
+from app.kinematics.effects.base import Effect
 from app.numerics.correlated_noise import Whitener
+
+
+@dataclass(frozen=True)
+class WhitenedBlocks:
+    """Columns on lines, one line after another: aᵀ V⁻¹ b = a₊ᵀ b₊ − a₋ᵀ b₋.
+
+    plus : (m, p); minus : (s, p); begin : (l + 1, 2) first row of each line in either,
+        and one past the last
+    """
+
+    plus: Float64[np.ndarray, "m p"]
+    minus: Float64[np.ndarray, "s p"]
+    begin: Int64[np.ndarray, "l 2"]
+
+    @staticmethod
+    def build(whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]):
+        """Return columns of one line."""
+        return WhitenedBlocks.of_line(*whitener.whiten(columns))
+
+    @staticmethod
+    def of_line(
+        plus: Float64[np.ndarray, "m p"], minus: Float64[np.ndarray, "s p"]
+    ) -> WhitenedBlocks:
+        """Return the blocks of one line."""
+        return WhitenedBlocks(plus, minus, np.array([[0, 0], [len(plus), len(minus)]]))
+
+    @staticmethod
+    def join(lines: Sequence[WhitenedBlocks]) -> WhitenedBlocks:
+        """Return the blocks of all lines, in their order."""
+        length = [[0, 0], *([len(line.plus), len(line.minus)] for line in lines)]
+        return WhitenedBlocks(
+            np.concatenate([line.plus for line in lines]),
+            np.concatenate([line.minus for line in lines]),
+            np.cumsum(length, axis=0),
+        )
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.plus.shape[1]
+
+    def select(self, own: slice | Int64[np.ndarray, " k"]) -> WhitenedBlocks:
+        """Return some of the columns."""
+        plus, minus = (np.asfortranarray(h[:, own]) for h in (self.plus, self.minus))
+        return WhitenedBlocks(plus, minus, self.begin)
+
+    def between(self, first: int, last: int) -> WhitenedBlocks:
+        """Return the blocks of some lines that follow one another."""
+        (a, b), (c, d) = self.begin[first], self.begin[last]
+        begin = self.begin[first : last + 1] - self.begin[first]
+        return WhitenedBlocks(self.plus[a:c], self.minus[b:d], begin)
+
+    def multiply(self, other: WhitenedBlocks) -> Float64[np.ndarray, "p q"]:
+        """Return the products of these columns with others, on the same lines."""
+        return self.plus.T @ other.plus - self.minus.T @ other.minus
+
+    def squares(self) -> Float64[np.ndarray, " p"]:
+        """Return the product of each column with itself."""
+        return np.sum(self.plus**2, axis=0) - np.sum(self.minus**2, axis=0)
+
+
+@dataclass(frozen=True)
+class RunData:
+    """Cells of a Run where the baseline places its tracker.
+
+    base : machine, poses and noise that all fits share
+    within : samples within the cells, where fast effects show
+    """
+
+    observations: Observations
+    base: Linearisation
+    within: Within | None = None
+
+
+def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunData:
+    """Return the data of a Run with its pose and noise in the baseline."""
+    base = baseline.linearise(observations.at.run)
+    placed = with_pose(observations, base.pose)
+    return RunData(placed, base, within_cells(run, placed, base))
 
 
 @dataclass(frozen=True)
@@ -36,7 +128,7 @@ class Line:
     def whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
         """Return columns of this line's cells as they count."""
         own = np.matmul(self.design.frame, columns)
-        return project_out(WhitenedBlocks.build(self.whitener, own), self.timing)
+        return _project_out(WhitenedBlocks.build(self.whitener, own), self.timing)
 
 
 def build_line(data: RunData, run: int, first: int, last: int) -> Line:
@@ -45,10 +137,10 @@ def build_line(data: RunData, run: int, first: int, last: int) -> Line:
     run : which of the Runs; first, last : its first cell, and one past its last
     """
     design = data.base.build(data.observations.select(np.arange(first, last)))
-    whitener = whiten(design, data.base.noise)
+    whitener = design.whiten(data.base.noise)
     blocks = WhitenedBlocks.build(whitener, design.rows)
     base = slice(design.fixed + 1)
-    timing, log_timing = orthonormalise(blocks.select(slice(base.stop, None)))
+    timing, log_timing = _orthonormalise(blocks.select(slice(base.stop, None)))
     is_across = not data.base.has_timing and design.observations.at.line[0] >= 0
     return Line(
         run,
@@ -56,7 +148,106 @@ def build_line(data: RunData, run: int, first: int, last: int) -> Line:
         design,
         whitener,
         timing,
-        project_out(blocks.select(base), timing),
+        _project_out(blocks.select(base), timing),
         (2.0 if is_across else 3.0) * (last - first) - timing.width,
         whitener.log_determinant + log_timing,
     )
+
+
+def _orthonormalise(timing: WhitenedBlocks) -> tuple[WhitenedBlocks, float]:
+    """Return the timing of a line with products 0 and 1, and the log determinant.
+
+    What the data say nothing of is left out.
+    """
+    timing = timing.select(find_informative(timing.squares()))
+    factor = np.linalg.cholesky(timing.multiply(timing))
+    inverse = np.linalg.inv(factor).T
+    log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+    blocks = WhitenedBlocks.of_line(timing.plus @ inverse, timing.minus @ inverse)
+    return blocks, log_determinant
+
+
+def _project_out(columns: WhitenedBlocks, timing: WhitenedBlocks) -> WhitenedBlocks:
+    """Return the columns of a line less what its orthonormal timing takes away."""
+    minus = np.concatenate([columns.minus, timing.multiply(columns)])
+    return WhitenedBlocks.of_line(columns.plus, minus)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Residual of a Run, mm, in the frame that the tracker stands on.
+
+    residual_mm, weighted : (n, 3) r and V⁻¹ r, phase and speed of each line taken out
+    precision : (n, 3, 3) of the white noise
+    ou, ou_time_s : density of the Ornstein–Uhlenbeck noise over that of the white
+        noise at frequency 0, and its correlation time
+    within : samples within their cells, where fast effects show as well
+    """
+
+    at: Conditions
+    residual_mm: Float64[np.ndarray, "n 3"]
+    weighted: Float64[np.ndarray, "n 3"]
+    precision: Float64[np.ndarray, "n 3 3"]
+    ou: float
+    ou_time_s: float
+    within: Within | None = None
+
+    def ou_density(
+        self, frequency_hz: Float64[np.ndarray, " f"]
+    ) -> Float64[np.ndarray, " f"]:
+        """Return the density of the Ornstein–Uhlenbeck noise over the white noise's."""
+        angle = 2.0 * np.pi * frequency_hz * self.ou_time_s
+        return self.ou / (1.0 + angle**2)
+
+
+def weight_residual(
+    data: RunData,
+    lines: Sequence[Line],
+    effects: Sequence[Effect],
+    theta: Float64[np.ndarray, " p"],
+) -> Residual:
+    """Return what machine, pose and effects leave of a Run.
+
+    lines : of this Run; theta : of machine and poses, then of the effects
+    """
+    seen, base = data.observations, data.base
+    residual_mm, weighted = np.zeros((2, len(seen), 3))
+    precision = np.zeros((len(seen), 3, 3))
+    moved = _displacement_mm(seen.at, effects, theta[base.size :])
+    for line in lines:
+        design, frame = line.design, line.design.frame
+        left = design.residual - design.columns @ theta[: base.size]
+        left = (left - np.einsum("nij,nj->ni", frame, moved[line.cells]))[:, :, None]
+        late, timing = design.fit_timing(line.whitener, left)
+        solved = line.whitener.apply(left) - timing @ late
+        left = left - design.timing @ late
+        weighted[line.cells] = np.einsum("nij,nik->nj", frame, solved)
+        residual_mm[line.cells] = np.einsum("nij,nik->nj", frame, left)
+        root = np.matmul(line.whitener.root, frame)
+        precision[line.cells] = np.matmul(np.swapaxes(root, 1, 2), root)
+    noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
+    return Residual(
+        seen.at,
+        residual_mm,
+        weighted,
+        precision,
+        _ou_over_white(noise, rate_hz),
+        noise.ou_time_s,
+        data.within,
+    )
+
+
+def _displacement_mm(
+    at: Conditions, effects: Sequence[Effect], theta: Float64[np.ndarray, " q"]
+) -> Float64[np.ndarray, "n 3"]:
+    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+    moved = np.zeros((len(at), 3))
+    for effect, (first, last) in zip(effects, pairwise(ends), strict=True):
+        moved += effect.jacobian(at) @ theta[first:last]
+    return moved
+
+
+def _ou_over_white(noise: NoiseModel, rate_hz: float) -> float:
+    """Return the ratio of densities of both parts of the noise at frequency 0."""
+    ratio = np.mean(np.square(noise.ou)) / np.mean(np.square(noise.white))
+    return float(ratio) * 2.0 * noise.ou_time_s * rate_hz

@@ -1,9 +1,9 @@
 """The estimate of a measurement that is still under way.
 
-Every finished line or standstill is added to the sums of `recursive`, which hold for
-one linearisation and one model of the noise. Both are looked at again whenever the
-number of lines has doubled, and at the end: then all cells are added anew, so that this
-costs, in the mean, no more than a second addition of each.
+Every finished line or standstill is added to the normal equations, which hold for one
+linearisation and one model of the noise. Both are updated whenever the number of lines
+has doubled, and at the end: then all cells are added anew, so that this costs, in the
+mean, no more than a second addition of each.
 
 A weak prior keeps tables finite before the lines determine them: errors of a tenth of a
 millimetre and a milliradian, a hundred times what they are known to at the end.
@@ -18,9 +18,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.cell_blocks import CellBlock, offsets_mm
-from app.alignment.observations import Observations
+from app.alignment.observations import Observations, add_surroundings
 from app.alignment.streaming import StreamingAlignment
-from app.alignment.surroundings import add_surroundings
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import Information, compute_posterior
@@ -31,14 +30,13 @@ from app.estimation.noise_fit import (
     guess_noise,
     refine_runs,
 )
-from app.estimation.normal_equations import compute_information
+from app.estimation.normal_equations import RecursiveEstimator, compute_information
 from app.estimation.prior import (
     BendingPrior,
     fit_prior,
     guess_prior,
     widen_by_unknown_precision,
 )
-from app.estimation.recursive import RecursiveEstimator
 from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model

@@ -28,11 +28,9 @@ from scipy.linalg import cho_factor, cho_solve
 from app.alignment.observations import Observations
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit
-from app.estimation.elimination import fit_timing
 from app.estimation.noise import NoiseModel, split_sigma_mm
 from app.estimation.prior import log_precision_variance
 from app.estimation.runs import RunInformation, combine_runs
-from app.estimation.whitening import whiten
 from app.numerics.adaptive_trials import (
     BLOCK,
     Interval,
@@ -124,8 +122,8 @@ def _trial_run(run: RunInformation) -> TrialRun:
 
 def _weigh(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3 p"]:
     """Return V⁻¹A of machine and pose, less what the timing of the lines takes up."""
-    V = whiten(design, noise)
-    timing, weighted = fit_timing(V, design.timing, design.columns)
+    V = design.whiten(noise)
+    timing, weighted = design.fit_timing(V, design.columns)
     return V.apply(design.columns) - weighted @ timing
 
 

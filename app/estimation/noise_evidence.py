@@ -24,10 +24,8 @@ from app.errors import Unidentifiable
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.information import Information
 from app.estimation.noise import NoiseModel, split_sigma_mm
-from app.estimation.whitening import whiten
 from app.numerics.correlated_noise import (
     OrnsteinUhlenbeckPrecision,
-    Whitener,
     build_ou_precision,
 )
 from app.numerics.scaled_cholesky import ScaledCholesky
@@ -68,10 +66,6 @@ class NoiseEvidence:
         """
         return _Solution(self, noise).slope()
 
-    def covariance(self, noise: NoiseModel) -> Whitener:
-        """Return V⁻¹."""
-        return whiten(self.design, noise)
-
     def ou_precision(self, noise: NoiseModel) -> OrnsteinUhlenbeckPrecision:
         """Return C⁻¹."""
         observations = self.design.observations
@@ -89,7 +83,7 @@ class _Solution:
 
     def __init__(self, of: NoiseEvidence, noise: NoiseModel) -> None:
         self.of, self.noise = of, noise
-        self.inverse = of.covariance(noise)
+        self.inverse = of.design.whiten(noise)
         n, p = len(of.residual), of.columns.shape[2]
         rows = np.concatenate([of.columns, of.residual[:, :, None]], axis=2)
         weighted, ou = (v.reshape(3 * n, p + 1) for v in self.inverse.split(rows))
@@ -119,7 +113,7 @@ class _Solution:
         here = self.inverse.log_determinant
         return np.array(
             [
-                (self.of.covariance(moved).log_determinant - here) / _STEP
+                (self.of.design.whiten(moved).log_determinant - here) / _STEP
                 for moved in _perturb(self.noise)
             ]
         )

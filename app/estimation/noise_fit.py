@@ -17,7 +17,6 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.elimination import select_independent
 from app.estimation.information import Information, add_information
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
@@ -43,6 +42,7 @@ _USUAL_SPREAD = 1.2
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
+_SAME = 1e-6  # phase and speed of a line of one cell are the same
 _LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
 LONGEST_S = 60.0
 _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
@@ -110,7 +110,7 @@ def _fit_noise(
     charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
     before = effects.add_to(charged, prior.model)
     known = add_information([before, *(other.about_machine for other in others)])
-    columns = select_independent(design)
+    columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
     return _maximise(evidence, run.noise, longest_s)
 
@@ -123,7 +123,7 @@ def estimate_residual_noise(
     Quick, for the live estimate: what the estimate has taken up of it is not counted.
     """
     design = _merged_design(observations, about)
-    timing = select_independent(design)[:, :, design.fixed :]
+    timing = _select_independent(design)[:, :, design.fixed :]
     residual = design.residual - design.columns @ theta
     nothing = Information.of_matrix(np.zeros((0, 0)))
     evidence = NoiseEvidence(design, timing, residual, nothing)
@@ -202,3 +202,21 @@ def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
     if jitter:
         along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
     return NoiseModel(noise.white, (beam, across), tau, along)
+
+
+def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:
+    """Return columns of all parameters, but of timing only what is independent.
+
+    A line of one cell has a phase, but no speed beside it.
+    """
+    n, count = len(design.rows), max(len(design.lines), 1)
+    timing = design.timing.reshape(n, 3, count, -1)
+    gram = np.einsum("nilj,nilk->ljk", timing, timing)
+    shows = [
+        np.linalg.det(gram[:, :k, :k])
+        > _SAME * np.diagonal(gram[:, :k, :k], axis1=1, axis2=2).prod(axis=1)
+        for k in range(1, gram.shape[1] + 1)
+    ]
+    independent = np.stack(shows, axis=1).ravel() if shows else np.zeros(0, bool)
+    columns = [design.columns, design.timing[:, :, independent]]
+    return np.concatenate(columns, axis=2)

@@ -16,11 +16,15 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
+from app.errors import EstimationError, Unidentifiable
 from app.estimation.design_matrix import DesignMatrix, Linearisation
-from app.estimation.elimination import eliminate_timing
-from app.estimation.information import Information
+from app.estimation.information import Information, find_informative
 from app.estimation.noise import NoiseModel, cell_noise
-from app.numerics.correlated_noise import OrnsteinUhlenbeckState, extend
+from app.numerics.correlated_noise import (
+    OrnsteinUhlenbeckState,
+    eliminate_columns,
+    extend,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +72,7 @@ class NormalEquations:
         """Integrate the timing of the lines under way out."""
         if not self.lines:
             return self
-        total, gain, state = eliminate_timing(self.total, self.state, self.fixed)
+        total, gain, state = _eliminate_timing(self.total, self.state, self.fixed)
         log_determinant = self.log_determinant + gain
         return NormalEquations(total, self.fixed, log_determinant, state)
 
@@ -103,3 +107,65 @@ def compute_information(
     for design in linearisation.split(observations):
         sums = sums.add(design, linearisation.noise)
     return sums.information()
+
+
+@dataclass(frozen=True)
+class RecursiveEstimator:
+    """All cells so far under one linearisation.
+
+    time_s : of the last cell
+    """
+
+    linearisation: Linearisation
+    sums: NormalEquations
+    time_s: float = -np.inf
+    cells: int = 0
+
+    @staticmethod
+    def start(linearisation: Linearisation) -> RecursiveEstimator:
+        """Return the estimator before its first cell."""
+        return RecursiveEstimator(
+            linearisation, NormalEquations.empty(linearisation.size)
+        )
+
+    def add(self, observations: Observations) -> RecursiveEstimator:
+        """Return it with further cells, which are later than all before.
+
+        Raises EstimationError if they are not in order of time.
+        """
+        time_s, line = observations.at.time_s, observations.at.line
+        if not (np.diff(time_s, prepend=self.time_s) > 0.0).all():
+            raise EstimationError("cells have to be added in order of time")
+        sums = self.sums
+        begins = np.flatnonzero(np.diff(line, prepend=line[:1] - 1))
+        for cells in np.split(np.arange(len(observations)), begins[1:]):
+            design = self.linearisation.build(observations.select(cells))
+            sums = sums.add(design, self.linearisation.noise)
+        return replace(
+            self,
+            sums=sums,
+            time_s=float(time_s[-1]),
+            cells=self.cells + len(observations),
+        )
+
+    def information(self) -> Information:
+        """Return the information on machine and pose, all else integrated out."""
+        return self.sums.information()
+
+
+def _eliminate_timing(
+    total: Float64[np.ndarray, "q q"], state: OrnsteinUhlenbeckState | None, fixed: int
+) -> tuple[Float64[np.ndarray, "k k"], float, OrnsteinUhlenbeckState | None]:
+    """Integrate the timing out of products over fixed parameters, data, timing.
+
+    Returns them, what the log determinant gains, and the state of the correlated noise.
+    Raises Unidentifiable if the timing of a line is not determined.
+    """
+    kept = fixed + 1
+    timing = kept + find_informative(np.diag(total)[kept:])
+    try:
+        return eliminate_columns(total, state, np.arange(kept), timing)
+    except np.linalg.LinAlgError as error:
+        raise Unidentifiable(
+            "the timing of a line is not determined; use longer lines"
+        ) from error

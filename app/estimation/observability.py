@@ -1,24 +1,181 @@
-"""What a measurement cannot tell, by name: singular values of the whitened problem."""
+"""What a measurement determines poorly or not at all, by name.
+
+The exact null space are the singular vectors of the whitened problem. A shape outside
+it is judged by the generalised eigenvalues of posterior against prior covariance of a
+usual machine: 0 where the data determine it, 1 where they say nothing. Tables state
+such shapes with an uncertainty that is the prior's more than the measurement's.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.linalg import eigh
 
-from app.estimation.estimate import Observability
-from app.estimation.poorly_observable import (
-    find_poorly_observable,
-    usual_precision_matrix,
-)
+from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.separation import describe_confounded
 from app.estimation.volumetric_map import compute_volumetric_gram
+from app.kinematics.effects.base import ErrorCurve
 from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.symbols import SQUARENESS, is_turn
+
+USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
+_LEFT = 0.5  # standard deviation of a usual machine that the data leave, at least
+_MATTERS_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
+_BLIND = 0.9999  # left: all but rounding
+_TAKES_PART = 0.25  # of the largest part, at the tool
+_MOST = 3  # shapes that are named
+_WITH_IT = 3  # more motions than these are not named
+_BENT = 0.05  # of a slope's square: below it a motion is straight
+_GRID = 41  # places of an axis at which its form is looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """What the measurement determines, and what it does not.
+
+    parameters : shapes of all error motions and squarenesses in the gauge of the tables
+    rank : how many of them the data determine
+    unobservable : in words, one for each thing that they do not determine
+    poorly_observable : the same of shapes that are hardly determined
+    """
+
+    parameters: int
+    rank: int
+    unobservable: tuple[str, ...]
+    poorly_observable: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PoorlyObservableShape:
+    """A combination of error motions that the data hardly determine.
+
+    symbols : motions that take part, the largest first
+    remaining : standard deviation that the data leave, of that of a usual machine
+    sigma_mm : what stays unknown, as root mean square at the tool over the travel
+    form : what the first of them looks like along its axis
+    """
+
+    symbols: tuple[str, ...]
+    remaining: float
+    sigma_mm: float
+    form: str
+
+    def __str__(self) -> str:
+        """Return the statement for reports."""
+        who = self.symbols[0]
+        others = self.symbols[1 : 1 + _WITH_IT]
+        if others:
+            who += f" together with {', '.join(others)}"
+            who += " and others" if len(self.symbols) > 1 + len(others) else ""
+        return (
+            f"{who}: {self.form} is poorly observable; "
+            f"{100 * self.remaining:.0f} % of what a usual machine may have "
+            f"stays open, {1e3 * self.sigma_mm:.1f} µm at the tool (k = 1)"
+        )
+
+
+def usual_precision_matrix(
+    model: MachineModel, prior_precision: Mapping[str, float] | None = None
+) -> Float64[np.ndarray, "p p"]:
+    """Return the prior precision of a usual machine, proper in every direction.
+
+    prior_precision : of effects, by name, where it is known better
+    """
+    prior = guess_prior(model)
+    known = {n: s for n, s in (prior_precision or {}).items() if n in prior.precision}
+    prior = replace(prior, precision={**prior.precision, **known})
+    slack = diagonal_precision(model.parameters, USUAL)
+    return prior.precision_matrix(model.size) + slack
+
+
+def find_poorly_observable(
+    information: Float64[np.ndarray, "p p"],
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    *,
+    blind: bool = True,
+) -> tuple[PoorlyObservableShape, ...]:
+    """Return the shapes that matter and are hardly told, the worst first.
+
+    information : of the data on the model, everything else integrated out
+    gram : θᵀ G θ is the mean square of the volumetric error over the travel
+    blind : those of which nothing is told as well
+    """
+    prior = usual_precision_matrix(model)
+    # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
+    value, vector = eigh(information, prior)
+    remaining = 1.0 / np.sqrt(1.0 + np.maximum(value, 0.0))
+    size = remaining * np.sqrt(
+        np.einsum("ps,pq,qs->s", vector, gram, vector, optimize=True)
+    )
+    order = np.argsort(-size)
+    most = 1.0 if blind else _BLIND
+    poor = [i for i in order if _LEFT < remaining[i] <= most and size[i] > _MATTERS_MM]
+    return tuple(
+        _name_shape(model, gram, vector[:, i], float(remaining[i]), float(size[i]))
+        for i in poor[:_MOST]
+    )
+
+
+def _name_shape(
+    model: MachineModel,
+    gram: Float64[np.ndarray, "p p"],
+    shape: Float64[np.ndarray, " p"],
+    remaining: float,
+    sigma_mm: float,
+) -> PoorlyObservableShape:
+    part = {
+        e.name: _at_tool(gram, shape, model.slices[e.name])
+        for e in model.effects
+        if e.motion or e.iso_symbol in SQUARENESS
+    }
+    largest = max(part.values())
+    names = sorted(part, key=lambda name: -part[name])
+    taking = tuple(n for n in names if part[n] > _TAKES_PART * largest)
+    first = next(e for e in model.effects if e.name == taking[0])
+    form = "the angle"
+    if first.motion:
+        form = describe_form(first.motion, shape[model.slices[first.name]])
+    return PoorlyObservableShape(taking, remaining, sigma_mm, form)
+
+
+def _at_tool(
+    gram: Float64[np.ndarray, "p p"], shape: Float64[np.ndarray, " p"], part: slice
+) -> float:
+    return float(np.sqrt(max(shape[part] @ gram[part, part] @ shape[part], 0.0)))
+
+
+def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
+    """Say what a motion looks like along its axis: a slope, a bow, an S, a wave."""
+    axis = motion.axis
+    at = np.linspace(axis.low, axis.high, _GRID)
+    value = motion.rows(at) @ theta
+    unit = np.linspace(-1.0, 1.0, _GRID)
+    bow, bend = (np.polynomial.legendre.Legendre.basis(k)(unit) for k in (2, 3))
+    straight = np.polynomial.Polynomial.fit(unit, value, 1)(unit)
+    rest = value - straight
+    what = "turning" if is_turn(motion.symbol) else "error"
+    if np.sum(rest**2) < _BENT * np.sum((straight - straight.mean()) ** 2):
+        return f"a slope of the {what} along {axis.name}"
+    even, odd = (_share(rest, form) for form in (bow, bend))
+    if max(even, odd) < 0.5:
+        return f"a wave of the {what} along {axis.name}"
+    return f"{'a bow' if even > odd else 'an S'} of the {what} along {axis.name}"
+
+
+def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) -> float:
+    """Return the part of the square of values that a form makes."""
+    square = float(value @ form) ** 2 / float(form @ form)
+    return square / max(float(value @ value), 1e-300)
+
 
 _INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bridges
 _UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.elimination import OwnParameters
 from app.estimation.information import (
     Information,
+    OwnParameters,
     Posterior,
     compute_posterior,
 )

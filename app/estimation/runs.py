@@ -18,8 +18,12 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
-from app.estimation.elimination import OwnParameters
-from app.estimation.information import Information, Posterior, add_information
+from app.estimation.information import (
+    Information,
+    OwnParameters,
+    Posterior,
+    add_information,
+)
 from app.estimation.noise import NoiseModel
 from app.estimation.normal_equations import compute_information
 from app.kinematics.effects.base import Effect

@@ -16,10 +16,14 @@ from jaxtyping import Float64, Int64
 from app.alignment.observations import Observations, find_lines
 from app.estimation.baseline import Baseline
 from app.estimation.information import Information
-from app.estimation.line_blocks import Line, build_line
+from app.estimation.line_blocks import (
+    Line,
+    RunData,
+    WhitenedBlocks,
+    build_line,
+    place_run,
+)
 from app.estimation.prior import diagonal_precision
-from app.estimation.run_data import RunData, place_run
-from app.estimation.whitening import WhitenedBlocks
 from app.estimation.within_cells import Within
 from app.files.run import Run
 from app.kinematics.effects.base import Effect

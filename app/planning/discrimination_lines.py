@@ -15,8 +15,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
-from app.alignment.surroundings import add_surroundings
+from app.alignment.observations import Observations, add_surroundings
 from app.kinematics.machine import Machine
 from app.motion.motion_times import Drive, drive_of
 from app.motion.paths import ACCELERATION_MM_S2, check_travel, travel_time_s

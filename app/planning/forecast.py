@@ -20,10 +20,9 @@ from app.estimation.design_matrix import linearise
 from app.estimation.information import compute_posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
-from app.estimation.observability import assess_observability
-from app.estimation.poorly_observable import usual_precision_matrix
+from app.estimation.normal_equations import RecursiveEstimator
+from app.estimation.observability import assess_observability, usual_precision_matrix
 from app.estimation.prior import diagonal_precision, guess_prior
-from app.estimation.recursive import RecursiveEstimator
 from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.identifiable import build_identifiable_model

@@ -25,7 +25,7 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.estimation.information import Information, compute_posterior
-from app.estimation.poorly_observable import (
+from app.estimation.observability import (
     PoorlyObservableShape,
     find_poorly_observable,
     usual_precision_matrix,

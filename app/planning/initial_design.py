@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
-from app.estimation.poorly_observable import usual_precision_matrix
+from app.estimation.observability import usual_precision_matrix
 from app.estimation.prior import diagonal_precision
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths

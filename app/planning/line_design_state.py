@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.estimation.elimination import project_out_white
 from app.kinematics.conditions import Conditions, RecordedState
 from app.kinematics.machine import LinearAxis
 from app.motion.motion_times import Drive
@@ -55,7 +54,7 @@ class LineDesignState(DesignState):
         if np.isinf(self.noise.jitter_mm2_s):
             return rows
         timing = self._timing(root, slope).reshape(len(begin), 3 * _PLACES, -1)
-        return project_out_white(rows, timing)
+        return _project_out(rows, timing)
 
     @property
     def order_is_free(self) -> bool:
@@ -166,3 +165,11 @@ class LineDesignState(DesignState):
         pulled = np.einsum("nij,nj->ni", root, slope_mm)
         lag = np.tile(_MIDDLES, len(root) // _PLACES)
         return np.stack([pulled, pulled * lag[:, None]], axis=2)
+
+
+def _project_out(
+    rows: Float64[np.ndarray, "l m p"], timing: Float64[np.ndarray, "l m t"]
+) -> Float64[np.ndarray, "l m p"]:
+    """Return whitened rows of many lines less what the timing of each explains."""
+    basis, _ = np.linalg.qr(timing)
+    return rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.cell_blocks import approach_signs, offsets_mm, on_workpiece
-from app.alignment.observations import Observations
-from app.alignment.surroundings import add_surroundings
+from app.alignment.observations import Observations, add_surroundings
 from app.errors import PlanningError
 from app.estimation.design_matrix import linearise
 from app.estimation.information import Information

@@ -13,11 +13,9 @@ from importlib.metadata import version
 from typing import NamedTuple
 
 from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.alignment.surroundings import add_surroundings
+from app.alignment.observations import Observations, add_surroundings
 from app.errors import AlignmentError, BundleError
-from app.estimation.batch import estimate
-from app.estimation.estimate import Estimate
+from app.estimation.batch import Estimate, estimate
 from app.estimation.prior_model import PriorModel
 from app.files.one_machine import one_machine
 from app.files.run import Run

@@ -8,7 +8,7 @@ from datetime import datetime
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.estimate import Estimate, RunEstimate
+from app.estimation.batch import Estimate, RunEstimate
 from app.files.run_summary import RunSummary
 from app.files.units import UM_PER_MM
 from app.planning.grade import Grade

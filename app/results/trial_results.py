@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.estimation.estimate import Estimate
+from app.estimation.batch import Estimate
 from app.estimation.monte_carlo import prepare_trials, run_block
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM, scale_of

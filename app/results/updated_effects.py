@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.estimate import Estimate
+from app.estimation.batch import Estimate
 from app.estimation.known_effects import KnownEffects
 from app.kinematics.effects.catalogue import Quantity
 from app.kinematics.effects.catalogue_effect import CatalogueEffect

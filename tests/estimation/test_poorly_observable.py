@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.estimation.poorly_observable import (
+from app.estimation.observability import (
     describe_form,
     find_poorly_observable,
     usual_precision_matrix,

@@ -10,12 +10,9 @@ from hypothesis import strategies as st
 from app.alignment.align import align
 from app.errors import EstimationError
 from app.estimation.design_matrix import linearise
-from app.estimation.elimination import OwnParameters
-from app.estimation.information import Information
+from app.estimation.information import Information, OwnParameters
 from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import compute_information
-from app.estimation.recursive import RecursiveEstimator
-from app.estimation.whitening import whiten
+from app.estimation.normal_equations import RecursiveEstimator, compute_information
 from app.kinematics.identifiable import build_identifiable_model
 
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)
@@ -32,7 +29,7 @@ def all_at_once(about, seen):
     design = about.build(seen)
     order = np.r_[: design.fixed, design.fixed + 1 : design.rows.shape[2], design.fixed]
     rows = design.rows[:, :, order]
-    whitener = whiten(design, about.noise)
+    whitener = design.whiten(about.noise)
     total = np.tensordot(rows, whitener.apply(rows), axes=((0, 1), (0, 1)))
     data = Information.from_total(total, whitener.log_determinant)
     return OwnParameters.of(data, about.size).eliminate()

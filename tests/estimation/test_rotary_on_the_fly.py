@@ -13,8 +13,7 @@ from app.estimation.batch import estimate
 from app.estimation.design_matrix import linearise
 from app.estimation.live import LiveEstimator
 from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import compute_information
-from app.estimation.recursive import RecursiveEstimator
+from app.estimation.normal_equations import RecursiveEstimator, compute_information
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.identifiable import build_identifiable_model

@@ -8,7 +8,7 @@ import pytest
 
 from app.estimation import separation
 from app.estimation.information import compute_posterior
-from app.estimation.poorly_observable import usual_precision_matrix
+from app.estimation.observability import usual_precision_matrix
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import (
     LinearAxis,

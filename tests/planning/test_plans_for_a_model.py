@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.surroundings import add_surroundings
+from app.alignment.observations import add_surroundings
 from app.errors import BundleError
 from app.estimation.batch import estimate
 from app.estimation.prior_model import PriorModel

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from app.estimation.estimate import Estimate, Observability, Residuals, RunEstimate
+from app.estimation.batch import Estimate, Observability, Residuals, RunEstimate
 from app.estimation.extrapolation import full_travel
 from app.estimation.noise import NoiseModel
 from app.files.result_file import CalibrationResult

@@ -21,7 +21,7 @@ from app.results.result_json import result_json
 
 STATION_MM = np.array([900.0, 100.0, -200.0])
 MEASURED = {"X": (-100.0, 300.0), "Y": (10.0, 300.0), "Z": (20.0, 290.0)}
-WEAK = "EZZ together with B0Z: a bow of the error along Z is told only weakly; …"
+WEAK = "EZZ together with B0Z: a bow of the error along Z is poorly observable; …"
 
 
 @pytest.fixture(scope="module")
