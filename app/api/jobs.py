@@ -11,7 +11,7 @@ from typing import Annotated
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Header, Query, Response
-from pydantic import StringConstraints
+from pydantic import BaseModel, StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 from starlette.exceptions import HTTPException
 
@@ -40,6 +40,12 @@ IdempotencyKeyHeader = Annotated[
 _TAG = re.compile(r'^(?:W/)?"?(\d{1,9})"?$')
 # Threads of their own: those of other requests may all wait for a device or a disk.
 _STOPPING = CapacityLimiter(8)
+
+
+def make_key(key: str | None, kind: str, request: BaseModel) -> IdempotencyKey | None:
+    """Return the key of a request with the body it came with."""
+    body = f"{kind}{request.model_dump_json(exclude_defaults=True)}".encode()
+    return IdempotencyKey(key, body) if key else None
 
 
 def format_etag(job: Job) -> str:
@@ -75,8 +81,7 @@ def create_job(
     idempotency_key: IdempotencyKeyHeader = None,
 ) -> JobOut:
     """Take on a job. A measuring job then waits, `ready`, until it is armed."""
-    body = request.model_dump_json(exclude_defaults=True).encode()
-    key = IdempotencyKey(idempotency_key, body) if idempotency_key else None
+    key = make_key(idempotency_key, "", request)
     job, _ = service.dispatcher.create(request.to_requested_job(), key)
     response.headers["Location"] = f"{PREFIX}/jobs/{job.id}"
     return _describe(job, response)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 
-from app.api.jobs import IdempotencyKeyHeader, format_etag
+from app.api.jobs import IdempotencyKeyHeader, format_etag, make_key
 from app.api.models.base import PREFIX, Problem
 from app.api.models.plan import (
     PlanCheck,
@@ -24,7 +24,6 @@ from app.jobs.job import Job, JobKind
 from app.jobs.plan_orders import check_rows
 from app.jobs.plans import commanded_from_plan
 from app.jobs.requested_job import RequestedJob
-from app.jobs.rows import IdempotencyKey
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 checks = APIRouter(tags=["plans"])
@@ -41,16 +40,14 @@ def create_plan(
 
     A job of the same identifier computes it; follow that one's events, or ask again.
     """
-    order = request.order()
-    body = b"plan " + request.model_dump_json(exclude_defaults=True).encode()
-    key = IdempotencyKey(idempotency_key, body) if idempotency_key else None
     requested = RequestedJob(
         JobKind.PLAN,
         perpendicular_only=request.perpendicular_only,
         target_um=request.target_um,
         model_id=request.model_id,
-        plan_request=order,
+        plan_request=request.order(),
     )
+    key = make_key(idempotency_key, "plan ", request)
     job, _ = service.dispatcher.create(requested, key)
     response.headers["Location"] = f"{PREFIX}/plans/{job.id}"
     return _describe(job, response, service)

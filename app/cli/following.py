@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from app.cli.terminal import NotedProgress, say
@@ -77,34 +77,33 @@ def _live_estimation(
         live.close()
 
 
+@dataclass(slots=True)
 class _Follower:
     """Follows the events of a cell until its Run is closed."""
 
-    def __init__(
-        self,
-        cell: Cell,
-        on_progress: NotedProgress,
-        live: LiveEstimation | None,
-        target_um: float,
-        growth: Growth | None,
-    ) -> None:
-        self._cell, self._on_progress, self._live = cell, on_progress, live
-        self._target_um, self._growth = target_um, growth
-        self._is_concluded = self._has_ended_badly = False
-        self._failure = MeasurementFailed("the measurement ended early")
+    cell: Cell
+    on_progress: NotedProgress
+    live: LiveEstimation | None
+    target_um: float
+    growth: Growth | None
+    is_concluded: bool = False
+    has_ended_badly: bool = False
+    failure: Exception = field(
+        default_factory=lambda: MeasurementFailed("the measurement ended early")
+    )
 
     def follow(self) -> RunClosed:
         heard_s = time.monotonic()
         while time.monotonic() - heard_s < SILENCE_S:
-            for event in self._cell.poll(0.2):
+            for event in self.cell.poll(0.2):
                 heard_s = time.monotonic()
                 self._handle(event)
                 if isinstance(event, RunClosed):
-                    if self._has_ended_badly:
-                        raise self._failure
+                    if self.has_ended_badly:
+                        raise self.failure
                     return event
             self._conclude_or_extend()
-            if not self._cell.alive:
+            if not self.cell.alive:
                 raise MeasurementFailed(
                     "the cell process has died; its Run can be opened"
                 )
@@ -112,26 +111,26 @@ class _Follower:
 
     def _handle(self, event: CellEvent) -> None:
         match event:
-            case BlockRecorded(samples) if self._live is not None:
-                self._live.offer(samples)
-            case PartRequested() if self._growth is not None:
-                self._growth.ask()
+            case BlockRecorded(samples) if self.live is not None:
+                self.live.offer(samples)
+            case PartRequested() if self.growth is not None:
+                self.growth.ask()
             case MeasurementProgress():
-                self._on_progress(*_describe_progress(event))
+                self.on_progress(*_describe_progress(event))
             case FaultReported(text=text, action=action):
                 message = "; ".join(filter(None, [text, action]))
-                self._failure = MeasurementFailed(message)
+                self.failure = MeasurementFailed(message)
             case StateChanged(state) if state in _ENDED_BADLY:
-                self._has_ended_badly = True
+                self.has_ended_badly = True
 
     def _conclude_or_extend(self) -> None:
-        if self._is_concluded:
+        if self.is_concluded:
             return
-        if _has_reached(self._live, self._target_um):
-            self._cell.conclude()
-            self._is_concluded = True
-        elif self._growth is not None:
-            self._growth.pass_on()
+        if _has_reached(self.live, self.target_um):
+            self.cell.conclude()
+            self.is_concluded = True
+        elif self.growth is not None:
+            self.growth.pass_on()
 
 
 def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:

@@ -52,7 +52,7 @@ def decode_points(
 
 def encode_commanded(commanded: Path | Configurations, machine: Machine) -> bytes:
     """Return the `path.csv` of a path or the `points.csv` of points."""
-    units = dict(zip(machine.axis_names, _name_columns(machine), strict=True))
+    units = dict(zip(machine.axis_names, name_columns(machine), strict=True))
     columns: dict[str, list[str]] = {
         units[name]: [repr(float(v)) for v in commanded.position[:, index]]
         for index, name in enumerate(commanded.axes)
@@ -69,7 +69,8 @@ def encode_commanded(commanded: Path | Configurations, machine: Machine) -> byte
     return text.getvalue().encode()
 
 
-def _name_columns(machine: Machine) -> list[str]:
+def name_columns(machine: Machine) -> list[str]:
+    """Return the names of the columns of axis positions."""
     return [
         f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
         for axis in machine.axes
@@ -78,7 +79,7 @@ def _name_columns(machine: Machine) -> list[str]:
 
 def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
     """Return the axis positions of every row in the column order of the machine."""
-    wanted = _name_columns(machine)
+    wanted = name_columns(machine)
     for name in table.names:
         if _AXIS_COLUMN.match(name) and name not in wanted:
             raise BundleError(

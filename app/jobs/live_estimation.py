@@ -63,13 +63,10 @@ class LiveEstimation:
         self._queue: queue.Queue[TrackerSamples | ChoosePart | EndOfStream]
         self._queue = queue.Queue(WAITING_BLOCKS)
         self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
-        self._publisher = _Publisher(show, lambda: self.dropped_blocks)
+        self._show, self._ended = show, threading.Event()
         self._threads = (
             threading.Thread(target=self._feed, name="live-feeder", daemon=True),
             threading.Thread(target=self._listen, name="live-listener", daemon=True),
-            threading.Thread(
-                target=self._publisher.run, name="live-publisher", daemon=True
-            ),
         )
         self.dropped_blocks = 0
         self.newest: Mapping[str, Any] | None = None
@@ -90,7 +87,7 @@ class LiveEstimation:
     @property
     def is_over(self) -> bool:
         """Whether no estimate and no part follows."""
-        return self._publisher.ended.is_set()
+        return self._ended.is_set()
 
     def ask(self) -> None:
         """Ask what to drive next, once the blocks so far have been looked at."""
@@ -107,7 +104,7 @@ class LiveEstimation:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
             self._queue.put(EndOfStream(), timeout=FINISH_S)
-            self._publisher.ended.wait(FINISH_S)
+            self._ended.wait(FINISH_S)
 
     def close(self) -> None:
         """End the process, whatever it does. Idempotent."""
@@ -131,58 +128,27 @@ class LiveEstimation:
                     return
 
     def _listen(self) -> None:
-        """Take what the process says. Body of a thread."""
+        """Show each estimate, again until there is a newer one. Body of a thread."""
+        link, made_s = self._process.link, 0.0
         with suppress(EOFError, OSError):
             while True:
-                match self._process.link.recv():
+                if not link.poll(PERIOD_S):
+                    self._show_newest(time.monotonic() - made_s)
+                    continue
+                match link.recv():
                     case Estimated(body):
-                        self.newest = body
-                        self._publisher.publish(body)
+                        self.newest, made_s = body, time.monotonic()
+                        self._show_newest(0.0)
                     case PartChosen(part):
                         self._parts.put(part)
                     case EstimateFailed(reason):
                         log.warning("no live estimate any more", reason=reason)
-        self._publisher.end()
+        self._ended.set()
 
-
-class _Publisher:
-    """Shows the newest estimate at once, and again until there is a newer one."""
-
-    def __init__(self, show: Show, dropped_blocks: Callable[[], int]) -> None:
-        self._show, self._dropped_blocks = show, dropped_blocks
-        self._changed = threading.Condition()
-        self._body: Mapping[str, Any] | None = None
-        self._made_s = 0.0
-        self._is_new = self._is_over = False
-        self.ended = threading.Event()
-
-    def publish(self, body: Mapping[str, Any]) -> None:
-        """Take the newest estimate."""
-        with self._changed:
-            self._body, self._made_s, self._is_new = body, time.monotonic(), True
-            self._changed.notify()
-
-    def end(self) -> None:
-        """No estimate follows."""
-        with self._changed:
-            self._is_over = True
-            self._changed.notify()
-
-    def run(self) -> None:
-        """Body of a thread, until the end."""
-        is_over = False
-        while not is_over:
-            with self._changed:
-                self._changed.wait_for(lambda: self._is_new or self._is_over, PERIOD_S)
-                body, is_new, is_over = self._body, self._is_new, self._is_over
-                age_s = time.monotonic() - self._made_s
-                self._is_new = False
-            if body is not None and (is_new or not is_over):
-                dropped = self._dropped_blocks()
-                self._show(
-                    {**body, "age_s": round(age_s, 3), "dropped_blocks": dropped}
-                )
-        self.ended.set()
+    def _show_newest(self, age_s: float) -> None:
+        if self.newest is not None:
+            more = {"age_s": round(age_s, 3), "dropped_blocks": self.dropped_blocks}
+            self._show({**self.newest, **more})
 
 
 class Growth:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import PlanningError
+from app.files.commanded_file import name_columns
 from app.jobs.job import JobKind
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded, Configurations
 from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
 from drivers.interfaces.records import Path
@@ -75,10 +76,7 @@ def commanded_from_plan(plan: Mapping[str, Any]) -> Commanded:
 
 
 def _positions(machine: Machine, rows: Sequence[Row]) -> NDArray[np.float64]:
-    columns = [
-        f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
-        for axis in machine.axes
-    ]
+    columns = name_columns(machine)
     for number, row in enumerate(rows, 1):
         given = {name for name in row if name.endswith(("_mm", "_deg"))}
         for names, problem in (
