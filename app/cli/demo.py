@@ -33,11 +33,7 @@ from app.motion.configurations import Commanded
 from app.motion.paths import check_travel, travel_time_s
 from app.planning.default_path import default_path
 from app.plugins import load
-from app.reporting.analysis_files import (
-    Analysis,
-    render_analysis,
-    write_analysis,
-)
+from app.reporting.analysis_files import render_analysis, write_analysis
 from app.results.analysis import analyse
 from app.results.prediction import predict
 from drivers.interfaces.records import Path as ToolPath
@@ -73,7 +69,6 @@ class Demo:
     output : folder of the result, of the Run and of its measurement bundle
     minutes : how long the path may take on the machine's clock; None for the usual path
     speed : the simulated devices' clock, times the real one
-    faults : what goes wrong, in the words of the simulators
     target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
     adaptive : plan the lines on the way, for `minutes` at most
     """
@@ -93,12 +88,15 @@ class Demo:
         bench = self._bench()
         with bench:
             run, lost = self._measure(bench)
-        analysis = _analyse_run(run)
+        with show_progress("analyse") as on_progress:
+            analysis = render_analysis(analyse(run, on_progress=on_progress))
         write_analysis(analysis, self.output)
         write_bundle(run, self.output / "bundle")
         found = compare_with_truth(analysis.result, bench.truth_at)
         if as_json:
-            print_json(self._summary(analysis, run, lost, found))
+            samples = {"samples": len(run.tracker), "lost_samples": lost}
+            truth = {"against_truth": {**asdict(found), "left": found.left}}
+            print_json(summarise_result(analysis.result, self.output) | samples | truth)
         else:
             print_result(analysis.result, self.output)
             _print_truth_comparison(found, len(run.tracker), lost)
@@ -140,16 +138,6 @@ class Demo:
             return None
         minutes = self.minutes or ADAPTIVE_MINUTES
         return {"mode": "otf", "minutes": minutes, "feeds_mm_min": [self.feed_mm_min]}
-
-    def _summary(
-        self, analysis: Analysis, run: Run, lost: int, found: TruthComparison
-    ) -> dict[str, Any]:
-        return {
-            **summarise_result(analysis.result, self.output),
-            "samples": len(run.tracker),
-            "lost_samples": lost,
-            "against_truth": {**asdict(found), "left": found.left},
-        }
 
 
 def plan_path(machine: Machine, feed_mm_min: float, minutes: float | None) -> ToolPath:
@@ -197,11 +185,6 @@ def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
         return commanded_from_plan(
             plan_measurement(machine, order, on_progress=on_progress)
         )
-
-
-def _analyse_run(run: Run) -> Analysis:
-    with show_progress("analyse") as on_progress:
-        return render_analysis(analyse(run, on_progress=on_progress))
 
 
 def _describe_options(options: dict[str, Any]) -> str:

@@ -64,24 +64,15 @@ def follow_to_the_end(client: Client, job_id: str, on_progress: NotedProgress) -
     """Report progress until the job has ended; raise MeasurementFailed if it failed."""
     job: Json = {}
     for job in client.follow(job_id):
-        on_progress(
-            _read_share(job), job["stage"] or job["state"], _describe_health(job)
-        )
+        progress, health = job["progress"] or {}, job["health"] or {}
+        total = progress.get("total") or 0
+        share = min(progress.get("done", 0) / total, 1.0) if total else 0.0
+        samples, lost = health.get("samples", 0), health.get("lost_samples", 0)
+        note = f"{samples} samples, {lost} lost"
+        on_progress(share, job["stage"] or job["state"], note)
     if job["state"] != "succeeded":
         raise MeasurementFailed(_describe_failure(job))
     return job
-
-
-def _read_share(job: Json) -> float:
-    progress = job["progress"] or {}
-    total = progress.get("total") or 0
-    return min(progress.get("done", 0) / total, 1.0) if total else 0.0
-
-
-def _describe_health(job: Json) -> str:
-    health = job["health"] or {}
-    samples, lost = health.get("samples", 0), health.get("lost_samples", 0)
-    return f"{samples} samples, {lost} lost"
 
 
 def _describe_failure(job: Json) -> str:

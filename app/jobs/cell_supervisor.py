@@ -11,8 +11,9 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -254,11 +255,7 @@ class CellSupervisor:
         return devices
 
     def _run_commands(self, cell: Cell) -> None:
-        while True:
-            try:
-                command, future = self._commands.get_nowait()
-            except queue.Empty:
-                return
+        for command, future in self._take_commands():
             try:
                 future.set_result(command(cell))
             except Exception as error:
@@ -273,12 +270,13 @@ class CellSupervisor:
         self._refuse_commands(text)
 
     def _refuse_commands(self, text: str) -> None:
-        while True:
-            try:
-                _, future = self._commands.get_nowait()
-            except queue.Empty:
-                return
+        for _, future in self._take_commands():
             future.set_exception(CellDown(text))
+
+    def _take_commands(self) -> Iterator[tuple[Command, Future[Any]]]:
+        with suppress(queue.Empty):
+            while True:
+                yield self._commands.get_nowait()
 
     def _wait(self, pause_s: float) -> None:
         deadline = time.monotonic() + pause_s

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -22,7 +23,7 @@ import structlog
 
 from app.child_process import BACKGROUND_NICENESS, ChildProcess
 from app.jobs.errors import Aborted, TaskFailed, WorkerDied
-from app.progress import Progress, ignore_progress
+from app.progress import Progress
 
 log = structlog.get_logger(__name__)
 
@@ -56,7 +57,7 @@ class ProcessExecutor:
         started: Callable[[], object],
     ) -> Computation:
         """Begin a task as soon as a process is free; `started` is called then."""
-        call = Call(_run_task, (task, arguments), reports_progress=True)
+        call = partial(_run_task, task, *arguments)
         return Computation(self, call, on_progress, started)
 
     def warm(self) -> None:
@@ -114,7 +115,7 @@ class Computation:
     def __init__(
         self,
         executor: ProcessExecutor,
-        call: Call,
+        call: Callable[..., Any],
         on_progress: Progress,
         started: Callable[[], object],
     ) -> None:
@@ -154,25 +155,13 @@ class Computation:
             process.kill()
 
 
-def _run_task(
-    task: Task, arguments: tuple[object, ...], *, on_progress: Progress
-) -> Any:
+def _run_task(task: Task, *arguments: object, on_progress: Progress) -> Any:
     try:
         return task(*arguments, on_progress=on_progress)
     except Exception as error:
         # Not every error can be packed and unpacked again; its name and text can.
         trace = traceback.format_exc()
         raise TaskFailed(type(error).__name__, str(error), trace) from None
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """To the process: call a function, with a keyword `on_progress` if it reports."""
-
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    keywords: Mapping[str, Any] = field(default_factory=dict)
-    reports_progress: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,15 +198,17 @@ class WorkerProcess:
         self._process.start()
         self._is_busy = self._is_ready = False
 
-    def call(self, call: Call, on_progress: Progress = ignore_progress) -> Any:
-        """Return the value of a call, or raise what it raises, or WorkerDied.
+    def call(
+        self, function: Callable[..., Any], on_progress: Progress | None = None
+    ) -> Any:
+        """Return the value of a function, or raise what it raises, or WorkerDied.
 
-        The process is ended if `on_progress` raises.
+        on_progress : passed to the function if given; the process ends if it raises
         """
         self._is_busy = True
         answer = None
         try:
-            answer = self._wait_for_answer(call, on_progress)
+            answer = self._wait_for_answer(function, on_progress)
         finally:
             self._is_busy = False
             if answer is None:
@@ -238,13 +229,16 @@ class WorkerProcess:
             self._process.join(_END_S)
         self._process.close()
 
-    def _wait_for_answer(self, call: Call, on_progress: Progress) -> Answer:
+    def _wait_for_answer(
+        self, function: Callable[..., Any], on_progress: Progress | None
+    ) -> Answer:
+        call = function, on_progress is not None
         self._exchange(lambda: self._process.link.send(call))
         while True:
             message = self._exchange(self._process.link.recv)
             self._is_ready = True
             match message:
-                case Progressed(share, stage):
+                case Progressed(share, stage) if on_progress is not None:
                     on_progress(share, stage)
                 case Answer():
                     return message
@@ -279,15 +273,15 @@ def _compute(prepare: Callable[[], None] | None, link: Connection) -> None:
 
 def _answer(link: Connection) -> Answer:
     try:
-        call: Call = link.recv()
+        function, reports_progress = link.recv()
     except (EOFError, OSError):
         raise
     except Exception as error:  # what was sent cannot be imported here
         return Answer(error=error)
-    keywords = dict(call.keywords)
-    if call.reports_progress:
-        keywords["on_progress"] = lambda *done: link.send(Progressed(*done))
+    if reports_progress:
+        report = lambda *done: link.send(Progressed(*done))  # noqa: E731
+        function = partial(function, on_progress=report)
     try:
-        return Answer(call.function(*call.arguments, **keywords))
+        return Answer(function())
     except Exception as error:
         return Answer(error=error)

@@ -122,11 +122,6 @@ def find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
 
 def insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
     """Write which job a key has made."""
-    connection.execute(
-        insert(idempotency_keys).values(
-            key=key.value,
-            body_sha256=key.body_sha256,
-            job_id=job_id,
-            created_s=int(time.time()),
-        )
-    )
+    row = {"key": key.value, "body_sha256": key.body_sha256, "job_id": job_id}
+    query = insert(idempotency_keys).values(**row, created_s=int(time.time()))
+    connection.execute(query)

@@ -13,11 +13,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, Literal, TypeVar
 
 from app.errors import BadInput
-from app.jobs.executor import Call, WorkerProcess
+from app.jobs.executor import WorkerProcess
 from app.settings import Settings
 
 T = TypeVar("T")
@@ -110,7 +111,7 @@ class ProcessWorkers(Executor):
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         """Call a function of a module in one of the processes."""
-        return self._threads.submit(self._call, Call(fn, args, kwargs))
+        return self._threads.submit(self._call, partial(fn, *args, **kwargs))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes: after what they do, or now if that is to be dropped."""
@@ -125,5 +126,5 @@ class ProcessWorkers(Executor):
         self._own.worker = WorkerProcess("block-worker")
         self._workers.append(self._own.worker)
 
-    def _call(self, call: Call) -> Any:
+    def _call(self, call: Callable[[], Any]) -> Any:
         return self._own.worker.call(call)
