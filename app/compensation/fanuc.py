@@ -137,10 +137,10 @@ def _split_tape(text: str) -> list[str]:
 
 
 def _read_data(text: str) -> dict[int, int]:
-    found = [_DATA.fullmatch(line) for line in _split_tape(text)]
-    if None in found:
+    rows = [_DATA.fullmatch(line) for line in _split_tape(text)]
+    if None in rows:
         raise BadInput("pitch data are rows N…P…")
-    return {int(m.group(1)) - _FIRST: int(m.group(2)) for m in found if m}
+    return {int(m.group(1)) - _FIRST: int(m.group(2)) for m in rows if m}
 
 
 def _read_parameters(text: str) -> dict[tuple[int, int], float]:

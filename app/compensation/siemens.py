@@ -128,10 +128,10 @@ def _read_settings(
             block = line.partition(";")[0].strip()
             if not block.startswith("$"):
                 continue
-            found = _SETTING.fullmatch(block)
-            if found is None or found.group(1) != kind:
+            setting = _SETTING.fullmatch(block)
+            if setting is None or setting.group(1) != kind:
                 raise BadInput(f"{name}, row {number}: {block!r} cannot be read")
-            _, word, place, value = found.groups()
+            _, word, place, value = setting.groups()
             places = place.split(",")
             # A leadscrew table is named by its axis, a cross table by its number.
             table = places[-1] if kind == "ENC_COMP" else places[0]

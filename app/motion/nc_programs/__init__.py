@@ -17,10 +17,8 @@ Three rules make a path and its program the same motion:
 
     programs              a path or points to a text and back; the checks
     program_content       header and rows of a program, rounded as they are printed
-    programmed_motion     the motion of a program, row by row
-    dialect               the interface of a control's format; found by entry point
-    blocks                the order of rows, stops and dwells in every program
-    simulated_control     a control that runs a program: axes, feed, dwells
+    programmed_motion     a control that runs a program, and its motion row by row
+    dialect               the interface of a control's format; the order of its blocks
     gcode                 words, modal groups and motions of G-code, for readers
     siemens, heidenhain, fanuc, linuxcnc     one control a file
 

@@ -17,16 +17,19 @@ import re
 from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.blocks import (
+from app.motion.nc_programs.dialect import (
     STOP_RECORDING,
+    Dialect,
     arrange_blocks,
     format_position,
 )
-from app.motion.nc_programs.dialect import Dialect
 from app.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
 from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from app.motion.nc_programs.simulated_control import AXES, line_error
+from app.motion.nc_programs.programmed_motion import (
+    AXES,
+    ProgrammedMotion,
+    line_error,
+)
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "G61")
 _MACHINE, _WORK = 5021, 5041  # position of the first axis; the others follow
@@ -58,7 +61,7 @@ class Fanuc(Dialect):
         if len(lines) < 3 or lines[0].strip() != "%" or lines[-1].strip() != "%":
             raise line_error(1, "a program stands between two lines of %")
         blocks = [_COMMENT.sub(" ", line).strip() for line in lines]
-        reader = _Reader(text, name=_read_number(blocks[1]), counts_degrees=True)
+        reader = _Reader(text, _read_number(blocks[1]))
         path = [(n, s) for n, s in enumerate(blocks[2:-1], 3) if s]
         if not path or split_words(*path[-1])[-1].code != "M30":
             raise line_error(0, "it has no M30 before its last %")
@@ -119,8 +122,8 @@ class _Reader(GCodeReader):
     path_modes = ("G61", "G62", "G64")
     passive = ("G1", "G4")
 
-    def __init__(self, text: str, *, name: str, counts_degrees: bool) -> None:
-        super().__init__(text, name=name, counts_degrees=counts_degrees)
+    def __init__(self, text: str, name: str) -> None:
+        super().__init__(text, name, counts_degrees=True)
         self._checked: set[int] = set()  # axes, from 0, whose offset was checked
 
     def read_block(self, line: int, block: str) -> None:

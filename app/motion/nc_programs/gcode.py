@@ -8,8 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from app.motion.nc_programs.simulated_control import SimulatedControl, line_error
+from app.motion.nc_programs.programmed_motion import (
+    ProgrammedMotion,
+    SimulatedControl,
+    line_error,
+)
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
 
@@ -50,47 +53,11 @@ def split_words(line: int, text: str) -> list[Word]:
     return words
 
 
-class Modes:
-    """The active code of each modal group; none until the program states it.
-
-    path_modes : codes of one more group, which no motion needs, the exact stop first
-    """
-
-    def __init__(self, groups: Groups, path_modes: Sequence[str]) -> None:
-        self._groups = groups
-        self._exact_stop = path_modes[0]
-        self._group_of = {
-            code: name
-            for name, codes in {**groups, "the path mode": path_modes}.items()
-            for code in codes
-        }
-        self._active: dict[str, str] = {}
-
-    def activate(self, line: int, code: str) -> None:
-        """Activate a code. Raises PlanningError where it belongs to no group."""
-        if code not in self._group_of:
-            raise line_error(line, f"{code} has no place in a measuring path")
-        self._active[self._group_of[code]] = code
-
-    @property
-    def exact_stop(self) -> bool:
-        """Whether the axes come to a stand at the end of each motion."""
-        return self._active.get("the path mode") == self._exact_stop
-
-    def require_motion(self, line: int) -> None:
-        """Raise PlanningError unless every group is as a motion needs it."""
-        for name, codes in self._groups.items():
-            active = self._active.get(name, "not set")
-            if active != codes[0]:
-                raise line_error(
-                    line, f"a motion while {name} is {active}; {codes[0]} is needed"
-                )
-
-
 class GCodeReader(ABC):
     """Runs a program block by block.
 
-    groups, path_modes : as `Modes` has them
+    groups : modal groups; no code is active until the program states it
+    path_modes : codes of one more group, which no motion needs, the exact stop first
     frame : codes that make a position one of the machine, the usual first; each motion
         needs one of them, unless there are none
     passive : codes that change no mode
@@ -103,9 +70,11 @@ class GCodeReader(ABC):
     passive: ClassVar[Sequence[str]]
     end: ClassVar[str] = ""
 
-    def __init__(self, text: str, *, name: str = "", counts_degrees: bool) -> None:
+    def __init__(self, text: str, name: str, *, counts_degrees: bool = False) -> None:
         self.control = SimulatedControl(text, name, counts_degrees=counts_degrees)
-        self.modes = Modes(self.groups, self.path_modes)
+        groups = {**self.groups, "the path mode": self.path_modes}
+        self._group_of = {c: name for name, codes in groups.items() for c in codes}
+        self._active: dict[str, str] = {}
         self.feed: float | None = None
         self.ended = False
 
@@ -120,8 +89,10 @@ class GCodeReader(ABC):
                 self.ended = True
             elif code == "M0":
                 self.control.halt()
+            elif code in self._group_of:
+                self._active[self._group_of[code]] = code
             else:
-                self.modes.activate(line, code)
+                raise line_error(line, f"{code} has no place in a measuring path")
 
     def check_motion(self, line: int, codes: set[str]) -> None:
         """Refuse a motion that is not straight, or in another frame or mode."""
@@ -131,13 +102,17 @@ class GCodeReader(ABC):
             raise line_error(
                 line, f"a position in a work offset; {self.frame[0]} is needed"
             )
-        self.modes.require_motion(line)
+        for name, allowed in self.groups.items():
+            active = self._active.get(name, "not set")
+            if active != allowed[0]:
+                raise line_error(
+                    line, f"a motion while {name} is {active}; {allowed[0]} is needed"
+                )
 
     def drive(self, line: int, ends: Mapping[str, float], row: int) -> None:
         """Drive to `ends` in a straight line."""
-        self.control.move(
-            line, ends, self.feed, exact_stop=self.modes.exact_stop, row=row
-        )
+        exact_stop = self._active.get("the path mode") == self.path_modes[0]
+        self.control.move(line, ends, self.feed, exact_stop=exact_stop, row=row)
 
     def finish(self) -> ProgrammedMotion:
         """Return what was driven. Raises PlanningError if the program has no end."""
@@ -148,5 +123,5 @@ class GCodeReader(ABC):
 
 def find_name(text: str, comment: re.Pattern[str]) -> str:
     """Return the name that a comment of the program states, empty without one."""
-    found = comment.search(text)
-    return found.group(1) if found else ""
+    stated = comment.search(text)
+    return stated.group(1) if stated else ""

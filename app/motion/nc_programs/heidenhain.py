@@ -13,16 +13,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from app.motion.nc_programs.blocks import (
+from app.motion.nc_programs.dialect import (
     STOP_RECORDING,
+    Dialect,
     arrange_blocks,
     format_position,
 )
-from app.motion.nc_programs.dialect import Dialect
 from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from app.motion.nc_programs.simulated_control import (
+from app.motion.nc_programs.programmed_motion import (
     AXES,
+    ProgrammedMotion,
     SimulatedControl,
     line_error,
 )

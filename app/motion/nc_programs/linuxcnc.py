@@ -13,16 +13,18 @@ import re
 from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.blocks import (
+from app.motion.nc_programs.dialect import (
     STOP_RECORDING,
+    Dialect,
     arrange_blocks,
     format_position,
 )
-from app.motion.nc_programs.dialect import Dialect
 from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name, split_words
 from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from app.motion.nc_programs.simulated_control import AXES
+from app.motion.nc_programs.programmed_motion import (
+    AXES,
+    ProgrammedMotion,
+)
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
 
@@ -40,7 +42,7 @@ class LinuxCnc(Dialect):
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
-        reader = _Reader(text, name=find_name(text, _NAME), counts_degrees=False)
+        reader = _Reader(text, find_name(text, _NAME))
         for number, line in enumerate(text.splitlines(), 1):
             if not reader.ended:
                 reader.read_block(number, _COMMENT.sub(" ", line))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine, position_unit
@@ -61,10 +60,7 @@ def write_program(
     planned = _convert_to_path(path_or_points, feed_mm_min)
     _check_limits(kind, planned)
     path = round_path(
-        planned,
-        kind.decimals,
-        kind.least_dwell_s,
-        counts_degrees=kind.counts_degrees,
+        planned, kind.decimals, kind.least_dwell_s, counts_degrees=kind.counts_degrees
     )
     text = kind.write(_compose(kind, path, planned, machine, name))
     _compare(kind.read(text), path, machine, kind)
@@ -93,9 +89,9 @@ def _load_dialect(name: str) -> Dialect:
 def _convert_to_path(commanded: Path | Configurations, feed_mm_min: float) -> Path:
     if isinstance(commanded, Path):
         return commanded
+    axes, position, dwell_s = commanded.axes, commanded.position, commanded.dwell_s
     feed = np.full(len(commanded), feed_mm_min)
-    points = commanded
-    return Path(points.axes, points.position, feed, points.dwell_s, points.target)
+    return Path(axes, position, feed, dwell_s, commanded.target)
 
 
 def _compose(
@@ -121,26 +117,17 @@ def _check_limits(kind: Dialect, path: Path) -> None:
             f"the path has {len(path)} rows; a {kind.control} program numbers "
             f"{kind.most_rows}; plan two shorter paths"
         )
-    feed, dwell_s = path.feed_mm_min, path.dwell_s
-    _check_rows(
-        feed, (feed >= _LEAST_FEED) & (feed <= LARGEST_FEED), "feed_mm_min",
-        f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED:g} mm/min",
-    )  # fmt: skip
-    _check_rows(
-        dwell_s, (dwell_s >= 0) & (dwell_s <= kind.longest_dwell_s), "dwell_s",
-        f"{kind.control} dwells 0 to {kind.longest_dwell_s:g} s",
-    )  # fmt: skip
-
-
-def _check_rows(
-    values: Float64[np.ndarray, " n"],
-    good: Bool[np.ndarray, " n"],
-    name: str,
-    remedy: str,
-) -> None:
-    if not good.all():
-        row = int(np.argmin(good))
-        raise PlanningError(f"row {row + 1}: {name} is {values[row]:g}; {remedy}")
+    most_s = kind.longest_dwell_s
+    for name, values, least, most, remedy in (
+        ("feed_mm_min", path.feed_mm_min, _LEAST_FEED, LARGEST_FEED,
+         f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED:g} mm/min"),
+        ("dwell_s", path.dwell_s, 0.0, most_s,
+         f"{kind.control} dwells 0 to {most_s:g} s"),
+    ):  # fmt: skip
+        good = (values >= least) & (values <= most)
+        if not good.all():
+            row = int(np.argmin(good))
+            raise PlanningError(f"row {row + 1}: {name} is {values[row]:g}; {remedy}")
 
 
 def _compare(

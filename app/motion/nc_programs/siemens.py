@@ -13,25 +13,21 @@ import re
 from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.blocks import (
+from app.motion.nc_programs.dialect import (
     STOP_RECORDING,
+    Dialect,
     arrange_blocks,
     format_position,
 )
-from app.motion.nc_programs.dialect import Dialect
 from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name, split_words
 from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import ProgrammedMotion
-from app.motion.nc_programs.simulated_control import AXES, line_error
-
-_SAFE_START = (
-    "G17 G40 G90 G94",
-    "G710",
-    "G500 D0",
-    "TRAFOOF",
-    "TRANS",
-    "G60 G601",
+from app.motion.nc_programs.programmed_motion import (
+    AXES,
+    ProgrammedMotion,
+    line_error,
 )
+
+_SAFE_START = ("G17 G40 G90 G94", "G710", "G500 D0", "TRAFOOF", "TRANS", "G60 G601")
 
 
 class Siemens(Dialect):
@@ -47,7 +43,7 @@ class Siemens(Dialect):
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
-        reader = _Reader(text, name=find_name(text, _NAME), counts_degrees=False)
+        reader = _Reader(text, find_name(text, _NAME))
         for number, line in enumerate(text.upper().splitlines(), 1):
             block = _MESSAGE.sub("", line).partition(";")[0].strip()
             if block and reader.ended:
