@@ -23,7 +23,6 @@ from app.api import (
     problems,
     results,
     runs,
-    set_ups,
 )
 from app.api.models.base import PREFIX
 from app.api.security import Guard
@@ -112,10 +111,10 @@ def _api() -> APIRouter:
         jobs.router,
         results.router,
         jobs.stop,
-        set_ups.grades,
+        plans.grades,
         models_of_machine.router,
-        set_ups.router,
-        set_ups.dialects,
+        plans.programs,
+        plans.dialects,
         plans.router,
         plans.checks,
         runs.router,

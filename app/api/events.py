@@ -60,10 +60,8 @@ class Subscription:
 
     def put(self, job_event: JobEvent) -> None:
         """Accept an event. Never waits; the oldest live one is dropped if need be."""
-        if (
-            self._job_id not in (None, job_event.job_id)
-            and job_event.job_id is not None
-        ):
+        job_id = job_event.job_id
+        if job_id is not None and self._job_id not in (None, job_id):
             return
         with self._lock:
             if job_event.id is not None:
@@ -196,10 +194,8 @@ def _read_present(
     """Return where things stand, for a client that has seen nothing."""
     store = service.store
     jobs = store.list_unfinished() if job_id is None else [store.get(job_id)]
-    return [
-        ServerSentEvent(data=describe_job(job), event="job", id=str(newest))
-        for job in jobs
-    ]
+    described = [describe_job(job) for job in jobs]
+    return [ServerSentEvent(data=job, event="job", id=str(newest)) for job in described]
 
 
 def _describe_event(stored: JobEvent) -> ServerSentEvent:

@@ -145,11 +145,8 @@ def get_model_difference(
         other = service.store.get(against)
         files = (find_model_file(service.results, i) for i in (other.id, job.id))
         changes, before = read_difference(*files), other.id
-    return ModelDifference(
-        before=before,
-        after=job.id,
-        changes=[ChangeOut(**change) for change in changes],
-    )
+    found = [ChangeOut(**change) for change in changes]
+    return ModelDifference(before=before, after=job.id, changes=found)
 
 
 def _require_discovery(service: Service, model_id: str) -> Job:

@@ -82,11 +82,7 @@ def _summarise_trials(result: Result) -> dict[str, Any] | None:
     trials = result["monte_carlo"]
     if trials is None:
         return None
-    return {
-        key: value
-        for key, value in trials.items()
-        if not isinstance(value, Mapping | list)
-    }
+    return {k: v for k, v in trials.items() if not isinstance(v, Mapping | list)}
 
 
 def _describe_trials(trials: Result) -> str:

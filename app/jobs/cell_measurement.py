@@ -15,7 +15,7 @@ import structlog
 
 from app.errors import MeasurementFailed
 from app.jobs.active_job import ActiveJob
-from app.jobs.cell_supervisor import CellSupervisor
+from app.jobs.cell_supervisor import MOVING, CellSupervisor
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
 from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
 from app.jobs.live_estimation import Growth, LiveEstimation
@@ -44,12 +44,6 @@ CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1
 
-_STATES = {
-    CellState.RUNNING: State.RUNNING,
-    CellState.PAUSING: State.PAUSING,
-    CellState.PAUSED: State.PAUSED,
-    CellState.RESUMING: State.RESUMING,
-}
 _ENDS = frozenset(
     {CellState.FINISHED, CellState.ABORTED, CellState.FAILED, CellState.FAULTED}
 )
@@ -176,9 +170,9 @@ class CellMeasurement:
             self._outcome = reported
             self._close_by = time.monotonic() + CLOSE_RUN_S
             return
-        state = _STATES.get(reported)
-        if state is None:
+        if reported not in MOVING:
             return
+        state = State(reported)  # the same word
         # A `running` that the cell sent before a pause reached it must not undo it.
         late = state is State.RUNNING
         job = self._job.enter(state, Stage.MEASURING, unless_pausing=late)

@@ -39,7 +39,7 @@ LONG_LIFE_S = 60.0
 CONNECT_TIMEOUT_S = 30.0
 END_TIMEOUT_S = 10.0
 
-_MOVING = frozenset(
+MOVING = frozenset(
     {CellState.RUNNING, CellState.PAUSING, CellState.PAUSED, CellState.RESUMING}
 )
 
@@ -225,7 +225,7 @@ class CellSupervisor:
             self._on_event(event)
 
     def _follow_state(self, state: CellState) -> None:
-        is_well = state in _MOVING or state is CellState.READY
+        is_well = state in MOVING or state is CellState.READY
         text = "" if is_well else self._status.text
         devices = {} if state is CellState.FAULTED else self._status.devices
         self._set_status(str(state), text, devices)

@@ -88,8 +88,7 @@ class RunCatalogue:
 
         bundle : a file of ours in the folder of runs; it is moved
         """
-        run_id = make_id()
-        run = read_bundle(bundle)
+        run_id, run = make_id(), read_bundle(bundle)
         file = self._folder / f"{run_id}.zip"
         os.replace(bundle, file)
         sync_to_disk(self._folder)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from app.files.whole_files import sync_to_disk
 from app.jobs.runs import open_recorded
-from app.jobs.workers import Workers, opened
+from app.jobs.workers import Workers, open_workers
 from app.numerics.adaptive_trials import TrialPlan
 from app.progress import Progress
 
@@ -38,7 +38,7 @@ def analyse_recorded(
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
     runs = read_runs(run_files, open_recorded)
-    shared = nullcontext(map) if monte_carlo is None else opened(workers)
+    shared = nullcontext(map) if monte_carlo is None else open_workers(workers)
     with shared as mapper:
         findings = analyse(
             *runs,

@@ -59,7 +59,7 @@ def workers_of(settings: Settings) -> Workers:
 
 
 @contextmanager
-def opened(workers: Workers) -> Iterator[Ordered[Any]]:
+def open_workers(workers: Workers) -> Iterator[Ordered[Any]]:
     """Open the executor; yield a `map` over it that keeps the order of the numbers.
 
     At the end what is under way is dropped. Raises BadInput, WorkersAway.

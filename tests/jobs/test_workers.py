@@ -16,7 +16,7 @@ from scripted_cell import wait_until
 
 from app.errors import BadInput
 from app.jobs.errors import WorkerDied, WorkersAway
-from app.jobs.workers import ProcessWorkers, Workers, in_order, opened
+from app.jobs.workers import ProcessWorkers, Workers, in_order, open_workers
 
 TASKS = """
 import os, time
@@ -83,12 +83,12 @@ def test_the_answer_is_the_same_whoever_computes_and_however_many(settled, sched
         Workers("dask", scheduler=scheduler),
         Workers("dask", count=5, scheduler=scheduler),
     ):
-        with opened(workers) as mapper:
+        with open_workers(workers) as mapper:
             assert settled(mapper) == alone, workers
 
 
 def test_blocks_come_in_order_from_processes_with_one_thread_each(tasks):
-    with opened(Workers(count=2)) as mapper:
+    with open_workers(Workers(count=2)) as mapper:
         told = list(mapper(tasks.about, range(6)))
     assert [number for number, _, _ in told] == list(range(6))
     assert os.getpid() not in {pid for _, pid, _ in told}
@@ -113,13 +113,13 @@ def test_no_more_is_under_way_than_there_are_workers(tasks):
 @pytest.mark.parametrize("kind", ["processes", "dask"])
 def test_what_a_block_raises_comes_back(tasks, scheduler, kind):
     workers = Workers(kind, count=1, scheduler=scheduler)
-    with opened(workers) as mapper, pytest.raises(ValueError, match="no block 0"):
+    with open_workers(workers) as mapper, pytest.raises(ValueError, match="no block 0"):
         list(mapper(tasks.fail, range(3)))
 
 
 def test_a_worker_that_dies_is_told_not_waited_for(tasks):
     with (
-        opened(Workers(count=1)) as mapper,
+        open_workers(Workers(count=1)) as mapper,
         pytest.raises(WorkerDied, match="ended without an answer"),
     ):
         list(mapper(tasks.crash, range(3)))
@@ -127,7 +127,7 @@ def test_a_worker_that_dies_is_told_not_waited_for(tasks):
 
 def test_what_is_under_way_is_dropped_at_the_end(tasks, tmp_path):
     mark = str(tmp_path / "mark")
-    with opened(Workers(count=2)) as mapper:
+    with open_workers(Workers(count=2)) as mapper:
         blocks = mapper(partial(tasks.sleep, mark), range(2))
         asking = threading.Thread(target=lambda: _until_broken(blocks))
         asking.start()
@@ -145,10 +145,10 @@ def test_workers_end_with_whoever_asked_even_if_it_is_killed(tasks, tmp_path):
         import sys, time
         sys.path.insert(0, {os.path.dirname(tasks.__file__)!r})
         import block_tasks
-        from app.jobs.workers import Workers, opened
+        from app.jobs.workers import Workers, open_workers
 
         if __name__ == "__main__":
-            with opened(Workers(count=1)) as mapper:
+            with open_workers(Workers(count=1)) as mapper:
                 print(next(iter(mapper(block_tasks.about, range(2))))[1], flush=True)
                 time.sleep(60)
         """
@@ -180,7 +180,7 @@ def test_a_scheduler_that_is_not_there_is_named(free_tcp_port):
     address = f"tcp://127.0.0.1:{free_tcp_port}"
     with (
         pytest.raises(WorkersAway, match=f"no Dask scheduler answers at {address}"),
-        opened(Workers("dask", scheduler=address, patience_s=0.5)),
+        open_workers(Workers("dask", scheduler=address, patience_s=0.5)),
     ):
         pass
 
@@ -194,7 +194,7 @@ def test_a_scheduler_without_workers_is_named():
         dashboard_address="127.0.0.1:0",
     ) as cluster:
         workers = Workers("dask", scheduler=cluster.scheduler_address)
-        with pytest.raises(WorkersAway, match="has no workers"), opened(workers):
+        with pytest.raises(WorkersAway, match="has no workers"), open_workers(workers):
             pass
 
 
