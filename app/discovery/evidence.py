@@ -19,9 +19,10 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
+from app.discovery.candidate_term import CandidateTerm
 from app.estimation.information import Information, compute_posterior
-from app.estimation.term_equations import CandidateBlocks, FoldedSums
-from app.kinematics.effects.candidate_term import CandidateTerm
+from app.estimation.term_equations import CandidateBlocks, FoldedSums, Lines
+from app.kinematics.conditions import Conditions
 
 _FREE = 100.0  # times the usual size: a fitted term has hardly a prior
 
@@ -115,7 +116,7 @@ class HeldOutMisfit:
     fast_square: Float64[np.ndarray, " k"]
     fast_freedom: Float64[np.ndarray, " k"]
 
-    def ratio(self, *, fast: bool = False) -> float:
+    def measure_ratio(self, *, fast: bool = False) -> float:
         """Return the weighted root mean square misfit over that of noise.
 
         fast : of the samples within their cells as well
@@ -123,7 +124,7 @@ class HeldOutMisfit:
         square = self.square.sum() + (self.fast_square.sum() if fast else 0.0)
         return float(np.sqrt(square / self._total_freedom(fast)))
 
-    def expected(self, *, fast: bool = False) -> float:
+    def expect_ratio(self, *, fast: bool = False) -> float:
         """Return the ratio of a complete model: noise and the fit's uncertainty."""
         return float(np.sqrt(1.0 + self.unknown.sum() / self._total_freedom(fast)))
 
@@ -148,3 +149,55 @@ def predict_held_out(
     return HeldOutMisfit(
         square, sums.freedom, unknown, sums.fast_square, sums.fast_freedom
     )
+
+
+@dataclass(frozen=True)
+class ValueTrials:
+    """Log Bayes factors of a term at several values, with its parameters there."""
+
+    values: Float64[np.ndarray, " v"]
+    log_bayes: Float64[np.ndarray, " v"]
+    theta: Float64[np.ndarray, "v p"]
+    covariance: Float64[np.ndarray, "v p p"]
+
+
+@dataclass(frozen=True)
+class TermData:
+    """The lines of all Runs, and what is known of machine and poses.
+
+    at : conditions of each Run; precision : (b, b) prior of machine and poses
+    """
+
+    lines: Lines
+    at: tuple[Conditions, ...]
+    precision: Float64[np.ndarray, "b b"]
+
+    def conditions_of(self, term: CandidateTerm) -> Conditions:
+        """Return the conditions of the Run that a term is scanned in."""
+        return self.at[term.run or 0]
+
+    def compare(
+        self, beside: Sequence[CandidateTerm], terms: Sequence[CandidateTerm]
+    ) -> Remainder:
+        """Return what the data tell of each term.
+
+        beside : terms that are integrated out with machine and poses
+        """
+        blocks = self.lines.collect_blocks(
+            [t.effect for t in beside], [t.effect for t in terms]
+        )
+        return integrate_out(blocks, prior_precision(self.precision, beside), terms)
+
+    def try_values(
+        self,
+        beside: Sequence[CandidateTerm],
+        term: CandidateTerm,
+        values: Float64[np.ndarray, " v"],
+    ) -> ValueTrials:
+        """Return what the data tell of a term at each of several values."""
+        terms = [term.with_value(float(value)) for value in values]
+        remainder = self.compare(beside, terms)
+        known = prior_precision(np.zeros((0, 0)), [term])
+        covariance = np.linalg.inv(np.array(remainder.information) + known)
+        theta = np.einsum("vpq,vq->vp", covariance, np.array(remainder.data))
+        return ValueTrials(values, remainder.log_bayes(), theta, covariance)

@@ -1,15 +1,19 @@
-"""What is stated of each effect that was found: numbers, evidence, alternatives."""
+"""What is stated of the effects found, and of the gap on held-out lines."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.reduction import beam_frame
+from app.discovery.candidate_term import CandidateTerm
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
-from app.kinematics.effects.candidate_term import CandidateTerm
+from app.estimation.noise import floor_mm
+from app.estimation.line_blocks import RunData
 from app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,
@@ -94,12 +98,12 @@ def _state(
         ),
         theta,
         covariance,
-        _evidence(log_bayes, baseline.misfit, without.misfit, best.misfit),
-        _rivals(fitter, without, term, log_bayes),
+        _state_evidence(log_bayes, baseline.misfit, without.misfit, best.misfit),
+        _find_rivals(fitter, without, term, log_bayes),
     )
 
 
-def _evidence(
+def _state_evidence(
     log_bayes: float, baseline: float, without: float, best: float
 ) -> Evidence:
     """Return the evidence from the misfit of held-out lines in each of three fits."""
@@ -107,7 +111,7 @@ def _evidence(
     return Evidence(log_bayes, 0.5 * lost, lost / max(baseline - best, 1e-12))
 
 
-def _rivals(
+def _find_rivals(
     fitter: TermFitter, without: TermFit, term: CandidateTerm, evidence: float
 ) -> tuple[CandidateTerm, ...]:
     """Return the terms with a cause that would explain the Runs as well."""
@@ -118,3 +122,40 @@ def _rivals(
         and r.evidence > evidence - EQUIVALENT
         and r.term.has_cause
     )
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Weighted root mean square of measured minus simulated on held-out lines.
+
+    expected_um : what a complete model would leave there: noise, and the uncertainty
+        of a fit to the other lines
+    """
+
+    before_um: float
+    after_um: float
+    noise_floor_um: float
+    expected_um: float
+
+
+def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
+    """Return the gap; with a fast effect, of the samples within cells as well."""
+    floor_um = _find_noise_floor_um(run_data)
+    fast = any(term.is_fast for term in best.terms)
+    return Gap(
+        floor_um * baseline.held_out.measure_ratio(fast=fast),
+        floor_um * best.held_out.measure_ratio(fast=fast),
+        floor_um,
+        floor_um * best.held_out.expect_ratio(fast=fast),
+    )
+
+
+def _find_noise_floor_um(run_data: Sequence[RunData]) -> float:
+    """Return the root mean square that noise alone leaves in a cell of all Runs."""
+    square, cells = 0.0, 0
+    for seen, base in ((run.observations, run.base) for run in run_data):
+        frame = beam_frame(seen.tracker_mm) @ base.pose.rotation
+        along = np.einsum("nij,nj->ni", frame, seen.direction)
+        square += len(seen) * floor_mm(seen, base.noise, along) ** 2
+        cells += len(seen)
+    return 1e3 * float(np.sqrt(square / cells))

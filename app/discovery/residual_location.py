@@ -81,17 +81,17 @@ def locate_residual(
 ) -> ResidualLocation:
     """Return where a residual is."""
     parts = [slice(first, last) for first, last in find_lines(seen)]
-    segments = [_segment(seen, residual_mm, part) for part in parts]
+    segments = [_describe_segment(seen, residual_mm, part) for part in parts]
     segments.sort(key=lambda s: -s.rms_um)
     shares = {
         name: _find_share(residual_mm, seen.count, group)
-        for name, group in _groups(seen).items()
+        for name, group in _list_groups(seen).items()
     }
     ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
     return ResidualLocation(tuple(segments), ordered)
 
 
-def _segment(
+def _describe_segment(
     seen: Observations, residual_mm: Float64[np.ndarray, "n 3"], part: slice
 ) -> Segment:
     first = part.start
@@ -107,14 +107,14 @@ def _segment(
         int(seen.row[first]),
         seen.at.machine.axis_names[main] if moves else "",
         sign if moves else "",
-        _region(seen, part),
+        _describe_region(seen, part),
         float(seen.at.time_s[part].mean()),
         float(np.linalg.norm(seen.at.velocity_mm_s[first])) * 60.0,
         float(np.sqrt(square)) * 1e3,
     )
 
 
-def _region(seen: Observations, part: slice) -> str:
+def _describe_region(seen: Observations, part: slice) -> str:
     """Return the range of each axis in words."""
     low = seen.at.position_mm[part].min(axis=0)
     high = seen.at.position_mm[part].max(axis=0)
@@ -124,18 +124,16 @@ def _region(seen: Observations, part: slice) -> str:
     )
 
 
-def _groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
+def _list_groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
     at = seen.at
     distance = np.linalg.norm(seen.tracker_mm, axis=1)
-    groups = {"line": seen.row, "time": _bin(at.time_s)}
-    groups["beam"] = _bin(distance)
+    groups = {"line": seen.row, "time": _bin(at.time_s), "beam": _bin(distance)}
     speed = np.linalg.norm(at.velocity_mm_s, axis=1)
     if np.ptp(speed) > 0.01 * max(float(speed.max()), 1e-9):
         groups["feed"] = _bin(speed)
     for column, name in enumerate(at.machine.axis_names):
         groups[f"position of {name}"] = _bin(at.position_mm[:, column])
-        sign = np.sign(at.approach[:, column]).astype(np.int64)
-        groups[f"direction of {name}"] = sign
+        groups[f"direction of {name}"] = at.approach[:, column].astype(np.int64)
     for one, two in combinations(at.machine.linear_axes, 2):
         row, column = (_bin(at.axis_mm(a.name), _SIDE) for a in (one, two))
         groups[f"region of {one.name} and {two.name}"] = _SIDE * row + column

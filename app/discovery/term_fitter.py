@@ -8,16 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from app.discovery.candidate_term import CandidateTerm
 from app.discovery.event_time import locate_event
-from app.discovery.evidence import HeldOutMisfit, predict_held_out, prior_precision
+from app.discovery.evidence import (
+    HeldOutMisfit,
+    TermData,
+    predict_held_out,
+    prior_precision,
+)
 from app.discovery.scan import scan_term
-from app.discovery.term_data import TermData
 from app.discovery.value_refinement import refine_values
 from app.estimation.baseline import MachinePrior
 from app.estimation.information import Posterior
 from app.estimation.line_blocks import Residual, weight_residual
 from app.estimation.term_equations import Lines
-from app.kinematics.effects.candidate_term import CandidateTerm
 
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 

@@ -2,6 +2,11 @@
 
 Where a term changes smoothly with its value, Gauss–Newton steps take the derivative as
 one more column. Elsewhere the best of many values is taken.
+
+The slope at the best value understates the uncertainty where the likelihood is not
+symmetric: a time constant longer than the Run hardly differs from a longer one, and the
+final growth depends on it. Values around the best one are then weighted by their
+evidence, all values of the scan being equally likely beforehand.
 """
 
 from __future__ import annotations
@@ -12,14 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from app.discovery.candidate_term import CandidateTerm
 from app.discovery.event_time import locate_event
-from app.discovery.evidence import prior_precision
-from app.discovery.term_data import TermData
-from app.discovery.value_posterior import average_value
+from app.discovery.evidence import TermData, prior_precision
 from app.estimation.information import Posterior, compute_posterior
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.effects.candidate_term import CandidateTerm
 
 _ROUNDS = 4
 _SETTLED = 0.05  # of the value's own uncertainty
@@ -87,9 +90,44 @@ def refine_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:
         term = refined[k]
         if term.wave(data.conditions_of(term)) is None:
             beside = (*refined[:k], *refined[k + 1 :])
-            term = average_value(data, beside, term)
+            term = _average_value(data, beside, term)
             refined = (*refined[:k], term, *refined[k + 1 :])
     return refined
+
+
+_BELOW, _ABOVE = -4, 10  # standard uncertainties by the slope, in whole steps
+_FEWEST = 3  # values, for any to lie between others
+
+
+def _average_value(
+    data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm
+) -> CandidateTerm:
+    """Return a term at the mean of its scanned value, with the spread of all values.
+
+    beside : terms that are fitted with it
+    term : at its best value, its uncertainty by the slope
+    """
+    at = data.conditions_of(term)
+    scan, best = term.scan(at), term.candidate.value
+    if scan is None or best is None:
+        return term
+    steps = best + term.value_sigma * np.arange(_BELOW, _ABOVE + 1)
+    values = np.unique(np.clip(steps, scan.values[0], scan.values[-1]))
+    if len(values) < _FEWEST:
+        return term
+    trials = data.try_values(beside, term, values)
+    # Where values of the scan lie farther apart, fewer of them are equally likely.
+    density = 1.0 / np.interp(values, scan.values, np.gradient(scan.values))
+    weight = np.exp(trials.log_bayes - trials.log_bayes.max())
+    weight *= density * np.gradient(values)
+    weight /= weight.sum()
+    mean = float(weight @ values)
+    off = trials.theta - weight @ trials.theta
+    return replace(
+        term.with_value(mean),
+        value_sigma=float(np.sqrt(weight @ (values - mean) ** 2)),
+        covariance=np.tensordot(weight, trials.covariance, 1) + (off.T * weight) @ off,
+    )
 
 
 def _search_values(data: TermData, terms: Sequence[CandidateTerm]) -> _Terms:

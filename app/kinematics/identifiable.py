@@ -28,9 +28,11 @@ from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import find_arm, make_error_motion
 from app.kinematics.effects.squareness import list_squarenesses
-from app.kinematics.effects.tool_orientation import tool_orientation
+from app.kinematics.effects.target_placement import (
+    find_tool_orientation,
+    list_workpiece_placements,
+)
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.kinematics.effects.workpiece_placement import workpiece_placement
 from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
@@ -218,9 +220,9 @@ def _candidates(machine: Machine, runs: Sequence[Sequence[Target]]) -> list[Effe
     for run, targets in enumerate(runs):
         tool, part = _offsets(targets, "tool"), _offsets(targets, "workpiece")
         if len(part) and machine.tracker.stands_on == "base":
-            found += workpiece_placement(part, run)
+            found += list_workpiece_placements(part, run)
         if len(tool):
-            found += tool_orientation(machine, tool, run)
+            found += find_tool_orientation(machine, tool, run)
     for axis in machine.rotary_axes:
         found += list_axis_locations(axis)
     return found

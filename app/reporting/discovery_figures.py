@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from app.alignment.observations import Observations
-from app.discovery.gap import Gap
+from app.discovery.findings import Gap
 from app.discovery.residual_location import RunResidual, Segment
 from app.kinematics.machine import position_unit
 from app.reporting.chart import Frame, Scale

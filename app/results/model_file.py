@@ -31,7 +31,7 @@ from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run
 from app.files.run_summary import digest_run
 from app.files.units import unit_of
-from app.kinematics.effects.tool_orientation import tool_orientation
+from app.kinematics.effects.target_placement import find_tool_orientation
 from app.kinematics.model import MachineModel
 from app.results.direction_tables import compute_half_differences
 from app.results.discovery_json import effect_json
@@ -56,7 +56,7 @@ def given_by(earlier: PriorModel, run: Run) -> ReferenceModel:
     loaded = earlier.result
     model = MachineModel(run.machine, loaded.model.effects)
     offsets = np.array([t.offset_mm for t in run.machine.targets], float)
-    model = model.with_effects(*tool_orientation(run.machine, offsets))
+    model = model.with_effects(*find_tool_orientation(run.machine, offsets))
     size = loaded.model.size
     theta = np.zeros(model.size)
     theta[:size] = loaded.theta

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.discovery.aligned_run import align_runs
+from app.discovery.discover import align_runs
 from app.kinematics.effects.catalogue import CandidateEstimate, list_families
 from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.squareness import Squareness

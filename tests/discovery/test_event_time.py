@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from app.alignment.observations import Observations
-from app.discovery.aligned_run import align_runs
-from app.discovery.discover import discover
+from app.discovery.discover import align_runs, discover
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 
