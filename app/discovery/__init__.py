@@ -20,9 +20,9 @@ and the gap on held-out lines before and after. Questions that stay open go to
 `planning.discrimination`, which designs lines to decide them; old and new Runs are then
 explained together, each with a pose, a timing and a noise of its own.
 
-Modules in the order of the data: candidate_term, evidence, scan, event_time,
-value_refinement, term_fitter, term_search, findings, residual_location, discover,
-extended_model, open_questions.
+Modules in the order of the data: evidence, scan, event_time, value_refinement,
+term_fitter, term_search, findings, residual_location, discover, extended_model,
+open_questions.
 
 brunn-hanebeck-2005 leaves non-rigid behaviour to future work, and sanders-2023 what its
 residuals hold.

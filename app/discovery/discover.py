@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.alignment.align import align
-from app.alignment.observations import Observations
-from app.alignment.observations import add_surroundings
-from app.discovery.candidate_term import propose_terms
+from app.alignment.observations import Observations, add_surroundings
 from app.discovery.findings import Finding, Gap, measure_gap, state_findings
 from app.discovery.residual_location import RunResidual, locate_residuals
 from app.discovery.term_fitter import TermFit, TermFitter
@@ -26,6 +24,7 @@ from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models
 from app.kinematics.conditions import Conditions
+from app.kinematics.effects.candidate_term import propose_terms
 from app.kinematics.effects.catalogue import list_families
 from app.progress import ShareProgress, ignore_progress
 

@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
-from app.discovery.candidate_term import CandidateTerm
 from app.estimation.information import Information, compute_posterior
 from app.estimation.term_equations import CandidateBlocks, FoldedSums, Lines
 from app.kinematics.conditions import Conditions
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 _FREE = 100.0  # times the usual size: a fitted term has hardly a prior
 

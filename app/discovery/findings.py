@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.reduction import beam_frame
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
-from app.estimation.noise import floor_mm
 from app.estimation.line_blocks import RunData
+from app.estimation.noise import floor_mm
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import (
     Candidate,
     CandidateEstimate,

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.discover import Discovery
 from app.discovery.term_fitter import TermFit
 from app.discovery.term_search import LEAST_EVIDENCE
@@ -24,6 +23,7 @@ from app.estimation.term_equations import Lines
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import USUAL_MM
 from app.motion.paths import DEFAULT_FEED_MM_MIN
 from app.planning.discrimination import POSE, Question

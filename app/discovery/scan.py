@@ -14,9 +14,9 @@ from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.evidence import log_bayes
 from app.estimation.line_blocks import Residual
+from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import Scan, Wave
 from app.kinematics.effects.sinusoid import attenuate_wave
 from app.numerics.spectrum import transform

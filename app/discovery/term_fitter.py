@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.event_time import locate_event
 from app.discovery.evidence import (
     HeldOutMisfit,
@@ -22,6 +21,7 @@ from app.estimation.baseline import MachinePrior
 from app.estimation.information import Posterior
 from app.estimation.line_blocks import Residual, weight_residual
 from app.estimation.term_equations import Lines
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.discovery.candidate_term import CandidateTerm
 from app.discovery.term_fitter import TermFit, TermFitter
+from app.kinematics.effects.candidate_term import CandidateTerm
 
 LEAST_EVIDENCE = 5.0  # log Bayes factor, cost paid: a false alarm in a hundred Runs
 EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
