@@ -1,4 +1,4 @@
-"""The room's door: one Run in, observations out."""
+"""Observations of one closed Run."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     if uses_standstills(run):
         parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
-        return join_blocks(run, _some_standing(parts), matching.pose, ())
+        return join_blocks(run, _require_standstill(parts), matching.pose, ())
     passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
         raise AlignmentError(
@@ -69,7 +69,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     return join_blocks(run, parts, matching.pose, in_run)
 
 
-def _some_standing(parts: list[CellBlock]) -> list[CellBlock]:
+def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:
     if not parts:
         raise AlignmentError(
             "the machine never stood still long enough; dwell at least 0.2 s at a point"

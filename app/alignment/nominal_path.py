@@ -105,7 +105,7 @@ class Bend:
         return CubicSpline(self.share, self.node_mm)
 
 
-HARDLY_MM = 1.0  # a target that moves less far is not looked at on the way
+MIN_MOTION_MM = 1.0  # a target that moves less far is not looked at on the way
 _SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
 
 
@@ -221,7 +221,7 @@ def compute_nominal_path(
     for row, bend in bends.items():
         length_mm[row] = bend.length_mm()
     speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
-    moved = np.concatenate([[True], length_mm[1:] >= HARDLY_MM])
+    moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
     first = np.flatnonzero(moved)
@@ -237,7 +237,6 @@ def _expected_mm(
     row: Int64[np.ndarray, " n"],
     position: Float64[np.ndarray, "n a"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return where the targets of rows should be, at positions of the axes."""
     names = commanded.target or [""]
     targets = [machine.target(name) for name in names]
     which = row if commanded.target else np.zeros(len(row), np.int64)
@@ -279,7 +278,7 @@ def _speed_mm_s(
     """
     straight = np.linalg.norm(step[:, ~is_rotary], axis=1)
     fed = straight + np.linalg.norm(step[:, is_rotary], axis=1) * (straight == 0.0)
-    moves = (length_mm >= HARDLY_MM) & (fed > 0.0)
+    moves = (length_mm >= MIN_MOTION_MM) & (fed > 0.0)
     speed = np.full(len(fed), np.inf)
     speed[moves] = (commanded.feed_mm_min / 60.0 * length_mm)[moves] / fed[moves]
     return speed

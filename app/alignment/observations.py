@@ -114,7 +114,6 @@ def _in_order(
 
 
 def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
-    """Return each axis' rate: a line is driven at a constant one."""
     rates = np.zeros_like(observations.at.position_mm)
     for first, last in find_lines(observations):
         if observations.at.line[first] < 0:
@@ -132,7 +131,6 @@ def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
 def _since_reversal(
     position: Float64[np.ndarray, "w a"], observations: Observations
 ) -> Float64[np.ndarray, "n a"]:
-    """Return how far each axis has gone since it last turned back."""
     step = np.diff(position, axis=0, prepend=position[:1])
     travelled = np.full_like(position, np.inf)  # when the move to a row begins
     sign, gone = np.zeros(position.shape[1]), np.full(position.shape[1], np.inf)

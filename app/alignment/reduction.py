@@ -109,7 +109,6 @@ def _reduce(
     way: Way,
     noise: TrackerNoise,
 ) -> tuple[_Means, Float64[np.ndarray, "n 3"]]:
-    """Return the means of good samples, and how far all are off, in sigmas."""
     means = _means(time_s, rest_mm, cell, good, way)
     return means, _scatter(time_s, rest_mm, cell, means, noise)
 

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.nominal_path import HARDLY_MM, Curve, NominalPath
+from app.alignment.nominal_path import MIN_MOTION_MM, Curve, NominalPath
 from app.alignment.observations import Pass
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence, speed_mm_s
@@ -70,7 +70,6 @@ def cut_into_passes(
 def _parts(
     stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
 ) -> Iterator[_Part]:
-    """Yield what was driven between neighbouring standstills."""
     matched = dict(zip(matching.stop.tolist(), matching.waypoint.tolist(), strict=True))
     order = sorted(matched)
     for here, there in pairwise(order):
@@ -104,7 +103,7 @@ def _split_by_place(
 
 def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     """Return the part at constant feed, without ramps; None where there is none."""
-    if curve.length_mm < HARDLY_MM:
+    if curve.length_mm < MIN_MOTION_MM:
         return None  # the target changed, or hardly moves
     first, last = part.first, part.last
     time, points = stream.time_s[first:last], stream.points_mm(first, last)
@@ -132,7 +131,7 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     rate, middle_share = _even_feed(time[inside], share[inside], pace[inside])
     mean_speed = rate * curve.length_mm
     gone_mm = float(np.ptp(share[inside])) * curve.length_mm
-    if abs(mean_speed - plateau) > _AGREES * plateau or gone_mm < HARDLY_MM:
+    if abs(mean_speed - plateau) > _AGREES * plateau or gone_mm < MIN_MOTION_MM:
         return None
     a, b = first + int(inside[0]), first + int(inside[-1]) + 1
     return Pass(part.row, a, b, mean_speed, middle_share)
@@ -141,7 +140,6 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
 def _path_length_mm(
     stream: Stream, part: _Part, curve: Curve
 ) -> Float64[np.ndarray, " n"] | None:
-    """Return how far the target has gone since its line began, if that is asked."""
     if curve.bend is None or part.origin < 0:
         return None
     time = stream.time_s[part.origin : part.last]

@@ -112,7 +112,7 @@ def _merge(
     return StopSequence(first[begins], last[ends], where[longest])
 
 
-ARRIVED_S = 0.2  # at rest for so long: told without waiting for the next motion
+ARRIVED_S = 0.2  # at rest for so long: noted before the next motion
 _ENOUGH = 2000  # samples that tell the place of a standstill
 
 
@@ -142,7 +142,7 @@ class StopStream:
         self._dropped = 0  # samples that are forgotten
         self._judged = 0  # samples of which it is known whether they are at rest
         self._rest_since: int | None = None
-        self._is_told = False  # the standstill under way is among the stops
+        self._is_noted = False  # the standstill under way is among the stops
         self.stops: list[Stop] = []
 
     def __len__(self) -> int:
@@ -198,7 +198,6 @@ class StopStream:
         self._judged = until
 
     def _at_rest(self, first: int, last: int) -> Bool[np.ndarray, " n"]:
-        """Tell which samples are at rest, from a little more than those."""
         context = max(first - 2 * SPEED_BLOCK, self._dropped)
         context = min(context, max(len(self) - 3 * SPEED_BLOCK, self._dropped))
         time_s, point_mm = self.part(context, len(self))
@@ -207,11 +206,11 @@ class StopStream:
 
     def _stay(self, first: int, last: int) -> None:
         if self._rest_since is None:
-            self._rest_since, self._is_told = first, False
+            self._rest_since, self._is_noted = first, False
         time_s, _ = self.part(self._rest_since, last)
-        if self._is_told or time_s[-1] - time_s[0] >= ARRIVED_S:
+        if self._is_noted or time_s[-1] - time_s[0] >= ARRIVED_S:
             self._note(self._rest_since, last)
-            self._is_told = True
+            self._is_noted = True
 
     def _depart(self, first: int) -> None:
         if self._rest_since is not None:

@@ -155,7 +155,6 @@ class StreamingAlignment:
     def _between(
         self, here: tuple[int, int], there: tuple[int, int]
     ) -> list[CellBlock]:
-        """Return the passes between two matched standstills, or the first of them."""
         assert self.pose is not None  # noqa: S101 (they are matched)
         stops = self._stream.stops[here[0] : there[0] + 1]
         origin = stops[0].first

@@ -158,7 +158,6 @@ def _guess_noise(observations: Observations) -> NoiseModel:
 
 
 def _fit_noise(model: MachineModel, runs: Sequence[RunInput]) -> tuple[RunInput, ...]:
-    """Return the Runs with pose and noise beside a model."""
     return tuple(
         replace(run, observations=with_pose(run.observations, run.pose))
         for run in refine_runs(model, runs, longest_s=LONGEST_NOISE_S)

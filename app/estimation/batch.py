@@ -82,7 +82,7 @@ class Estimate:
     runs : the Runs that it was made from, in the order given
     measured : by axis, lowest and highest position that was measured, mm or deg; what
         lies beyond is extrapolated
-    known : effects that an earlier measurement has told, which are in the model
+    known : effects known from an earlier measurement, which are in the model
     chances : of each, that it moves so far with the Runs if nothing has changed; None
         where they do not tell
     fit : what it was solved from, if that was to be kept
@@ -133,7 +133,7 @@ def estimate(
 
     observed : of one Run each, in either mode; with surroundings where effects are
         known that depend on them
-    known : effects that an earlier measurement has told, to be estimated beside
+    known : effects known from an earlier measurement, to be estimated beside
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
     keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
     on_progress : receives the share done, 0 to 1
@@ -224,7 +224,7 @@ def _compute_residuals(
 def _fit_lines(
     design: DesignMatrix, theta: Float64[np.ndarray, " p"], noise: NoiseModel
 ) -> Float64[np.ndarray, "n 3"]:
-    """Return what is left of the data, the timing of each line at its best."""
-    left = (design.residual - design.columns @ theta)[:, :, None]
-    timing, _ = design.fit_timing(design.whiten(noise), left)
-    return (left - design.timing @ timing)[:, :, 0]
+    """Return the residual, the timing of each line at its best."""
+    rest = (design.residual - design.columns @ theta)[:, :, None]
+    timing, _ = design.fit_timing(design.whiten(noise), rest)
+    return (rest - design.timing @ timing)[:, :, 0]

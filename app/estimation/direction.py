@@ -37,8 +37,8 @@ class Fit:
     """One model and what it makes of the data.
 
     direction : `none`, `constant` (half widths) or `tables` (both directions)
-    runs : what each Run tells of the model
-    known : what an earlier measurement has told of effects in it
+    runs : information of each Run on the model
+    known : effects in it that an earlier measurement knows
     result : of the machine's parameters
     cost : −2 log evidence, with the price of its precisions
     """
@@ -64,7 +64,7 @@ def select_fit(
 ) -> Fit:
     """Return the fit of greatest evidence, the direction of approach left to it.
 
-    known : what an earlier measurement has told of effects of the model
+    known : effects of the model that an earlier measurement knows
     """
     known = known or KnownEffects()
     wide = add_half_widths(model)

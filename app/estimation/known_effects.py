@@ -1,4 +1,4 @@
-"""Effects of the machine that an earlier measurement has told.
+"""Effects of the machine known from an earlier measurement.
 
 They are there beside the error motions, their parameters free, and what is known of
 them is one measurement more: information adds. So a Run corrects what it can see, what
@@ -22,7 +22,7 @@ from app.kinematics.model import MachineModel
 _EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
 _SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding
 _LOOSE = 100.0
-_TOLD = 0.05  # of a variance, taken away by the Run: enough to contradict
+_MEASURED_SHARE = 0.05  # of a variance, removed by the Run: enough to contradict
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ def _compute_chance(
     after: Float64[np.ndarray, "k k"],
     moved: Float64[np.ndarray, " k"],
 ) -> float | None:
-    """Return the chance of a move: its covariance is what the Run has taken away."""
+    """Return the chance of a move: its covariance is what the Run has removed."""
     scale = np.sqrt(np.diag(before) + _EXACTLY**2)
     value, vector = np.linalg.eigh((before - after) / scale[:, None] / scale)
-    is_measured = value > _TOLD
+    is_measured = value > _MEASURED_SHARE
     if not is_measured.any():
         return None
     along = vector.T @ (moved / scale)

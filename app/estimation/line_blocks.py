@@ -216,13 +216,13 @@ def weight_residual(
     moved = _displacement_mm(seen.at, effects, theta[base.size :])
     for line in lines:
         design, frame = line.design, line.design.frame
-        left = design.residual - design.columns @ theta[: base.size]
-        left = (left - np.einsum("nij,nj->ni", frame, moved[line.cells]))[:, :, None]
-        late, timing = design.fit_timing(line.whitener, left)
-        solved = line.whitener.apply(left) - timing @ late
-        left = left - design.timing @ late
+        rest = design.residual - design.columns @ theta[: base.size]
+        rest = (rest - np.einsum("nij,nj->ni", frame, moved[line.cells]))[:, :, None]
+        late, timing = design.fit_timing(line.whitener, rest)
+        solved = line.whitener.apply(rest) - timing @ late
+        rest = rest - design.timing @ late
         weighted[line.cells] = np.einsum("nij,nik->nj", frame, solved)
-        residual_mm[line.cells] = np.einsum("nij,nik->nj", frame, left)
+        residual_mm[line.cells] = np.einsum("nij,nik->nj", frame, rest)
         root = np.matmul(line.whitener.root, frame)
         precision[line.cells] = np.matmul(np.swapaxes(root, 1, 2), root)
     noise, rate_hz = base.noise, seen.at.machine.tracker.rate_hz
@@ -248,6 +248,5 @@ def _displacement_mm(
 
 
 def _ou_over_white(noise: NoiseModel, rate_hz: float) -> float:
-    """Return the ratio of densities of both parts of the noise at frequency 0."""
     ratio = np.mean(np.square(noise.ou)) / np.mean(np.square(noise.white))
     return float(ratio) * 2.0 * noise.ou_time_s * rate_hz

@@ -78,7 +78,7 @@ class LiveEstimate:
 
 @dataclass(frozen=True, slots=True)
 class LiveFindings:
-    """What a measurement under way has told about itself.
+    """What a measurement under way has shown of itself.
 
     rows : whose line or standstill has been recognised
     station_mm : (3,) of the tracker, in the frame that it stands on
@@ -94,7 +94,7 @@ class LiveFindings:
 class LiveEstimator:
     """Takes blocks of samples and answers with the estimate so far. One thread.
 
-    known : effects that an earlier measurement has told, to be estimated beside; what
+    known : effects known from an earlier measurement, to be estimated beside; what
         depends on temperatures waits for the analysis of the Run, which has them
     """
 
@@ -181,7 +181,6 @@ class LiveEstimator:
         return add_surroundings(self._alignment.observations(parts), self._commanded)
 
     def _add_known(self, data: Information, about: Linearisation) -> Information:
-        """Return data with the weak prior, and what was known before, in them."""
         sigma = np.array(
             [_weak_sigma(e, p) for e in about.model.effects for p in e.parameters]
         )

@@ -187,7 +187,6 @@ def _solve_again(
 def _draw_white(
     run: TrialRun, rng: np.random.Generator
 ) -> Float32[np.ndarray, "n 3 t"]:
-    """Draw the mean of the samples' white noise, and the jitter of the feed."""
     sigma, _ = split_sigma_mm(run.observations, run.noise)
     draw = _draw_normal(rng, *sigma.shape, _AT_ONCE)
     draw *= sigma[:, :, None].astype(np.float32)

@@ -109,7 +109,6 @@ class _Solution:
         return Slope(cost, gradient, self._curvature())
 
     def _volume_slope(self) -> Float64[np.ndarray, " k"]:
-        """Return the slope of log|V|."""
         here = self.inverse.log_determinant
         return np.array(
             [
@@ -134,9 +133,9 @@ class _Solution:
         if np.isfinite(self.noise.along_sigma_mm):
             n, along = len(self.of.residual), self.of.travel
             pulled = np.einsum("ni,nip->pn", along, self.columns.reshape(n, 3, -1))
-            left = np.einsum("ni,ni->n", along, self.residual)
+            rest = np.einsum("ni,ni->n", along, self.residual)
             square = float(
-                (self.factor.solve_half(pulled) ** 2).sum() + (left**2).sum()
+                (self.factor.solve_half(pulled) ** 2).sum() + (rest**2).sum()
             )
             found.append(2.0 * self.noise.along_sigma_mm**2 * square)
         return np.array(found)
@@ -160,8 +159,8 @@ class _Solution:
         columns = [beam, 2.0 * ou - beam, -here.solve(change)]
         if np.isfinite(self.noise.along_sigma_mm):
             along = self.of.travel
-            left = np.einsum("ni,ni->n", along, self.residual)[:, None]
-            columns.append(2.0 * self.noise.along_sigma_mm**2 * along * left)
+            rest = np.einsum("ni,ni->n", along, self.residual)[:, None]
+            columns.append(2.0 * self.noise.along_sigma_mm**2 * along * rest)
         return np.stack(columns, axis=2)
 
 

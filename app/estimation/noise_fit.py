@@ -65,7 +65,7 @@ def refine_runs(
     """Return the Runs with a better pose and the noise of greatest evidence.
 
     model : coarse, with all that must not pass for Ornstein–Uhlenbeck noise
-    known : effects of the machine that an earlier measurement has told
+    known : effects of the machine known from an earlier measurement
     longest_s : correlation time; what is slower is structure, not noise
 
     The rough pose is off by the machine's errors. Every Run has a noise of its own;
@@ -105,7 +105,6 @@ def _fit_noise(
     effects: KnownEffects,
     longest_s: float,
 ) -> NoiseModel:
-    """Return the likeliest noise of a Run, precisions and the others' noise held."""
     design = _merged_design(run.observations, run.linearisation)
     charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
     before = effects.add_to(charged, prior.model)
@@ -135,7 +134,6 @@ def _merged_design(observations: Observations, about: Linearisation) -> DesignMa
 
 
 def _select_lines(observations: Observations) -> Observations:
-    """Return whole lines or standstills, evenly spread, that make enough cells."""
     rows = np.unique(observations.row)
     cells = len(observations) / _count_to_merge(observations)
     keep = max(_FEWEST_ROWS, int(len(rows) * min(1.0, _CELLS / cells)))

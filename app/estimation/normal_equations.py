@@ -3,7 +3,7 @@
 Information adds (brunn-hanebeck-2005, eq. 31–33 in information form), but two things
 reach beyond a cell. The Ornstein–Uhlenbeck noise ties every cell to the next: the state
 of the last cell's noise therefore stays in the sums as three unknowns until the next
-cell has told about it. The timing of a line belongs to its cells alone: once the line
+cell is added. The timing of a line belongs to its cells alone: once the line
 is finished, phase and speed are integrated out, given that state. Both are exact, in
 any order of elimination, so the sums do not depend on how the cells were split.
 """
@@ -81,12 +81,11 @@ class NormalEquations:
         done = self.finish_lines()
         if done.state is None:
             return Information.from_total(done.total, done.log_determinant)
-        taken, log_taken = done.state.marginalise()
-        log_determinant = done.log_determinant + log_taken
-        return Information.from_total(done.total - taken, log_determinant)
+        state, log_state = done.state.marginalise()
+        log_determinant = done.log_determinant + log_state
+        return Information.from_total(done.total - state, log_determinant)
 
     def _widen(self, width: int) -> NormalEquations:
-        """Return them with columns for the timing of new lines."""
         more = width - len(self.total)
         if not more:
             return self

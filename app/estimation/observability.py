@@ -27,13 +27,13 @@ from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, is_turn
 
 USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
-_LEFT = 0.5  # standard deviation of a usual machine that the data leave, at least
-_MATTERS_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
-_BLIND = 0.9999  # left: all but rounding
+_POOR = 0.5  # standard deviation of a usual machine that the data leave, at least
+_RELEVANT_MM = 1e-3  # at the tool; weaker shapes that do less harm nobody
+_BLIND = 0.9999  # remaining: all but rounding
 _TAKES_PART = 0.25  # of the largest part, at the tool
 _MOST = 3  # shapes that are named
-_WITH_IT = 3  # more motions than these are not named
-_BENT = 0.05  # of a slope's square: below it a motion is straight
+_MOST_PARTNERS = 3  # more motions than these are not named
+_STRAIGHT = 0.05  # of a slope's square: below it a motion is straight
 _GRID = 41  # places of an axis at which its form is looked at
 
 
@@ -71,7 +71,7 @@ class PoorlyObservableShape:
     def __str__(self) -> str:
         """Return the statement for reports."""
         who = self.symbols[0]
-        others = self.symbols[1 : 1 + _WITH_IT]
+        others = self.symbols[1 : 1 + _MOST_PARTNERS]
         if others:
             who += f" together with {', '.join(others)}"
             who += " and others" if len(self.symbols) > 1 + len(others) else ""
@@ -103,11 +103,11 @@ def find_poorly_observable(
     *,
     blind: bool = True,
 ) -> tuple[PoorlyObservableShape, ...]:
-    """Return the shapes that matter and are hardly told, the worst first.
+    """Return the poorly observable shapes that matter, the worst first.
 
     information : of the data on the model, everything else integrated out
     gram : θᵀ G θ is the mean square of the volumetric error over the travel
-    blind : those of which nothing is told as well
+    blind : those that the data do not determine at all, too
     """
     prior = usual_precision_matrix(model)
     # Vᵀ P V = 1: each shape is one standard deviation of a usual machine.
@@ -118,7 +118,7 @@ def find_poorly_observable(
     )
     order = np.argsort(-size)
     most = 1.0 if blind else _BLIND
-    poor = [i for i in order if _LEFT < remaining[i] <= most and size[i] > _MATTERS_MM]
+    poor = [i for i in order if _POOR < remaining[i] <= most and size[i] > _RELEVANT_MM]
     return tuple(
         _name_shape(model, gram, vector[:, i], float(remaining[i]), float(size[i]))
         for i in poor[:_MOST]
@@ -163,7 +163,7 @@ def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
     straight = np.polynomial.Polynomial.fit(unit, value, 1)(unit)
     rest = value - straight
     what = "turning" if is_turn(motion.symbol) else "error"
-    if np.sum(rest**2) < _BENT * np.sum((straight - straight.mean()) ** 2):
+    if np.sum(rest**2) < _STRAIGHT * np.sum((straight - straight.mean()) ** 2):
         return f"a slope of the {what} along {axis.name}"
     even, odd = (_share(rest, form) for form in (bow, bend))
     if max(even, odd) < 0.5:
@@ -172,13 +172,12 @@ def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
 
 
 def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) -> float:
-    """Return the part of the square of values that a form makes."""
     square = float(value @ form) ** 2 / float(form @ form)
     return square / max(float(value @ value), 1e-300)
 
 
 _INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bridges
-_UNSEEN = 1e-6  # singular value relative to the largest, columns scaled to one
+_NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one
 
 
 def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observability:
@@ -190,7 +189,7 @@ def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observab
     alone = np.sum([np.diag(run.data.matrix)[: model.size] for run in found], 0)
     scale = 1.0 / np.sqrt(np.maximum(alone, 1e-300))
     value, vector = np.linalg.eigh(information * scale[:, None] * scale)
-    blind = value < _UNSEEN**2 * value[-1] + 1e-13
+    blind = value < _NULL_SPACE**2 * value[-1] + 1e-13
     covariance = np.linalg.inv(information + usual_precision_matrix(model))
     every = np.concatenate(offsets_mm)
     said = describe_confounded(machine, every, merged, model, covariance)

@@ -17,7 +17,7 @@ from app.kinematics.machine import Machine
 
 @dataclass(frozen=True)
 class PriorModel:
-    """What an earlier measurement has told of a machine.
+    """An earlier measurement's result for a machine.
 
     source : its file, or its identifier in the service; sha256 : of the file
     """
@@ -42,7 +42,7 @@ class PriorModel:
         return tuple(provenance.get("runs") or ((own,) if own["input_sha256"] else ()))
 
     def is_of(self, digests: Sequence[str]) -> bool:
-        """Tell whether it was made from one of some Runs, told by their digests."""
+        """Tell whether it was made from one of some Runs, by their digests."""
         return not {run["input_sha256"] for run in self.runs}.isdisjoint(digests)
 
     def select_effects(

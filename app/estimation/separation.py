@@ -48,11 +48,11 @@ def describe_confounded(
     model, covariance : of what the targets do tell, to find the length that is needed
     """
     measured = np.unique(offsets_mm, axis=0)
-    left = {
+    still = {
         what: _still_merged(machine, measured, np.array(way))
         for what, way in (_TRIALS.items() if merged else ())
     }
-    return tuple(_statement(m, len(measured), left, model, covariance) for m in merged)
+    return tuple(_statement(m, len(measured), still, model, covariance) for m in merged)
 
 
 def _still_merged(
@@ -76,7 +76,7 @@ def _still_merged(
 def _statement(
     merged: Confounded,
     tools: int,
-    left: dict[str, set[str]],
+    still: dict[str, set[str]],
     model: MachineModel,
     covariance: Float64[np.ndarray, "p p"],
 ) -> str:
@@ -88,7 +88,7 @@ def _statement(
         said += " does not move the target"
     if _asks_for_the_table(merged.symbol, model.machine):
         return f"{said}; targets on the workpiece, three off one line, show it"
-    cure = next((w for w, names in left.items() if merged.symbol not in names), "")
+    cure = next((w for w, names in still.items() if merged.symbol not in names), "")
     if not cure or not is_turn(merged.symbol):
         return f"{said}; other targets, off one line with these, separate it"
     way = np.array(_TRIALS[cure])
@@ -114,7 +114,6 @@ def _asks_for_the_table(symbol: str, machine: Machine) -> bool:
 
 
 def _usual_turn(model: MachineModel, covariance: Float64[np.ndarray, "p p"]) -> float:
-    """Return the median standard uncertainty of the turns that are told, in rad."""
     turns = [motion for motion in model.error_motions if is_turn(motion.symbol)]
     return float(np.median([_sigma(m, model, covariance) for m in turns] or [np.inf]))
 
@@ -152,7 +151,6 @@ def _displacements(model: MachineModel, axis: str) -> list[ErrorMotion]:
 def _sigma(
     motion: ErrorMotion, model: MachineModel, covariance: Float64[np.ndarray, "p p"]
 ) -> float:
-    """Return the standard uncertainty of a motion, root mean square, mm or rad."""
     part = model.slices[motion.name]
     rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
     variance = np.einsum("np,np->n", rows @ covariance[part, part], rows)

@@ -205,13 +205,11 @@ class Lines:
         return self.runs[line.run].observations.at.time_s[line.cells]
 
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
-        """Return the first column of each effect, and one past the last."""
         return self.size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
     def _beside(
         self, known: Sequence[_Term], offer: _Term
     ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
-        """Return the sums of one effect with all that is known, and with itself."""
         with_base = offer.cross.sum(axis=0)
         others = [one.blocks.multiply(offer.blocks) for one in known]
         cross = np.concatenate([with_base[:-1], *others, with_base[-1:]])
@@ -252,7 +250,6 @@ class Lines:
         return square, freedom
 
     def _terms_of(self, effects: Sequence[Effect]) -> list[_Term]:
-        """Return the effects' columns, each made once."""
         found = {e: self._known.pop(e) for e in set(effects) & set(self._known)}
         new = [e for e in dict.fromkeys(effects) if e not in found]
         if new:
@@ -303,7 +300,6 @@ def build_lines(
 def _cross(
     fixed: Sequence[WhitenedBlocks], offers: WhitenedBlocks
 ) -> Float64[np.ndarray, "q p"]:
-    """Return sums of base and known effects with offers; data are the last row."""
     base, *known = (one.multiply(offers) for one in fixed)
     return np.concatenate([base[:-1], *known, base[-1:]])
 

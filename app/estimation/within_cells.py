@@ -97,7 +97,6 @@ class Within:
 
     @cached_property
     def _known(self) -> dict[Effect, _Fast]:
-        """Return the effects looked at of late."""
         return {}
 
     def _of(self, effect: Effect) -> _Fast | None:
@@ -255,7 +254,6 @@ def _straighten(
 def _precision(
     seen: Observations, base: Linearisation, cells: slice
 ) -> Float64[np.ndarray, "c 3 3"]:
-    """Return the precision of one sample's white noise, where the tracker stands."""
     tracker_mm = seen.tracker_mm[cells]
     distance = np.linalg.norm(tracker_mm, axis=1)
     sigma = seen.at.machine.tracker.sigma_mm(distance)[:, [0, 1, 1]]

@@ -84,7 +84,7 @@ class Propagated:
 Mapper = Callable[[Callable[[int], TrialBlock], Iterable[int]], Iterable[TrialBlock]]
 """Computes a function of block numbers, here or elsewhere, and yields in their order.
 
-It may work ahead; it is told to stop by not being asked any more.
+It may work ahead; it stops when it is not asked any more.
 """
 
 
@@ -193,7 +193,6 @@ def _results(
 def _moments(
     blocks: Sequence[TrialBlock],
 ) -> tuple[Float64[np.ndarray, " o"], Float64[np.ndarray, " o"]]:
-    """Return mean and variance of all trials of all blocks."""
     count = np.array([made.trials for made in blocks], float)
     means = np.array([made.mean for made in blocks])
     variances = np.array([made.variance for made in blocks])

@@ -198,7 +198,6 @@ def _pieces(
 def _forms(
     forms: Float64[np.ndarray, "i r r kk"], products: Float64[np.ndarray, "kk n"]
 ) -> Float64[np.ndarray, "i n r r"]:
-    """Return the quadratic forms at places, by products of Lagrange's polynomials."""
     return (forms @ products).transpose(0, 3, 1, 2)
 
 
@@ -237,7 +236,6 @@ def _roots(values: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " r"]:
 
 @lru_cache
 def _nodes(count: int) -> Float64[np.ndarray, " n"]:
-    """Return Chebyshev's nodes in [−1, 1]."""
     return np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 

@@ -51,22 +51,18 @@ def build_rotation(
 def fit_rigid(
     source_mm: Float64[np.ndarray, "n 3"],
     target_mm: Float64[np.ndarray, "n 3"],
-    weight: Float64[np.ndarray, " n"] | None = None,
     *,
     mirrored: bool = False,
 ) -> RigidTransform:
-    """Rotate and shift one point set onto another in the weighted least-squares sense.
+    """Rotate and shift one point set onto another in the least-squares sense.
 
     source_mm, target_mm : (n, 3), n >= 3, not collinear
-    weight : (n,), inverse variance of one coordinate; equal where it is left out
     mirrored : fit an improper rotation instead, to recognise a left-handed frame
 
     Umeyama (1991), scale fixed at 1.
     """
-    w = np.ones(len(source_mm)) if weight is None else weight
-    w = w / w.sum()
-    centre_s, centre_t = w @ source_mm, w @ target_mm
-    H = (target_mm - centre_t).T @ ((source_mm - centre_s) * w[:, None])
+    centre_s, centre_t = source_mm.mean(axis=0), target_mm.mean(axis=0)
+    H = (target_mm - centre_t).T @ (source_mm - centre_s)
     U, _, Vt = np.linalg.svd(H)
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     R = U @ np.diag([1.0, 1.0, -sign if mirrored else sign]) @ Vt

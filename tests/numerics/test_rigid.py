@@ -20,15 +20,6 @@ def test_a_rigid_motion_is_found_from_its_points(rng, motion):
     assert np.allclose(found.translation_mm, motion.translation_mm, atol=1e-9)
 
 
-def test_a_point_of_no_weight_does_not_count(rng, motion):
-    points = rng.uniform(0, 500, (10, 3))
-    seen = motion.apply(points)
-    seen[0] += 100.0
-    weight = np.ones(10)
-    weight[0] = 0.0
-    assert np.allclose(fit_rigid(points, seen, weight).rotation, motion.rotation)
-
-
 def test_a_mirror_image_is_fitted_only_when_asked(rng, motion):
     points = rng.uniform(0, 500, (10, 3))
     mirrored = motion.apply(points * [1, 1, -1])
