@@ -238,7 +238,7 @@ class StopStream:
         return leaves_between(between, before.position_mm)
 
 
-def as_stops(stops: list[Stop], origin: int) -> StopSequence:
+def join_stops(stops: list[Stop], origin: int) -> StopSequence:
     """Return standstills as one block, counted from `origin`."""
     return StopSequence(
         np.array([s.first - origin for s in stops]),

@@ -24,7 +24,7 @@ from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import SKIP, TOLERANCE_MM, Matching, match_stops
-from app.alignment.stops import StopStream, as_stops
+from app.alignment.stops import StopStream, join_stops
 from app.errors import AlignmentError
 from app.files.run import Run
 from app.kinematics.machine import Machine
@@ -123,7 +123,7 @@ class StreamingAlignment:
         nominal_mm = self._place_mm[: len(stops) + _TRIES]
         names = "path.csv" if self._run.mode == "otf" else "points.csv"
         try:
-            found = match_stops(as_stops(stops, 0), nominal_mm, ordered_by=names)
+            found = match_stops(join_stops(stops, 0), nominal_mm, ordered_by=names)
         except AlignmentError:
             return  # too little so far, or another path: the batch will say
         if self._is_wide(nominal_mm[found.waypoint]):
@@ -164,7 +164,7 @@ class StreamingAlignment:
         stream = Stream(time_s, point_mm, self.pose)
         ends = np.array([0, len(stops) - 1]), np.array([here[1], there[1]])
         matching = Matching(*ends, self.pose)
-        block = as_stops(stops, origin)
+        block = join_stops(stops, origin)
         found: list[CellBlock] = []
         if uses_standstills(self._run):
             first = Matching(ends[0][:1], ends[1][:1], self.pose)

@@ -159,12 +159,12 @@ def _guess_noise(observations: Observations) -> NoiseModel:
 
 def _fit_noise(model: MachineModel, runs: Sequence[RunInput]) -> tuple[RunInput, ...]:
     return tuple(
-        replace(run, observations=with_pose(run.observations, run.pose))
+        replace(run, observations=replace_pose(run.observations, run.pose))
         for run in refine_runs(model, runs, longest_s=LONGEST_NOISE_S)
     )
 
 
-def with_pose(observations: Observations, pose: RigidTransform) -> Observations:
+def replace_pose(observations: Observations, pose: RigidTransform) -> Observations:
     """Return observations with another pose of the tracker."""
     recorded = observations.at.recorded
     if recorded is not None:

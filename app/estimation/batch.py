@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64
 from app.alignment.observations import Observations
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit, select_fit
-from app.estimation.extrapolation import Ranges, find_measured_ranges, free_ends
+from app.estimation.extrapolation import Ranges, find_measured_ranges, soften_ends
 from app.estimation.information import Posterior
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel, floor_mm
@@ -159,7 +159,7 @@ def estimate(
     )
     inputs = refine_runs(coarse, inputs, known=known)
     on_progress(0.5)
-    fit = free_ends(select_fit(inputs, known.extend(model), known))
+    fit = soften_ends(select_fit(inputs, known.extend(model), known))
     on_progress(0.9)
     observability = assess_observability(machine, inputs)
     result = widen_by_unknown_precision(fit.prior, fit.result)

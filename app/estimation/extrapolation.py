@@ -1,10 +1,10 @@
 """What goes on beyond the measured range of an axis, and how little is known of it.
 
-The prior charges every error motion for its bending as if its curvature were white.
-Between measurements that is good enough. Beyond them it is not: the curvature of a
-guide or a scale persists over a good part of the travel, so that the error leaves the
-straight line with the square of the distance. White curvature makes intervals there
-that held the truth in 74 to 81 % of simulated cases in place of 95 %.
+The prior takes the curvature of every error motion as white. Beyond the measurements
+that is not good enough: the curvature of a guide or a scale persists over a good part
+of the travel, so that the error leaves the straight line with the square of the
+distance. Under white curvature 95 % intervals there held the truth in 74 to 81 % of
+simulated cases.
 
 Beyond the last measured position of an axis the beam therefore softens with the
 distance d: curvature of variance κ² that persists leaves the line by κ d²/2, which
@@ -34,7 +34,7 @@ from app.kinematics.symbols import is_turn
 
 # An estimate shows about half of the curvature that is there: twice 3 κ² d.
 _DENSITY = 6.0
-_STEEPER = 2.0  # one standard deviation of the slope, in steepest slopes seen
+_STEEPER = 2.0  # one standard deviation of the slope, in steepest slopes observed
 _OWN = 0.5  # weight of the motion's own variation against that of its kind
 _FEWEST_INTERVALS = 2  # of the knots; a shorter end is known by its neighbourhood
 _GRID = 60  # places at which a slope is averaged
@@ -65,14 +65,13 @@ def find_measured_ranges(*observed: Observations) -> Ranges:
     return {name: (float(low), float(high)) for name, low, high in pairs}
 
 
-def free_ends(fit: Fit) -> Fit:
-    """Return the fit with the honest uncertainty beyond the measured ranges.
+def soften_ends(fit: Fit) -> Fit:
+    """Return the fit with its prior softened beyond the measured ranges.
 
-    What was found of precisions and of the noise stays; only ends longer than two
-    intervals of the knots are looked at, and without any the fit is the same.
+    Precisions and noise stay; ends up to two intervals of the knots stay as they are.
     """
     ranges = find_measured_ranges(*(run.observations for run in fit.runs))
-    motions = [m for m in _motions(fit.model) if _has_ends(m, ranges)]
+    motions = [m for m in fit.model.error_motions if _has_ends(m, ranges)]
     if not motions:
         return fit
     known = estimate_variations(
@@ -101,9 +100,9 @@ def estimate_variations(
             covariance[model.slices[m.name], model.slices[m.name]],
             ranges[m.axis.name],
         )
-        for m in _motions(model)
+        for m in model.error_motions
     }
-    return {m.name: _share_with_kind(m, model, own) for m in _motions(model)}
+    return {m.name: _share_with_kind(m, model, own) for m in model.error_motions}
 
 
 def beyond_travel_variance_mm2(
@@ -111,12 +110,11 @@ def beyond_travel_variance_mm2(
 ) -> Float64[np.ndarray, "n 3"]:
     """Return the variance that bends beyond the travel add to the volumetric error.
 
-    The estimate goes on straight there and its covariance knows of the slope at the end
-    of the travel, but not that the motion may bend away from it: by κ d²/2, and with a
-    bounded slope.
+    The covariance there includes the slope at the end of the travel, but not that the
+    motion may bend away from it: by κ d²/2, and with a bounded slope.
     """
     total = np.zeros((len(at), 3))
-    for motion in _motions(model):
+    for motion in model.error_motions:
         position = at.axis_mm(motion.axis.name)
         away = _away(position, (motion.axis.low, motion.axis.high))
         if motion.spline.period or not away.any():
@@ -133,10 +131,6 @@ def beyond_travel_variance_mm2(
 def full_travel(machine: Machine) -> Ranges:
     """Return the ranges of a measurement that covers the travel of every axis."""
     return {axis.name: (axis.low, axis.high) for axis in machine.axes}
-
-
-def _motions(model: MachineModel) -> list[ErrorMotion]:
-    return list(model.error_motions)
 
 
 def _has_ends(motion: ErrorMotion, ranges: Ranges) -> bool:
@@ -196,7 +190,7 @@ def _share_with_kind(
     motion: ErrorMotion, model: MachineModel, own: dict[str, Variation]
 ) -> Variation:
     """Return half of the motion's own, half of its kind's, scaled to its travel."""
-    kind = [m for m in _motions(model) if _kind(m) == _kind(motion)]
+    kind = [m for m in model.error_motions if _kind(m) == _kind(motion)]
     travel = _travel(motion)
     curvature = np.mean([own[m.name].curvature_square * _travel(m) ** 4 for m in kind])
     slope = np.mean([own[m.name].slope_square * _travel(m) ** 2 for m in kind])

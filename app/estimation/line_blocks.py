@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
-from app.estimation.baseline import Baseline, with_pose
+from app.estimation.baseline import Baseline, replace_pose
 from app.estimation.design_matrix import DesignMatrix, Linearisation
 from app.estimation.information import find_informative
 from app.estimation.noise import NoiseModel
-from app.estimation.within_cells import Within, within_cells
+from app.estimation.within_cells import CellDeviations, compute_cell_deviations
 from app.files.run import Run
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect
@@ -96,14 +96,14 @@ class RunData:
 
     observations: Observations
     base: Linearisation
-    within: Within | None = None
+    within: CellDeviations | None = None
 
 
 def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunData:
     """Return the data of a Run with its pose and noise in the baseline."""
     base = baseline.linearise(observations.at.run)
-    placed = with_pose(observations, base.pose)
-    return RunData(placed, base, within_cells(run, placed, base))
+    placed = replace_pose(observations, base.pose)
+    return RunData(placed, base, compute_cell_deviations(run, placed, base))
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class Residual:
     precision: Float64[np.ndarray, "n 3 3"]
     ou: float
     ou_time_s: float
-    within: Within | None = None
+    within: CellDeviations | None = None
 
     def ou_density(
         self, frequency_hz: Float64[np.ndarray, " f"]

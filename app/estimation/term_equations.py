@@ -1,8 +1,7 @@
 """Sums over lines of everything that may explain them, in folds of whole lines.
 
-Each line is whitened by itself, and its phase and speed are integrated out. So the sums
-of some lines tell what would be known without the others, and what is asked of the
-others, without touching a sample again: what is held out is always whole lines.
+Each line is whitened by itself, its phase and speed integrated out: so sums over some
+lines show what would be known without the others, and no sample is read again.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from app.estimation.line_blocks import (
     place_run,
 )
 from app.estimation.prior import diagonal_precision
-from app.estimation.within_cells import Within
+from app.estimation.within_cells import CellDeviations
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 
@@ -89,15 +88,15 @@ class _Term:
 class Lines:
     """All lines of all Runs with their base; effects are added to them.
 
-    Line k belongs to fold k modulo the number of folds: neighbours in time, which the
-    same moment made alike, are held out by different folds. A further Run of few lines
-    is held out nowhere: short of one it would not know where its tracker stood.
+    Line k belongs to fold k modulo the number of folds, so that neighbours in time are
+    in different folds. A further Run of few lines is held out nowhere: without one of
+    them the pose of its tracker would be unknown.
     """
 
     def __init__(self, runs: Sequence[RunData], folds: int) -> None:
         self.runs, self._folds = tuple(runs), folds
         self.size = runs[0].base.size
-        self._within: list[tuple[Within, bool]] = []
+        self._within: list[tuple[CellDeviations, bool]] = []
         lines: list[tuple[int, Line]] = []
         for number, data in enumerate(runs):
             parts = find_lines(data.observations)
@@ -120,10 +119,7 @@ class Lines:
 
     @property
     def pose_precision(self) -> Float64[np.ndarray, "b b"]:
-        """Prior of the poses beside the machine, around those that alignment found.
-
-        It keeps the place known where one of a Run's few lines is held out.
-        """
+        """Prior of the poses, around those that alignment found."""
         base = self.runs[0].base
         poses = diagonal_precision(base.pose_parameters, _POSE)
         return np.pad(poses, (base.machine_model.size, 0))
@@ -143,9 +139,8 @@ class Lines:
             mine = np.arange(int(begin[j]), int(begin[j + 1]))
             _put(total, base, mine, one.cross)
             for k, other in enumerate(terms[: j + 1]):
-                shared = self._products(other.blocks, one.blocks)
                 theirs = np.arange(int(begin[k]), int(begin[k + 1]))
-                _put(total, theirs, mine, shared)
+                _put(total, theirs, mine, self._products(other.blocks, one.blocks))
         fast = self._with_fast(total, begin, effects)
         return FoldedSums(
             total[:-1], self._freedom, total[-1], self._log_determinant, *fast
@@ -167,8 +162,7 @@ class Lines:
     ) -> CandidateBlocks:
         """Return the sums of effects on offer that differ on one line alone."""
         line, beside = self._lines[number], self._terms_of(known)
-        first = self._terms_of(offers[:1])[0]
-        here = (number, number + 1)
+        first, here = self._terms_of(offers[:1])[0], (number, number + 1)
         fixed = [self._base.between(*here), *(t.blocks.between(*here) for t in beside)]
         cross, own = self._beside(beside, first)
         old = first.blocks.between(*here)

@@ -38,7 +38,7 @@ class _Fast:
 
 
 @dataclass(frozen=True)
-class Within:
+class CellDeviations:
     """Deviations of all samples on lines from their cells' straight lines.
 
     time_s : (n,); deviation_mm : (n, 3) where the tracker stands; cell : (n,)
@@ -160,11 +160,13 @@ class Within:
         return np.bincount(self.line % folds, free, folds)
 
 
-def within_cells(run: Run, seen: Observations, base: Linearisation) -> Within | None:
+def compute_cell_deviations(
+    run: Run, seen: Observations, base: Linearisation
+) -> CellDeviations | None:
     """Return the deviations of a Run's samples on lines; None where there are none."""
     valid = np.zeros(len(run.tracker), bool)
     valid[find_valid_samples(run.tracker)] = True
-    parts: list[Within] = []
+    parts: list[CellDeviations] = []
     for number, (first, last) in enumerate(find_lines(seen)):
         line = int(seen.at.line[first])
         if line < 0 or _find_bends(seen, first):
@@ -190,7 +192,7 @@ def _part(
     samples: Int64[np.ndarray, " n"],
     cells: slice,
     number: int,
-) -> Within:
+) -> CellDeviations:
     time_s = run.tracker.device_time_s[samples]
     count = cells.stop - cells.start
     span = float(time_s[-1] - time_s[0]) + 1e-9
@@ -205,14 +207,14 @@ def _part(
     off = _straighten((local - local[0])[good], cell[good], lag, count)
     line = np.full(count, number)
     rate_hz = run.machine.tracker.rate_hz
-    return Within(
+    return CellDeviations(
         time_s[good], off, cell[good], lag, precision, line, rate_hz, seen.at.run
     )
 
 
-def _join(blocks: list[Within]) -> Within:
+def _join(blocks: list[CellDeviations]) -> CellDeviations:
     begin = np.cumsum([0, *(len(b.line) for b in blocks[:-1])])
-    return Within(
+    return CellDeviations(
         np.concatenate([b.time_s for b in blocks]),
         np.concatenate([b.deviation_mm for b in blocks]),
         np.concatenate([b.cell + f for b, f in zip(blocks, begin, strict=True)]),

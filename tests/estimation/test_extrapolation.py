@@ -148,7 +148,7 @@ def test_a_measurement_of_the_whole_travel_is_left_as_it_is(record, monkeypatch)
     run, _ = record(21, rows=40)
     seen = align(run)
     with_ends = estimate(seen)
-    monkeypatch.setattr("app.estimation.batch.free_ends", lambda fit, *rest: fit)
+    monkeypatch.setattr("app.estimation.batch.soften_ends", lambda fit, *rest: fit)
     assert estimate(seen).theta == pytest.approx(with_ends.theta, abs=1e-12)
 
 
