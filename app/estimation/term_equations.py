@@ -167,8 +167,7 @@ class Lines:
         cross, own = self._beside(beside, first)
         old = first.blocks.between(*here)
         cross, own = cross - _cross(fixed, old), own - old.multiply(old)
-        at = self.runs[line.run].observations.at
-        at = at.select(np.arange(int(line.cells.start), int(line.cells.stop)))
+        at = line.design.observations.at
         rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
         new, width = line.whiten(rows), first.blocks.width
         crossed = _cross(fixed, new)
@@ -182,21 +181,17 @@ class Lines:
 
     def about(self, run: int, time_s: float) -> list[int]:
         """Return the line of a Run at a moment, and its neighbours in time."""
-        mine = [n for n, line in enumerate(self._lines) if line.run == run]
-        mine.sort(key=lambda n: self._times(n)[0])
-        begins = [self._times(n)[0] for n in mine]
-        here = max(int(np.searchsorted(begins, time_s)) - 1, 0)
-        return mine[max(here - 1, 0) : here + 2]
+        clock_s = self.runs[run].observations.at.time_s
+        lines = [(n, line) for n, line in enumerate(self._lines) if line.run == run]
+        begins = sorted((float(clock_s[line.cells.start]), n) for n, line in lines)
+        here = max(int(np.searchsorted([t for t, _ in begins], time_s)) - 1, 0)
+        return [n for _, n in begins[max(here - 1, 0) : here + 2]]
 
     def edges_s(self, number: int) -> Float64[np.ndarray, " e"]:
         """Return the moments of a line's cells, and of the last one before it."""
         line = self._lines[number]
         time_s = self.runs[line.run].observations.at.time_s
         return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
-
-    def _times(self, number: int) -> Float64[np.ndarray, " n"]:
-        line = self._lines[number]
-        return self.runs[line.run].observations.at.time_s[line.cells]
 
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         return self.size + np.cumsum([0, *(one.blocks.width for one in terms)])
@@ -254,7 +249,6 @@ class Lines:
         return [found[e] for e in effects]
 
     def _build_terms(self, effects: Sequence[Effect]) -> Iterator[_Term]:
-        """Yield the columns of effects, whitened and multiplied together."""
         rows = [
             np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
             for data in self.runs
@@ -272,11 +266,9 @@ class Lines:
         self, one: WhitenedBlocks, other: WhitenedBlocks
     ) -> Float64[np.ndarray, "f p q"]:
         """Return oneᵀ V⁻¹ other over each fold, then over the lines never held out."""
+        bounds = zip(self._bounds, self._bounds[1:], strict=False)
         return np.stack(
-            [
-                one.between(first, last).multiply(other.between(first, last))
-                for first, last in zip(self._bounds, self._bounds[1:], strict=False)
-            ]
+            [one.between(*ends).multiply(other.between(*ends)) for ends in bounds]
         )
 
 
@@ -304,6 +296,5 @@ def _put(
     columns: Int64[np.ndarray, " c"],
     block: Float64[np.ndarray, "f r c"],
 ) -> None:
-    """Write a block and its mirror image into sums."""
     total[:, rows[:, None], columns] = block
     total[:, columns[:, None], rows] = np.swapaxes(block, 1, 2)
