@@ -10,7 +10,7 @@ screens light and dark and on paper.
     discovery_report      which effects a model lacks, and the lines that would decide
     comparison_report     a result against a direct measurement
     plan_report           a plan: what it determines, and in what time
-    error_sections, measurement_sections, run_views    views of the calibration report
+    error_sections, measurement_sections    views of the calibration report
     templating            the environment of the templates
     svg, chart, axis_panels    shapes, scales and frames of figures
     *_figures, volume_figure   one kind of report a file

@@ -26,9 +26,9 @@ from app.reporting.measurement_sections import (
     describe_machine,
     describe_residuals,
     describe_validation,
+    name_runs,
     residual_over_noise,
 )
-from app.reporting.run_views import name_runs
 from app.reporting.templating import View, render_page, render_part
 from app.results.findings import Findings
 

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from app.kinematics.machine import Axis
+from app.motion.paths import unit_corners
 from app.reporting.axis_panels import LEFT, SIGN, TOP, draw_panels
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (
@@ -153,7 +154,7 @@ def _draw_arrows(volume: ComparedVolume) -> Markup:
 
 def _find_edges(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 12 3"]:
     """Return both ends of the edges of the volume."""
-    corners = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)
+    corners = unit_corners()
     low, high = position.min(axis=0), position.max(axis=0)
     pairs = [
         (a, b)
@@ -161,5 +162,4 @@ def _find_edges(position: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "2 
         for b in range(a + 1, 8)
         if abs(corners[a] - corners[b]).sum() == 1.0
     ]
-    ends = low + corners[np.array(pairs).T] * (high - low)
-    return ends
+    return low + corners[np.array(pairs).T] * (high - low)

@@ -13,6 +13,7 @@ from app.alignment.observations import Observations
 from app.discovery.findings import Gap
 from app.discovery.residual_location import RunResidual, Segment
 from app.kinematics.machine import position_unit
+from app.reporting.axis_panels import EDGE, LEFT, TOP, make_panel
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (
     NUMBER,
@@ -26,7 +27,6 @@ from app.reporting.svg import (
     write_label,
 )
 
-_TOP, _LEFT, _EDGE, _GAP = 16.0, 36.0, 7.0, 40.0
 _HEIGHT, _ROW = 104.0, 150.0
 _BARS, _NAMES = 16.0, 130.0
 _POINTS, _BINS, _PROFILES = 240, 24, 6
@@ -113,18 +113,18 @@ def draw_along_run(residual: RunResidual) -> Markup:
     for row, ((at, mean), title) in enumerate(
         zip(drawn, ("Residual along the run, before", "After"), strict=True)
     ):
-        top = _TOP + 136.0 * row
-        frame = Frame(_LEFT, top, WIDTH - _EDGE, top + _HEIGHT)
+        top = TOP + 136.0 * row
+        frame = Frame(LEFT, top, WIDTH - EDGE, top + _HEIGHT)
         x = frame.make_x(0.0, float(edges[-1]))
         label = "time, s" if row else ""
         parts.append(_draw_components(frame, x, at, mean, reach, title, label))
-    parts.append(_draw_key(Frame(_LEFT, _TOP, WIDTH - _EDGE, _TOP + _HEIGHT)))
-    return draw_image(_TOP + 136.0 + _HEIGHT + 28.0, "Residual along the run", parts)
+    parts.append(_draw_key(Frame(LEFT, TOP, WIDTH - EDGE, TOP + _HEIGHT)))
+    return draw_image(TOP + 136.0 + _HEIGHT + 28.0, "Residual along the run", parts)
 
 
 def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
     """Draw the root mean square on every line, before and after."""
-    frame = Frame(_LEFT, _TOP, WIDTH - _EDGE, _TOP + _HEIGHT)
+    frame = Frame(LEFT, TOP, WIDTH - EDGE, TOP + _HEIGHT)
     rows = np.array([s.row for s in before], float)
     high = 1.05 * max(s.rms_um for s in (*before, *after))
     x = frame.make_x(float(rows.min()), float(rows.max()), margin=0.02)
@@ -140,7 +140,7 @@ def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
         foot = np.full(len(at), frame.bottom)
         begin, end = np.column_stack([at, foot]), np.column_stack([at, rms])
         parts.append(draw_segments(begin, end, colour, width=width))
-    return draw_image(_TOP + _HEIGHT + 28.0, "Residual by line before and after", parts)
+    return draw_image(TOP + _HEIGHT + 28.0, "Residual by line before and after", parts)
 
 
 def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
@@ -177,13 +177,10 @@ def draw_profiles(residual: RunResidual) -> Markup:
     ]
     parts: list[Markup] = []
     for number, covariate in enumerate(chosen):
-        row, column = divmod(number, 3)
-        width = (WIDTH - _LEFT - 2 * _GAP - _EDGE) / 3
-        left, top = _LEFT + column * (width + _GAP), _TOP + row * _ROW
-        frame = Frame(left, top, left + width, top + _HEIGHT)
+        frame = make_panel(*divmod(number, 3), _HEIGHT, _ROW)
         parts.append(_draw_profile(frame, residual, covariate))
     rows = -(-len(chosen) // 3)
-    return draw_image(_TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
+    return draw_image(TOP + _ROW * (rows - 1) + _HEIGHT + 28.0, "Profiles", parts)
 
 
 def _draw_profile(frame: Frame, residual: RunResidual, covariate: Covariate) -> Markup:

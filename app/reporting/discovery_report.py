@@ -144,6 +144,7 @@ def _describe_run(residual: RunResidual) -> View:
     """Return where a Run and its simulation disagree."""
     before, after = residual.before, residual.after
     return {
+        "observer": residual.observations.at.observer,
         "along": draw_along_run(residual),
         "shares": draw_shares(before.shares, after.shares),
         "by_line": draw_by_line(before.segments, after.segments),

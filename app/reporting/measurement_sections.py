@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.files.units import UM_PER_MM
+from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.symbols import describe_symbol
 from app.numerics.adaptive_trials import NORMAL_FACTOR
 from app.reporting.axis_panels import SIGN
-from app.reporting.run_views import (
-    describe_measurement,
-    describe_origin,
-    describe_run_residuals,
-)
+from app.reporting.error_figures import draw_residuals
 from app.reporting.templating import View
-from app.results.findings import Findings
+from app.results.findings import Findings, RunFindings
 from app.results.grade_json import in_words
 from app.results.number_format import format_number
 from app.results.trial_results import MAP, TrialQuantity, TrialResults
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement
+_K = 2.0
+_HOW = {"otf": "on the fly", "standstill": "at standstill"}
+
+
+def name_runs(findings: Findings) -> str:
+    """Return the Runs and their modes in a line."""
+    runs = [run.summary for run in findings.runs]
+    if len(runs) == 1:
+        return f"Run {runs[0].name}, measured {_HOW[runs[0].mode]}"
+    named = ", ".join(f"{run.name} ({_HOW[run.mode]})" for run in runs)
+    return f"Runs {named}, measured"
 
 
 def residual_over_noise(findings: Findings) -> float:
@@ -43,7 +50,7 @@ def describe_machine(findings: Findings) -> View:
             "text": in_words(grade),
             "sample_sigma_um": format_number(UM_PER_MM * grade.sample_sigma_mm, 1),
         },
-        "runs": [describe_measurement(run) for run in findings.runs],
+        "runs": [_describe_measurement(run) for run in findings.runs],
     }
 
 
@@ -54,7 +61,7 @@ def describe_residuals(findings: Findings) -> View:
         "floor_um": UM_PER_MM * findings.estimate.floor_mm,
         "ratio": residual_over_noise(findings),
         "good_fit": GOOD_FIT,
-        "runs": [describe_run_residuals(run) for run in findings.runs],
+        "runs": [_describe_run_residuals(run) for run in findings.runs],
     }
 
 
@@ -105,7 +112,7 @@ def describe_documentation(findings: Findings) -> View:
         "parameters": findings.estimate.model.size,
         "timing": any(run.mode == "otf" for run in provenance.runs),
         "runs": [
-            describe_origin(run, across_only=across_only) for run in findings.runs
+            _describe_origin(run, across_only=across_only) for run in findings.runs
         ],
     }
 
@@ -151,3 +158,71 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
         *(f"{format_number(size, 3)} {SIGN[q.unit]}" for size in sizes),
         f"{int(q.agrees.sum())} of {len(q.agrees)}",
     )
+
+
+def _describe_measurement(run: RunFindings) -> View:
+    """Return how a Run was measured."""
+    summary, estimate = run.summary, run.estimate
+    return {
+        "name": summary.name,
+        "mode": summary.mode,
+        "feed": _state_feed(summary.feed_mm_min),
+        "commanded": summary.lines,
+        "recognised": estimate.lines,
+        "minutes": f"{summary.measured_s / 60.0:.1f}",
+        "samples": f"{estimate.offered_samples:,}",
+        "used": 100.0 * estimate.used_samples / max(estimate.offered_samples, 1),
+        "cells": f"{estimate.cells:,}",
+        "distance_m": f"{run.noise.distance_mm / 1000.0:.2f}",
+        "rate_hz": f"{estimate.tracker.rate_hz:g}",
+        "stands_on": estimate.tracker.stands_on,
+        "temperatures": ", ".join(
+            f"{sensor} {low:.2f} to {high:.2f} °C"
+            for sensor, (low, high) in summary.temperature_degc.items()
+        ),
+    }
+
+
+def _describe_run_residuals(run: RunFindings) -> View:
+    """Return the residuals of a Run, and its noise."""
+    noise, jitter = run.noise, run.noise.along_travel_um
+    parts = (
+        ("One sample, as the tracker states", noise.stated_um),
+        ("One sample, white part found", noise.white_um),
+        ("Correlated part found", noise.ou_um),
+    )
+    return {
+        "name": run.summary.name,
+        "mode": run.summary.mode,
+        "figure": draw_residuals(run),
+        "noise": [
+            (name, *(format_number(v, 2) for v in values)) for name, values in parts
+        ],
+        "distance_m": f"{noise.distance_mm / 1000.0:.2f}",
+        "correlation_time_s": f"{noise.ou_time_s:.2g}",
+        "along_um": None if jitter is None else f"{jitter:.2g}",
+    }
+
+
+def _describe_origin(run: RunFindings, *, across_only: bool) -> View:
+    """Return which data of a Run were used, and where the tracker stood."""
+    sigma = np.sqrt(np.maximum(np.diag(run.estimate.pose_covariance), 0.0))
+    scale = _K * np.repeat([UM_PER_MM, URAD_PER_RAD], 3)
+    half = [f"{value:.2g}" for value in scale * sigma]
+    station = run.estimate.pose.invert().translation_mm.tolist()
+    return {
+        "name": run.summary.name,
+        "mode": run.summary.mode,
+        "digest": run.summary.digest,
+        "source": run.summary.source,
+        "across_only": across_only,
+        "station_mm": ", ".join(format_number(value) for value in station),
+        "translation_um": ", ".join(half[:3]),
+        "rotation_urad": ", ".join(half[3:]),
+    }
+
+
+def _state_feed(feed_mm_min: tuple[float, float] | None) -> str:
+    if feed_mm_min is None:
+        return ""
+    return " to ".join(dict.fromkeys(f"{feed:,.0f}" for feed in feed_mm_min))
