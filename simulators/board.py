@@ -46,7 +46,7 @@ class BoardWriter:
         """Put a timeline on the board, in place of the one before."""
         if len(timeline) > _ROWS:
             raise SimulatorError(f"a motion of {len(timeline)} pieces is too long")
-        body = _packed(timeline)
+        body = _pack(timeline)
         axes = timeline.origin.shape[1]
         self._mark(self._version + 1, len(timeline), axes, 0)  # odd: being written
         self._memory[_BODY_AT : _BODY_AT + len(body)] = body
@@ -76,7 +76,7 @@ class BoardReader:
             return self._timeline
         body = self._memory[_BODY_AT : _BODY_AT + 8 * pieces * _columns(axes)]
         if zlib.crc32(body) == crc:
-            self._version, self._timeline = version, _unpacked(body, pieces, axes)
+            self._version, self._timeline = version, _unpack(body, pieces, axes)
         return self._timeline
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ def _columns(axes: int) -> int:
     return 5 + 2 * axes
 
 
-def _packed(timeline: Timeline) -> bytes:
+def _pack(timeline: Timeline) -> bytes:
     scalars = [
         timeline.start_s,
         timeline.speed,
@@ -99,7 +99,7 @@ def _packed(timeline: Timeline) -> bytes:
     return np.column_stack([*scalars, timeline.origin, timeline.direction]).tobytes()
 
 
-def _unpacked(body: bytes, pieces: int, axes: int) -> Timeline:
+def _unpack(body: bytes, pieces: int, axes: int) -> Timeline:
     table = np.frombuffer(body, float).reshape(pieces, _columns(axes))
     start, speed, acceleration, jerk, row = (table[:, k].copy() for k in range(5))
     return Timeline(

@@ -151,7 +151,9 @@ class Controller:
         begin_s = max(now_s + _LONG_LEAD * self._lead_s, self._timeline.end_s)
         self._begin_s = begin_s
         self._change(
-            interruption.resumed(self._timeline, self._fed(), begin_s, self._limits)
+            interruption.resume_motion(
+                self._timeline, self._fed(), begin_s, self._limits
+            )
         )
         self.state = MotionState.RUNNING
         self.hold_reason = HoldReason.NONE
@@ -211,7 +213,7 @@ class Controller:
             self._running = interruption.program_left(
                 self._timeline, self._running, at_s
             )
-        self._change(interruption.held(self._recent(now_s), at_s, self._limits))
+        self._change(interruption.hold_motion(self._recent(now_s), at_s, self._limits))
         self._stopping_for = state
 
     def _recent(self, now_s: float) -> Timeline:

@@ -38,7 +38,7 @@ class ErrorMotion:
             value = value + amplitude * np.cos(k * angle + phase)
         return value
 
-    def scaled(self, factor: float) -> ErrorMotion:
+    def scale(self, factor: float) -> ErrorMotion:
         """Return `factor` times this motion."""
         return ErrorMotion(
             self.low_mm,
@@ -49,7 +49,7 @@ class ErrorMotion:
             factor * self.slope,
         )
 
-    def shifted(self, offset: float, slope: float = 0.0) -> ErrorMotion:
+    def shift(self, offset: float, slope: float = 0.0) -> ErrorMotion:
         """Return this motion plus a straight line, `offset` at the lowest position."""
         return ErrorMotion(
             self.low_mm,
@@ -66,7 +66,7 @@ def positioning(
 ) -> ErrorMotion:
     """Draw a positioning error: smooth, with a trend, zero at the axis zero."""
     trend = rng.uniform(-2.0, 2.0) / (axis.max_mm - axis.min_mm)
-    return _zero_at_zero(_harmonics(rng, axis).shifted(0.0, trend), axis, peak_mm)
+    return _zero_at_zero(_harmonics(rng, axis).shift(0.0, trend), axis, peak_mm)
 
 
 def angular(rng: np.random.Generator, axis: LinearAxis, peak_rad: float) -> ErrorMotion:
@@ -81,7 +81,7 @@ def straightness(
     motion = _harmonics(rng, axis)
     first, last = motion.at(np.array([axis.min_mm, axis.max_mm]))
     slope = (last - first) / (axis.max_mm - axis.min_mm)
-    return _scaled_to(motion.shifted(-float(first), -float(slope)), peak_mm)
+    return _scale_to(motion.shift(-float(first), -float(slope)), peak_mm)
 
 
 def none(axis: LinearAxis) -> ErrorMotion:
@@ -100,9 +100,9 @@ def _harmonics(rng: np.random.Generator, axis: LinearAxis) -> ErrorMotion:
 
 def _zero_at_zero(motion: ErrorMotion, axis: LinearAxis, peak: float) -> ErrorMotion:
     at_zero = float(motion.at(np.array(axis.zero_mm)))
-    return _scaled_to(motion.shifted(-at_zero), peak)
+    return _scale_to(motion.shift(-at_zero), peak)
 
 
-def _scaled_to(motion: ErrorMotion, peak: float) -> ErrorMotion:
+def _scale_to(motion: ErrorMotion, peak: float) -> ErrorMotion:
     grid = np.linspace(motion.low_mm, motion.high_mm, _GRID)
-    return motion.scaled(peak / float(np.abs(motion.at(grid)).max()))
+    return motion.scale(peak / float(np.abs(motion.at(grid)).max()))

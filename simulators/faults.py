@@ -166,7 +166,7 @@ class Schedule:
 
 
 def _mask(armed: _Armed, time_s: np.ndarray, count: np.ndarray) -> np.ndarray:
-    begun = _begun(armed, time_s, count)
+    begun = _has_begun(armed, time_s, count)
     if not begun.any():
         return begun
     if not armed.fault.lasts:
@@ -179,7 +179,7 @@ def _mask(armed: _Armed, time_s: np.ndarray, count: np.ndarray) -> np.ndarray:
     return begun & (time_s < armed.began_s + armed.fault.duration_s)
 
 
-def _begun(armed: _Armed, time_s: np.ndarray, count: np.ndarray) -> np.ndarray:
+def _has_begun(armed: _Armed, time_s: np.ndarray, count: np.ndarray) -> np.ndarray:
     fault = armed.fault
     if armed.began_s is not None:
         return time_s >= armed.began_s

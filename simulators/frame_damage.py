@@ -15,7 +15,7 @@ class FrameDamage:
         self._rng = rng
         self._kept_back = b""
 
-    def applied(self, data: bytes, time_s: np.ndarray, number: np.ndarray) -> bytes:
+    def damage(self, data: bytes, time_s: np.ndarray, number: np.ndarray) -> bytes:
         """Return what comes out of the line for whole frames taken at `time_s` (n,)."""
         frames = [b"\0" + piece + b"\0" for piece in data.split(b"\0") if piece]
         struck = False
@@ -23,22 +23,22 @@ class FrameDamage:
             for fault, mask in self._faults.struck(kind, time_s, number):
                 struck = True
                 for i in np.flatnonzero(mask & self._lot(fault, len(mask))):
-                    frames[i] = self._damaged(kind, fault, frames[i])
+                    frames[i] = self._damage_frame(kind, fault, frames[i])
         out = b"".join(frames) if struck else data
-        return self._delayed(out, time_s, number)
+        return self._delay(out, time_s, number)
 
     def _lot(self, fault: Fault, n: int) -> np.ndarray:
         """Draw which frames are struck, where the amount of the fault is a share."""
         share = fault.amount if fault.kind in _SHARES else 1.0
         return self._rng.uniform(size=n) < share
 
-    def _damaged(self, kind: str, fault: Fault, frame: bytes) -> bytes:
+    def _damage_frame(self, kind: str, fault: Fault, frame: bytes) -> bytes:
         match kind:
             case "lost-bytes":
                 at = int(self._rng.integers(len(frame)))
                 return frame[:at] + frame[at + 1 :]
             case "bit-flip":
-                return self._flipped(frame)
+                return self._flip_bits(frame)
             case "duplicate":
                 return frame + frame
             case "noise":
@@ -46,13 +46,13 @@ class FrameDamage:
             case _:
                 return b""
 
-    def _flipped(self, frame: bytes) -> bytes:
+    def _flip_bits(self, frame: bytes) -> bytes:
         at, bit = int(self._rng.integers(len(frame))), int(self._rng.integers(8))
         flipped = bytearray(frame)
         flipped[at] ^= 1 << bit
         return bytes(flipped)
 
-    def _delayed(self, data: bytes, time_s: np.ndarray, number: np.ndarray) -> bytes:
+    def _delay(self, data: bytes, time_s: np.ndarray, number: np.ndarray) -> bytes:
         for _, mask in self._faults.struck("delay", time_s, number):
             if mask[-1]:
                 self._kept_back += data

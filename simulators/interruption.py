@@ -17,7 +17,7 @@ from simulators.timeline import (
 )
 
 
-def held(timeline: Timeline, time_s: float, limits: Limits) -> Timeline:
+def hold_motion(timeline: Timeline, time_s: float, limits: Limits) -> Timeline:
     """Return a motion that brakes along its line from `time_s` on, then stands."""
     state = timeline.state(time_s)
     stretches = brake(state.speed, state.acceleration, limits)
@@ -37,7 +37,7 @@ def program_left(timeline: Timeline, program: Program, time_s: float) -> Program
     return replace(program, dwell_s=dwell_s)
 
 
-def resumed(
+def resume_motion(
     stopped: Timeline, program: Program, time_s: float, limits: Limits
 ) -> Timeline:
     """Return a held motion that goes on at `time_s` with the row it was held in."""

@@ -102,7 +102,7 @@ def ride(
         return None
     peak = feed_mm_s
     if overrun(peak) > 0.0:
-        peak = _bisected(overrun, feed_mm_s)
+        peak = _bisect_speed(overrun, feed_mm_s)
     cruise = Stretch(max(-overrun(peak), 0.0) / peak, 0.0, 0.0)
     stretches = way(peak)
     last = len(_change(peak, 0.0, limits))
@@ -168,7 +168,7 @@ def _travel(stretches: list[Stretch], speed: float) -> float:
     return distance
 
 
-def _bisected(overrun: Callable[[float], float], high: float) -> float:
+def _bisect_speed(overrun: Callable[[float], float], high: float) -> float:
     """Return the speed that just does not overrun; `high` does."""
     low = 0.0
     for _ in range(_BISECTIONS):

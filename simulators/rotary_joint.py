@@ -46,11 +46,11 @@ class RotaryJoint(Joint):
 
     def actual(self, position: np.ndarray) -> np.ndarray:
         """Return T(c) as it is, (n, 4, 4), at positions in deg."""
-        place = self._placed(
+        place = self._express_about_origin(
             rotation_matrices(*(np.array([turn]) for turn in self.tilt_rad)),
             np.array([self.shift_mm]),
         )
-        motion = self._placed(
+        motion = self._express_about_origin(
             rotation_matrices(*(motion.at(position) for motion in self.rotation)),
             np.stack([motion.at(position) for motion in self.translation], axis=1),
         )
@@ -66,7 +66,7 @@ class RotaryJoint(Joint):
         turn = np.eye(3) + sine * across + (1.0 - cosine) * (across @ across)
         return _about(np.array(self.axis.origin_mm), turn, np.zeros((1, 3)))
 
-    def _placed(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    def _express_about_origin(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Return rigid motions given in local directions about the origin."""
         frame = local_frame(self.axis)
         turn, shift = frame @ turn @ frame.T, shift @ frame.T

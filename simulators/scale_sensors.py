@@ -17,7 +17,7 @@ _SIGMA_K = 0.02
 _PERIOD_S = 1.0
 
 
-def shown(
+def read_sensors(
     machine: MachineFile,
     device_s: np.ndarray,
     clock: TrackerClock,

@@ -28,7 +28,7 @@ from simulators.machine_file import MachineFile, parse_machine
 from simulators.profile import Limits
 from simulators.randomness import generator
 from simulators.recording import Recording
-from simulators.scale_sensors import shown
+from simulators.scale_sensors import read_sensors
 from simulators.scenario import load_machine
 from simulators.timeline import Program, Timeline, follow
 from simulators.tracker_head import Air, TrackerClock, TrackerPose
@@ -121,7 +121,7 @@ def record(
         [program.target[k] for k in row] if program.target else [""] * len(row),
         setting.hidden,
     )
-    stream = _observed(machine, pose.from_table(table_mm), seed, setting)
+    stream = _observe(machine, pose.from_table(table_mm), seed, setting)
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
         status[_within(true_s, begin, duration)] = BEAM_BROKEN
@@ -140,7 +140,7 @@ def record(
         timeline,
         clock,
         setting.hidden,
-        shown(machine, device_s, clock, seed, setting.hidden)
+        read_sensors(machine, device_s, clock, seed, setting.hidden)
         if setting.sensors
         else None,
     )
@@ -156,8 +156,8 @@ def _motion(program: Program, setting: Setting) -> Timeline:
     timeline = follow(program, program.position[0], begin, setting.limits)
     for time_s, duration_s in setting.defects.holds:
         left = interruption.program_left(timeline, program, time_s)
-        timeline = interruption.held(timeline, time_s, setting.limits)
-        timeline = interruption.resumed(
+        timeline = interruption.hold_motion(timeline, time_s, setting.limits)
+        timeline = interruption.resume_motion(
             timeline,
             left,
             max(time_s + duration_s, timeline.end_s),
@@ -180,7 +180,7 @@ def _sample_times(
     return device_s.round(6), clock.true_s(device_s)
 
 
-def _observed(
+def _observe(
     machine: MachineFile, point_mm: np.ndarray, seed: int, setting: Setting
 ) -> np.ndarray:
     rate_hz = setting.rate_hz or machine.tracker.rate_hz
@@ -188,7 +188,7 @@ def _observed(
     if setting.hidden:
         polar = misread(tracker_head.to_spherical(point_mm), setting.hidden)
         point_mm = tracker_head.to_cartesian(polar)
-    polar = tracker_head.measured(
+    polar = tracker_head.measure_polar(
         point_mm, setting.noise_scale * noise, machine.tracker
     )
     return tracker_head.to_cartesian(polar)

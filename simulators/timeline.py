@@ -71,7 +71,7 @@ class Timeline:
 
     def positions(self, time_s: np.ndarray) -> np.ndarray:
         """Return axis positions (n, axes) at times (n,)."""
-        piece, t = self._located(time_s)
+        piece, t = self._locate(time_s)
         run = t * (
             self.speed[piece]
             + t * (self.acceleration[piece] / 2.0 + t * self.jerk[piece] / 6.0)
@@ -80,24 +80,24 @@ class Timeline:
 
     def speeds(self, time_s: np.ndarray) -> np.ndarray:
         """Return speeds along the path (n,) at times (n,)."""
-        piece, t = self._located(time_s)
+        piece, t = self._locate(time_s)
         return self.speed[piece] + t * (
             self.acceleration[piece] + t * self.jerk[piece] / 2.0
         )
 
     def accelerations(self, time_s: np.ndarray) -> np.ndarray:
         """Return accelerations along the path (n,) at times (n,)."""
-        piece, t = self._located(time_s)
+        piece, t = self._locate(time_s)
         return self.acceleration[piece] + t * self.jerk[piece]
 
     def rows(self, time_s: np.ndarray) -> np.ndarray:
         """Return the row that the machine moves towards or dwells at, (n,)."""
-        return self.row[self._located(time_s)[0]]
+        return self.row[self._locate(time_s)[0]]
 
     def state(self, time_s: float) -> State:
         """Return position, line and speed at one time."""
         at = np.array([time_s])
-        piece = int(self._located(at)[0][0])
+        piece = int(self._locate(at)[0][0])
         return State(
             position=self.positions(at)[0],
             direction=self.direction[piece],
@@ -121,7 +121,7 @@ class Timeline:
 
     def since(self, time_s: float) -> Timeline:
         """Forget what ended before a time."""
-        piece = int(self._located(np.array([time_s]))[0][0])
+        piece = int(self._locate(np.array([time_s]))[0][0])
         return self._select(slice(piece, None))
 
     def then(self, other: Timeline) -> Timeline:
@@ -136,7 +136,7 @@ class Timeline:
     def _select(self, part: slice) -> Timeline:
         return Timeline(*(getattr(self, name)[part] for name in Timeline.__slots__))
 
-    def _located(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _locate(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         piece = np.searchsorted(self.start_s, time_s, side="right") - 1
         piece = np.maximum(piece, 0)
         return piece, np.maximum(time_s - self.start_s[piece], 0.0)

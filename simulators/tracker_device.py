@@ -40,7 +40,7 @@ from drivers.tracker.streaming.messages import (
 from simulators.faults import Schedule
 from simulators.frame_damage import FrameDamage
 from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import Motion, continued
+from simulators.hidden.motion import Motion, continue_from
 from simulators.hidden.superposition import locate_target_mm, misread
 from simulators.randomness import generator
 from simulators.timeline import Timeline
@@ -49,7 +49,7 @@ from simulators.tracker_head import (
     SampleNoise,
     TrackerClock,
     TrackerPose,
-    measured,
+    measure_polar,
     to_cartesian,
     to_spherical,
 )
@@ -211,7 +211,7 @@ class TrackerDevice:
             self._overflown = True
             return b""
         self._frames_sent += count
-        frames = self._line.applied(encode_measurements(raw), moments_s, number)
+        frames = self._line.damage(encode_measurements(raw), moments_s, number)
         return frames + self._beam_event(raw)
 
     def _measure(
@@ -229,7 +229,7 @@ class TrackerDevice:
         if parts.hidden:
             point = to_cartesian(misread(to_spherical(point), parts.hidden))
         noise = stream.noise.draw(len(index))
-        polar = measured(point, noise, parts.truth.machine.tracker)
+        polar = measure_polar(point, noise, parts.truth.machine.tracker)
         for fault, mask in self._faults.struck("spike", moments_s, number):
             polar[mask, 0] += fault.amount
         status = np.zeros(len(index), np.int64)
@@ -260,19 +260,19 @@ class TrackerDevice:
         for fault, mask in self._faults.struck("target", moments_s, rows):
             number = min(max(int(fault.amount), 1), len(reflectors))
             targets[mask] = reflectors[number - 1].name
-        motion = self._followed(timeline)
+        motion = self._follow_board(timeline)
         return locate_target_mm(
             parts.truth, motion, moments_s, targets.tolist(), parts.hidden
         )
 
-    def _followed(self, timeline: Timeline) -> Motion:
+    def _follow_board(self, timeline: Timeline) -> Motion:
         """Return the motion so far: play and friction remember it, the board not."""
         machine = self._parts.truth.machine
         if not self._parts.hidden:
             return Motion(machine, timeline)
         if self._newest is not timeline:
             known = None if self._motion is None else self._motion.timeline
-            self._motion = Motion(machine, continued(known, timeline))
+            self._motion = Motion(machine, continue_from(known, timeline))
             self._newest = timeline
         return self._motion or Motion(machine, timeline)
 

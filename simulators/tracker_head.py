@@ -74,10 +74,10 @@ class SampleNoise:
         """Return the next (n, 3)."""
         white = self._white.standard_normal((n, 3))
         drive = np.sqrt(1.0 - self._keep**2) * self._driver.standard_normal((n, 3))
-        air = self._filtered(drive)
+        air = self._filter(drive)
         return np.sqrt(1.0 - self._share**2) * white + self._share * air
 
-    def _filtered(self, drive: np.ndarray) -> np.ndarray:
+    def _filter(self, drive: np.ndarray) -> np.ndarray:
         """Return a_k = keep a_(k-1) + drive_k, block by block as a matrix product."""
         air = np.empty_like(drive)
         for start in range(0, len(drive), _BLOCK):
@@ -130,7 +130,7 @@ def random_clock(seed: int) -> TrackerClock:
     )
 
 
-def measured(
+def measure_polar(
     point_mm: np.ndarray, unit_noise: np.ndarray, figures: TrackerFigures
 ) -> np.ndarray:
     """Return range (mm), azimuth, elevation (rad) of points in the tracker's frame.

@@ -195,12 +195,12 @@ class TruthMachine:
             if carry is None:
                 step = joint.nominal(position)
             else:
-                step = _carried_on(joint.actual(position), carry.get(name))
+                step = _carry_on(joint.actual(position), carry.get(name))
             product = step @ product
         return product
 
 
-def _carried_on(transform: np.ndarray, motions: np.ndarray | None) -> np.ndarray:
+def _carry_on(transform: np.ndarray, motions: np.ndarray | None) -> np.ndarray:
     """Return transforms with further error motions (n, 6), in mm and rad."""
     if motions is None:
         return transform
@@ -268,8 +268,8 @@ def _random_joint(
         axis.name,
         DIRECTIONS[axis.name],
         _travel_direction(axis.name, squareness),
-        tuple(motion.scaled(scale) for motion in translation),
-        tuple(motion.scaled(scale) for motion in rotation),
+        tuple(motion.scale(scale) for motion in translation),
+        tuple(motion.scale(scale) for motion in rotation),
     )
 
 
@@ -288,7 +288,7 @@ def _random_rotary_joint(
             )
             for along in own
         ]
-        return tuple(motion.scaled(scale) for motion in drawn)
+        return tuple(motion.scale(scale) for motion in drawn)
 
     def location(unit: float, limits: tuple[float, float]) -> tuple[float, ...]:
         drawn = [scale * unit * _peak(rng, limits) * rng.choice([-1, 1]) for _ in own]

@@ -45,7 +45,7 @@ class TurningMotion:
             value = value + amplitude * np.cos(k * rate * run + phase)
         return value
 
-    def scaled(self, factor: float) -> TurningMotion:
+    def scale(self, factor: float) -> TurningMotion:
         """Return `factor` times this motion."""
         return replace(
             self,
@@ -64,7 +64,7 @@ def along_the_axis(
     rng: np.random.Generator, axis: RotaryAxis, peak: float
 ) -> TurningMotion:
     """Draw an axial motion or a positioning error: zero at the axis zero."""
-    return _scaled_to(_zero_at_zero(_harmonics(rng, axis)), peak)
+    return _scale_to(_zero_at_zero(_harmonics(rng, axis)), peak)
 
 
 def across_the_axis(
@@ -73,7 +73,7 @@ def across_the_axis(
     """Draw a radial motion or a tilt: zero at the axis zero and in the mean."""
     motion = _zero_at_zero(_harmonics(rng, axis))
     unit = TurningMotion(axis, bend=1.0).mean()
-    return _scaled_to(replace(motion, bend=-motion.mean() / unit), peak)
+    return _scale_to(replace(motion, bend=-motion.mean() / unit), peak)
 
 
 def _harmonics(rng: np.random.Generator, axis: RotaryAxis) -> TurningMotion:
@@ -87,6 +87,6 @@ def _zero_at_zero(motion: TurningMotion) -> TurningMotion:
     return replace(motion, offset=motion.offset - at_zero)
 
 
-def _scaled_to(motion: TurningMotion, peak: float) -> TurningMotion:
+def _scale_to(motion: TurningMotion, peak: float) -> TurningMotion:
     grid = np.linspace(motion.axis.min_deg, motion.axis.max_deg, _GRID)
-    return motion.scaled(peak / float(np.abs(motion.at(grid)).max()))
+    return motion.scale(peak / float(np.abs(motion.at(grid)).max()))

@@ -29,7 +29,7 @@ def turning_path(
 ) -> Program:
     """Join random positions; each target is measured on a block of the rows."""
     rng = generator(seed, "path: lines with rotary axes")
-    names = _measured(machine)
+    names = _find_moving_targets(machine)
     share = max(2, rows // len(names))
     position, target = [_anywhere(rng, machine)], [names[0]]
     for name in names:
@@ -44,7 +44,9 @@ def turning_path(
             target.append(name)
     places = np.round(np.array(position), 4)
     feed = _feed_s(places, feed_mm_min / 60.0)
-    return Program(places, feed, np.full(len(places), dwell_s), _named(target))
+    return Program(
+        places, feed, np.full(len(places), dwell_s), _drop_empty_names(target)
+    )
 
 
 def turning_points(
@@ -56,7 +58,7 @@ def turning_points(
 ) -> Program:
     """Stand at random positions, the targets one after another."""
     rng = generator(seed, "path: points with rotary axes")
-    names = _measured(machine)
+    names = _find_moving_targets(machine)
     target = [names[k * len(names) // points] for k in range(points)]
     drawn = [_anywhere(rng, machine)]
     while len(drawn) < points:
@@ -66,7 +68,7 @@ def turning_points(
             drawn.append(place)
     places = np.round(drawn, 4)
     feed = _feed_s(places, feed_mm_min / 60.0)
-    return Program(places, feed, np.full(points, dwell_s), _named(target))
+    return Program(places, feed, np.full(points, dwell_s), _drop_empty_names(target))
 
 
 def looking_at(machine: MachineFile, targets: Sequence[str]) -> tuple[str, ...]:
@@ -84,7 +86,7 @@ def looking_at(machine: MachineFile, targets: Sequence[str]) -> tuple[str, ...]:
     return tuple(orders)
 
 
-def _measured(machine: MachineFile) -> list[str]:
+def _find_moving_targets(machine: MachineFile) -> list[str]:
     """Return the targets that move where the tracker stands."""
 
     def moves(reflector: Reflector) -> bool:
@@ -94,7 +96,7 @@ def _measured(machine: MachineFile) -> list[str]:
     return [r.name for r in machine.reflectors if moves(r)]
 
 
-def _named(target: list[str]) -> tuple[str, ...]:
+def _drop_empty_names(target: list[str]) -> tuple[str, ...]:
     return tuple(target) if any(target) else ()
 
 

@@ -6,6 +6,7 @@ import importlib
 import io
 import json
 import logging
+import os
 import sys
 
 import pytest
@@ -87,12 +88,27 @@ def test_the_lines_of_a_childs_child_are_in_the_log_too(bodies, service_log):
     assert len(service_log()) == 3
 
 
-def test_a_child_computes_on_one_thread(bodies, monkeypatch):
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "8")
+@pytest.mark.parametrize(
+    ("limits", "threads"),
+    [
+        ({}, "1"),
+        ({"OPENBLAS_NUM_THREADS": "8"}, "8"),
+        ({"OMP_NUM_THREADS": "4,2"}, "4"),
+        ({"OMP_NUM_THREADS": "4", "OPENBLAS_NUM_THREADS": "2"}, "2"),
+    ],
+)
+def test_a_child_computes_on_one_thread_or_on_as_many_as_the_user_has_set(
+    bodies, monkeypatch, limits, threads
+):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    for name, number in limits.items():
+        monkeypatch.setenv(name, number)
     child = ChildProcess("worker", bodies.tell_threads)
     child.start()
-    assert child.link.recv() == "1"
+    assert child.link.recv() == threads
     child.close()
+    assert {name: os.environ.get(name) for name in limits} == limits
 
 
 def test_closing_ends_a_child_whatever_it_does(bodies):

@@ -28,7 +28,7 @@ from app.jobs.plans import commanded_from_plan
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig, MeasurementOrder
-from app.measurement.recording import open_run
+from app.measurement.run_reading import open_run
 from app.motion.configurations import Commanded
 from app.motion.paths import check_travel, travel_time_s
 from app.planning.default_path import default_path

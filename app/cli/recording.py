@@ -19,11 +19,10 @@ from app.cli.terminal import (
 )
 from app.errors import BadInput
 from app.files.bundle import write_bundle
-from app.measurement.detached import record_stream
 from app.measurement.recorder import ClosedRun, Recorder
-from app.measurement.recording import open_run
 from app.measurement.run_file import RunHeader
-from app.measurement.stream_monitor import StreamState
+from app.measurement.run_reading import open_run
+from app.measurement.stream_reader import StreamState, record_stream
 from app.plugins import load
 from app.results.grading import read_set_up
 from app.settings import load_settings

@@ -203,7 +203,7 @@ class WorkerProcess:
     ) -> Any:
         """Return the value of a function, or raise what it raises, or WorkerDied.
 
-        on_progress : passed to the function if given; the process ends if it raises
+        on_progress : passed to the function if given; what it raises is logged
         """
         self._is_busy = True
         answer = None
@@ -239,7 +239,10 @@ class WorkerProcess:
             self._is_ready = True
             match message:
                 case Progressed(share, stage) if on_progress is not None:
-                    on_progress(share, stage)
+                    try:
+                        on_progress(share, stage)
+                    except Exception as error:
+                        log.warning("progress cannot be reported", error=repr(error))
                 case Answer():
                     return message
 

@@ -30,8 +30,7 @@ from app.jobs.live_process import (
     PartChosen,
     estimate_live,
 )
-from app.measurement.parts import append_part
-from app.motion.configurations import Commanded
+from app.motion.configurations import Commanded, append_part
 from drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:

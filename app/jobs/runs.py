@@ -27,7 +27,7 @@ from app.jobs.database import Database
 from app.jobs.job import format_utc_now, make_id
 from app.jobs.plans import plan_json
 from app.jobs.schema import runs
-from app.measurement.recording import open_run, repair_run
+from app.measurement.run_reading import open_run, repair_run
 
 _NAME_LENGTH = 200
 

@@ -1,16 +1,15 @@
 """Measuring: drive the machine, record the tracker, leave a Run on disk.
 
 A cell process (`cell`, `cell_process`) owns the devices and runs one `Measurement` at a
-time. `procedures` holds the two ways to measure: the controller drives a path by itself
-while the tracker streams, or the machine stands at points. Both are made of
-`measurement_steps`. All waiting is the `tick` of `measurement_monitor`, which feeds the
-controller's watchdog: if the engine hangs, the machine holds.
+time. `measurement_steps` holds the two ways to measure: the controller drives a path by
+itself while the tracker streams, or the machine stands at points. All waiting is the
+`tick` of `measurement_monitor`, which feeds the controller's watchdog: if the engine
+hangs, the machine holds.
 
 A sample's way: the driver decodes it; `stream_reader` collects blocks of 20 ms into
-batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file` is
-its layout, `run_database` its statements) before anything else sees it; then it goes to
-the display and to the live estimate. A Run therefore survives the death of its process:
-`recording` opens whatever was committed.
+batches of 100 ms; `recorder` commits a batch to the Run's SQLite file (`run_file`)
+before anything else sees it; then it goes to the display and to the live estimate. A
+Run therefore survives the death of its process: `run_reading` opens what was committed.
 
 Time is the tracker's counter. Tracker and controller share no clock and none is assumed
 (sanders-2023): a Run begins and ends with the stream at a standstill, and the sequence

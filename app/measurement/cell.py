@@ -14,27 +14,21 @@ from app.errors import MeasurementFailed, TruepathError
 from app.kinematics.machine import Machine
 from app.measurement.cell_process import run_cell
 from app.measurement.messages import (
-    Abort,
     Begin,
     CellCommand,
     CellConfig,
     CellEvent,
     CellState,
-    Close,
-    Conclude,
-    Connect,
+    CellVerb,
     Connected,
     ConnectRefused,
     Extend,
     FaultReported,
     MeasurementOrder,
-    Pause,
-    Resume,
     StateChanged,
 )
 from app.motion.configurations import Commanded
 from app.motion.paths import check_travel
-from drivers.interfaces import errors as device_errors
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.records import Identity
 
@@ -45,6 +39,11 @@ CLOSE_S = 30.0
 FORCE_S = 5.0
 
 
+_FAMILIES: dict[str, type[Exception]] = {
+    family.__name__: family for family in (DeviceError, *DeviceError.__subclasses__())
+}
+
+
 class Cell:
     """One cell process, from `start` to `close`."""
 
@@ -53,7 +52,7 @@ class Cell:
         self._process = ChildProcess("cell", run_cell, config, ends_with_parent=False)
         self._events: list[CellEvent] = []
         self._machine: Machine | None = None  # of the order under way
-        self._started = self._is_death_reported = self._closed = False
+        self._is_death_reported = self._closed = False
 
     @property
     def alive(self) -> bool:
@@ -68,14 +67,13 @@ class Cell:
     def start(self) -> None:
         """Start the process."""
         self._process.start()
-        self._started = True
 
     def connect(self) -> dict[str, Identity]:
         """Connect `tracker` and `motion`; return who they are.
 
         Raises a DeviceError, or MeasurementFailed if the cell does not answer.
         """
-        self._send(Connect())
+        self.send(CellVerb.CONNECT)
         deadline_s = time.monotonic() + CONNECT_S
         while (left_s := deadline_s - time.monotonic()) > 0:
             for event in self._receive(left_s):
@@ -83,7 +81,7 @@ class Cell:
                     case Connected(devices):
                         return dict(devices)
                     case ConnectRefused():
-                        raise _error_of(event)
+                        raise _FAMILIES.get(event.family, TruepathError)(event.text)
                     case _:
                         self._events.append(event)
             if not self.alive:
@@ -94,30 +92,39 @@ class Cell:
         """Begin to measure. Raises OutOfTravel before anything is sent."""
         check_travel(order.machine, order.commanded)
         self._machine = order.machine
-        self._send(Begin(order))
-
-    def pause(self) -> None:
-        """Feed hold; acknowledged by the state `paused`."""
-        self._send(Pause())
-
-    def resume(self) -> None:
-        """Go on; acknowledged by the state `running`."""
-        self._send(Resume())
-
-    def conclude(self) -> None:
-        """Finish the line or point under way and end; acknowledged by `finished`."""
-        self._send(Conclude())
+        self.send(Begin(order))
 
     def extend(self, part: Commanded) -> None:
         """Go on with a further part. Raises OutOfTravel before anything is sent."""
         if self._machine is None:
             raise MeasurementFailed("no measurement is under way; begin one first")
         check_travel(self._machine, part)
-        self._send(Extend(part))
+        self.send(Extend(part))
+
+    def pause(self) -> None:
+        """Feed hold; acknowledged by the state `paused`."""
+        self.send(CellVerb.PAUSE)
+
+    def resume(self) -> None:
+        """Go on; acknowledged by the state `running`."""
+        self.send(CellVerb.RESUME)
+
+    def conclude(self) -> None:
+        """Finish the line or point under way and end; acknowledged by `finished`."""
+        self.send(CellVerb.CONCLUDE)
 
     def abort(self) -> None:
         """Stop and forget the path; acknowledged by the state `aborted`."""
-        self._send(Abort())
+        self.send(CellVerb.ABORT)
+
+    def send(self, command: CellCommand) -> None:
+        """Send a command. Raises MeasurementFailed if the process has died."""
+        if not self.alive:
+            raise MeasurementFailed("the cell process is not alive; start another")
+        try:
+            self._process.link.send(command)
+        except OSError as error:
+            raise MeasurementFailed("the cell process has died") from error
 
     def poll(self, timeout_s: float) -> list[CellEvent]:
         """Return what the cell has said, waiting for a first event at most so long.
@@ -127,7 +134,7 @@ class Cell:
         """
         events, self._events = self._events, []
         events += self._receive(0.0 if events else timeout_s)
-        if not events and self._started and not self._closed and not self.alive:
+        if not events and self.process_id and not self._closed and not self.alive:
             events += self._report_death()
         return [e for e in events if not isinstance(e, Connected | ConnectRefused)]
 
@@ -140,14 +147,14 @@ class Cell:
         if self._closed:
             return
         self._closed = True
-        if self._started:
+        if self.process_id is not None:
             self._end_process()
         self._process.close()
 
     def _end_process(self) -> None:
         if self._process.alive:
             try:
-                self._process.link.send(Close())
+                self._process.link.send(CellVerb.CLOSE)
             except OSError:
                 log.warning("the cell does not listen any more")
         deadline_s = time.monotonic() + CLOSE_S
@@ -158,14 +165,6 @@ class Cell:
             log.error("the cell process does not end; it is ended by force")
             self._process.terminate()
             self._process.join(FORCE_S)
-
-    def _send(self, command: CellCommand) -> None:
-        if not self.alive:
-            raise MeasurementFailed("the cell process is not alive; start another")
-        try:
-            self._process.link.send(command)
-        except OSError as error:
-            raise MeasurementFailed("the cell process has died") from error
 
     def _receive(self, timeout_s: float) -> list[CellEvent]:
         events: list[CellEvent] = []
@@ -187,21 +186,3 @@ class Cell:
             FaultReported("cell-died", text, action),
             StateChanged(CellState.FAULTED, text),
         ]
-
-
-def _error_of(refusal: ConnectRefused) -> Exception:
-    """Return the error of the cell as one of the same family."""
-    families: dict[str, type[Exception]] = {
-        family.__name__: family
-        for family in (
-            device_errors.ConnectionLost,
-            device_errors.DeviceTimeout,
-            device_errors.WrongDevice,
-            device_errors.Refused,
-            device_errors.OutOfTravel,
-            device_errors.MotionFault,
-            device_errors.BeamLost,
-            DeviceError,
-        )
-    }
-    return families.get(refusal.family, TruepathError)(refusal.text)

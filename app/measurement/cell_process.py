@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable
 from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
@@ -17,29 +18,27 @@ from types import FrameType
 from typing import Any
 
 from app.errors import TruepathError
-from app.measurement.engine_settings import EngineSettings
 from app.measurement.faults import classify_fault
 from app.measurement.measurement import Measurement
 from app.measurement.messages import (
-    Abort,
     Begin,
+    BlockRecorded,
     CellCommand,
     CellConfig,
+    CellEvent,
     CellState,
-    Close,
-    Conclude,
-    Connect,
+    CellVerb,
     Connected,
     ConnectRefused,
     Extend,
     FaultReported,
+    LivePoints,
     MeasurementOrder,
-    Pause,
-    Resume,
+    MeasurementProgress,
     RunClosed,
     StateChanged,
 )
-from app.measurement.outbox import Outbox
+from app.measurement.timing import EngineSettings
 from app.plugins import load
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
@@ -96,15 +95,15 @@ class _Cell:
     def obey(self, command: CellCommand) -> bool:
         """Do what is asked; False if it was to end."""
         match command:
-            case Connect():
+            case CellVerb.CONNECT:
                 self._answer_connect()
             case Begin(order):
                 self._begin(order)
             case Extend(part) if self._measurement is not None:
                 self._measurement.extend(part)
-            case Close():
+            case CellVerb.CLOSE:
                 return False
-            case _ if self._measurement is not None:
+            case CellVerb() if self._measurement is not None and self._measuring:
                 self._pass_on(command, self._measurement)
         return True
 
@@ -172,22 +171,22 @@ class _Cell:
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
 
-    def _pass_on(self, command: CellCommand, measurement: Measurement) -> None:
-        verbs: dict[type[CellCommand], Callable[[], None]] = {
-            Pause: measurement.pause,
-            Resume: measurement.resume,
-            Abort: measurement.abort,
-            Conclude: measurement.conclude,
-        }
+    def _pass_on(self, verb: CellVerb, measurement: Measurement) -> None:
         try:
-            if self._measuring:
-                verbs[type(command)]()
+            match verb:
+                case CellVerb.PAUSE:
+                    measurement.pause()
+                case CellVerb.RESUME:
+                    measurement.resume()
+                case CellVerb.CONCLUDE:
+                    measurement.conclude()
+                case _:
+                    measurement.abort()
         except DeviceError as error:
             # The engine insists on the command, and notices the lost link.
             fault = classify_fault(error)
-            name = type(command).__name__.lower()
-            log.warning("%s did not reach the controller: %s", name, error)
-            self._fault(fault.code, fault.text, fault.action)
+            log.warning("%s did not reach the controller: %s", verb, error)
+            self._outbox.report(fault.event)
 
     def _state(self, state: CellState, text: str = "") -> None:
         self._outbox.report(StateChanged(state, text))
@@ -202,3 +201,61 @@ class _Cell:
             step()
         except DeviceError as error:
             log.warning("on the way out: %s", error)
+
+
+_LATEST_ONLY = (LivePoints, MeasurementProgress)
+MAX_BLOCKS = 100
+
+
+class Outbox:
+    """A thread that sends, so that nobody else ever waits for the parent.
+
+    While the parent is slow, only the latest LivePoints and MeasurementProgress wait
+    and about ten seconds of blocks. Every other event is kept, in order, however many:
+    a state or a fault is never dropped.
+    """
+
+    def __init__(self, link: Connection) -> None:
+        self._link = link
+        self._waiting: deque[CellEvent] = deque()
+        self._changed = threading.Condition()
+        self._closing = False
+        self.dropped_blocks = 0
+        self._thread = threading.Thread(target=self._send, name="outbox", daemon=True)
+        self._thread.start()
+
+    def report(self, event: CellEvent) -> None:
+        """Send an event as soon as the parent takes it. Any thread; never waits."""
+        with self._changed:
+            if isinstance(event, BlockRecorded) and self._count_blocks() >= MAX_BLOCKS:
+                self.dropped_blocks += 1
+                return
+            if isinstance(event, _LATEST_ONLY):
+                kind = type(event)
+                self._waiting = deque(e for e in self._waiting if type(e) is not kind)
+            self._waiting.append(event)
+            self._changed.notify()
+
+    def close(self, timeout_s: float) -> None:
+        """Send what waits, then end."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+
+    def _count_blocks(self) -> int:
+        return sum(isinstance(event, BlockRecorded) for event in self._waiting)
+
+    def _send(self) -> None:
+        """Body of the thread. Ends with the parent, too."""
+        while (event := self._next()) is not None:
+            try:
+                self._link.send(event)
+            except OSError:
+                return
+
+    def _next(self) -> CellEvent | None:
+        with self._changed:
+            while not self._waiting and not self._closing:
+                self._changed.wait()
+            return self._waiting.popleft() if self._waiting else None

@@ -6,37 +6,29 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path as FilePath
 
-import numpy as np
-from numpy.typing import NDArray
-
 from app.errors import MeasurementFailed
-from app.measurement.engine_settings import EngineSettings
 from app.measurement.faults import Aborted, Fault, classify_fault
-from app.measurement.live_view import LiveView
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import MeasurementState
-from app.measurement.measurement_steps import MeasurementSteps
+from app.measurement.measurement_steps import MeasurementSteps, arrange_axes
 from app.measurement.messages import (
-    BlockRecorded,
     CellState,
     MeasurementOrder,
     ReportEvent,
     RunClosed,
     StateChanged,
 )
-from app.measurement.parts import RequestPart, append_part
-from app.measurement.procedures import step_through, stream_path
-from app.measurement.progress import schedule_rows
-from app.measurement.recorder import ClosedRun, OnRecorded, Recorder
-from app.measurement.run_file import RunHeader
-from app.motion.configurations import Commanded, Configurations
+from app.measurement.progress import LiveView, schedule_rows
+from app.measurement.recorder import Recorder
+from app.measurement.run_file import ClosedRun, RunHeader
+from app.measurement.timing import EngineSettings
+from app.motion.configurations import Commanded
 from app.motion.paths import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
-from drivers.interfaces.records import Identity, MotionState, Path, TrackerSamples
+from drivers.interfaces.records import Identity, MotionState
 from drivers.interfaces.tracker import Tracker
 
 log = logging.getLogger(__name__)
@@ -122,7 +114,8 @@ class Measurement:
             state = CellState.FAULTED if fault.latched else CellState.FAILED
             text = str(fault)
             with contextlib.suppress(DeviceError):
-                self._hold_if_ours()
+                if self._steps is not None:
+                    self._motion.hold()
             self._report_fault(fault)
             self._stop(self._motion.hold)
         closed = self._close(state, text)
@@ -144,8 +137,9 @@ class Measurement:
                 latched=False,
             )
         self._motion.abort()  # what an earlier order has left there must not go on
+        # Refuse a wrong axis before there is a Run.
         commanded = arrange_axes(order.commanded, self._motion.axes, status.position)
-        view = LiveView(self._report)
+        view = LiveView(self._report, reports_blocks=order.live)
         header = RunHeader(
             order.run_name,
             order.machine,
@@ -157,7 +151,7 @@ class Measurement:
         self._recorder = Recorder(
             FilePath(order.run_file),
             header,
-            on_recorded=self._make_on_recorded(view),
+            on_recorded=view.show,
             reserve_bytes=order.reserve_bytes,
         )
         self._monitor = MeasurementMonitor(
@@ -171,51 +165,8 @@ class Measurement:
             settings=self._settings,
             clock=self._clock,
         )
-        self._steps = MeasurementSteps(
-            self._monitor, self._motion, self._recorder, self._control, self._report
-        )
-        rate_hz, feed = order.rate_hz, order.feed_mm_min
-        request_part = self._make_part_source(self._steps, status.position)
-        if isinstance(commanded, Path):
-            stream_path(
-                self._steps, commanded, request_part, rate_hz=rate_hz, feed=feed
-            )
-        else:
-            step_through(
-                self._steps, commanded, request_part, rate_hz=rate_hz, feed=feed
-            )
-
-    def _make_part_source(
-        self, steps: MeasurementSteps, position: tuple[float, ...]
-    ) -> RequestPart:
-        """Return a function that waits for a further part, checks and records it."""
-        order, commanded = self._order, self._order.commanded
-
-        def request_part() -> Commanded | None:
-            nonlocal commanded
-            part = steps.wait_for_part() if order.grows else None
-            if part is None:
-                return None
-            check_travel(order.machine, part)
-            commanded = append_part(commanded, part)
-            steps.add_rows(commanded, schedule_rows(commanded, order.feed_mm_min))
-            return arrange_axes(part, self._motion.axes, position)
-
-        return request_part
-
-    def _make_on_recorded(self, view: LiveView) -> OnRecorded:
-        """Return what passes recorded blocks to the display and the live estimate."""
-
-        def show(samples: TrackerSamples) -> None:
-            view.show(samples)
-            if self._order.live:
-                self._report(BlockRecorded(samples))
-
-        return show
-
-    def _hold_if_ours(self) -> None:
-        if self._steps is not None:
-            self._motion.hold()
+        self._steps = MeasurementSteps(self._monitor, order, status.position)
+        self._steps.run(commanded)
 
     def _stop(self, verb: Callable[[], None]) -> None:
         """Stop the machine if it moves by our order; wait a little."""
@@ -254,25 +205,3 @@ class Measurement:
         if self._recorder is not None:
             with contextlib.suppress(MeasurementFailed):
                 self._recorder.event(kind, text)
-
-
-def arrange_axes(
-    commanded: Path | Configurations, axes: tuple[str, ...], here: tuple[float, ...]
-) -> Path | Configurations:
-    """Return the rows in the axis order of a controller.
-
-    Axes that the plan does not name stay where they are. Raises Fault if the plan
-    names an axis that the controller has not got.
-    """
-    missing = [name for name in commanded.axes if name not in axes]
-    if missing:
-        raise Fault(
-            "wrong-device",
-            f"the controller has axes {', '.join(axes)}, none is {missing[0]}",
-            "check the machine file and the controller",
-            latched=False,
-        )
-    position: NDArray[np.float64] = np.tile(np.array(here, float), (len(commanded), 1))
-    for column, name in enumerate(commanded.axes):
-        position[:, axes.index(name)] = commanded.position[:, column]
-    return replace(commanded, axes=axes, position=position)

@@ -1,4 +1,4 @@
-"""The steps that every measurement is made of.
+"""The two ways to measure and their steps: a path under a running stream, or points.
 
 All waiting of a measurement happens in the `tick` of its monitor, which every step that
 waits calls again and again.
@@ -8,31 +8,27 @@ from __future__ import annotations
 
 import contextlib
 import queue
-import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.measurement.faults import NO_BEAM, UNSTOPPED, Fault
 from app.measurement.measurement_monitor import MeasurementMonitor
-from app.measurement.measurement_state import HoldReason, MeasurementState
-from app.measurement.messages import PartRequested, ReportEvent
-from app.measurement.progress import RowSchedule
-from app.measurement.recorder import Recorder
-from app.motion.configurations import Commanded
+from app.measurement.measurement_state import HoldReason
+from app.measurement.messages import MeasurementOrder, PartRequested
+from app.measurement.progress import schedule_rows
+from app.motion.configurations import Commanded, Configurations, append_part
+from app.motion.paths import check_travel
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
-from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import MotionState, MotionStatus, Path
 
-_STANDING = frozenset(
-    {
-        MotionState.IDLE,
-        MotionState.READY,
-        MotionState.FINISHED,
-        MotionState.ABORTED,
-    }
-)
+_STANDING = frozenset(MotionState) - {
+    MotionState.RUNNING,
+    MotionState.HELD,
+    MotionState.ALARM,
+}
 
 
 class MeasurementSteps:
@@ -45,31 +41,80 @@ class MeasurementSteps:
     def __init__(
         self,
         monitor: MeasurementMonitor,
-        motion: MotionController,
-        recorder: Recorder,
-        control: MeasurementState,
-        report: ReportEvent,
+        order: MeasurementOrder,
+        start: tuple[float, ...],
     ) -> None:
-        self.motion, self.settings = motion, monitor.settings
-        self._monitor, self._progress, self._clock = (
-            monitor,
-            monitor.progress,
-            monitor.clock,
-        )
-        self._recorder, self._control, self._report = recorder, control, report
+        self.motion, self.settings = monitor.motion, monitor.settings
+        self._monitor, self._order, self._start = monitor, order, start
+        self._progress, self._clock = monitor.progress, monitor.clock
+        self._recorder, self._control = monitor.recorder, monitor.control
+        self._commanded = order.commanded
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
-        self._concluding = threading.Event()
+        self.is_concluding = False  # the rest is to be left out
         self._concluded_row: int | None = None
 
-    def approach(self, position: NDArray[np.float64], feed_mm_min: float) -> None:
+    def run(self, commanded: Commanded) -> None:
+        """Make the whole measurement; the rows are in the controller's axes."""
+        if isinstance(commanded, Path):
+            self._stream_path(commanded)
+        else:
+            self._step_through(commanded)
+
+    def _stream_path(self, path: Path) -> None:
+        """Stand at the first row, load the path, stream from before it to after it.
+
+        The controller keeps time. The stream begins and ends at a standstill, as
+        segmentation needs it. It goes on while further parts are loaded and driven.
+        """
+        self.approach(path.position[0])
+        self.motion.load(path)
+        self.open_stream()
+        self.run_path(path)
+        while isinstance(part := self.request_part(), Path):
+            self.motion.load(part)
+            self.run_path(part)
+        self.finish()
+
+    def _step_through(self, points: Configurations) -> None:
+        """Stand at every point in turn while the stream runs, then at further ones.
+
+        Dwells are counted on the tracker's clock. A pause prolongs the standstill.
+        """
+        self.approach(points.position[0])
+        self.open_stream()
+        part: Commanded | None = points
+        while isinstance(part, Configurations):
+            if not self._stand_at_each(part, is_there=part is points):
+                break
+            part = self.request_part()
+        self.finish()
+
+    def _stand_at_each(self, points: Configurations, *, is_there: bool) -> bool:
+        """Stand at every point; tell whether none was left out.
+
+        is_there : the machine stands at the first one already
+        """
+        for row, position in enumerate(points.position):
+            self._progress.begin(self._progress.first_row + row)
+            if row > 0 or not is_there:
+                self.approach(position)
+            self.record_for(self.settings.settle_s + float(points.dwell_s[row]))
+            until_s = f"until {self._monitor.device_s:.6f} s"
+            self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
+            if self.is_concluding and row + 1 < len(points):
+                self.leave_out_rest()
+                return False
+        return True
+
+    def approach(self, position: NDArray[np.float64]) -> None:
         """Move straight to a position and wait there."""
         self.checkpoint()
-        self.motion.move_to(tuple(float(v) for v in position), feed_mm_min)
+        self.motion.move_to(tuple(map(float, position)), self._order.feed_mm_min)
         self.wait_motion(position)
 
-    def open_stream(self, rate_hz: float) -> None:
+    def open_stream(self) -> None:
         """Start the tracker's stream and record `lead_s` of it before any motion."""
-        self._monitor.begin_stream(rate_hz)
+        self._monitor.begin_stream(self._order.rate_hz)
         self.record_for(self.settings.lead_s)
 
     def run_path(self, path: Path) -> None:
@@ -129,32 +174,30 @@ class MeasurementSteps:
         while self._control.must_stand:
             self._monitor.tick()
 
-    def begin_row(self, row: int) -> None:
-        """Note that the machine moves to this row of its part now."""
-        self._progress.begin(self._progress.first_row + row)
+    def request_part(self) -> Commanded | None:
+        """Stand until there is a further part; check and record it.
 
-    def record_point(self, row: int) -> None:
-        """Record that a standstill point has been measured."""
-        number = self._progress.first_row + row + 1
-        self._recorder.event(
-            "point", f"row {number} until {self._monitor.device_s:.6f} s"
-        )
+        Returns it in the controller's axes, None if enough is known.
+        """
+        part = self._wait_for_part() if self._order.grows else None
+        if part is None:
+            return None
+        check_travel(self._order.machine, part)
+        self._commanded = append_part(self._commanded, part)
+        self._recorder.extend(self._commanded)
+        schedule = schedule_rows(self._commanded, self._order.feed_mm_min)
+        self._progress.extend(schedule)
+        return arrange_axes(part, self.motion.axes, self._start)
 
-    def wait_for_part(self) -> Commanded | None:
-        """Stand and request a further part; None if enough is known."""
+    def _wait_for_part(self) -> Commanded | None:
         if not self.is_concluding:
             self.record_for(self.settings.settle_s)  # the data of the last row go first
-            self._report(PartRequested(self._progress.row))
+            self._monitor.report(PartRequested(self._progress.row))
         while not self.is_concluding:
             self._monitor.tick()
             if not self._control.must_stand and not self._parts.empty():
                 return self._parts.get_nowait()
         return None
-
-    def add_rows(self, commanded: Commanded, schedule: RowSchedule) -> None:
-        """Record that more is commanded; the earlier rows are included."""
-        self._recorder.extend(commanded)
-        self._progress.extend(schedule)
 
     def finish(self) -> None:
         """Record `lead_s` after the last motion."""
@@ -181,12 +224,7 @@ class MeasurementSteps:
 
     def conclude(self) -> None:
         """Finish the line or point under way, leave out the rest."""
-        self._concluding.set()
-
-    @property
-    def is_concluding(self) -> bool:
-        """Whether the rest is to be left out."""
-        return self._concluding.is_set()
+        self.is_concluding = True
 
     def leave_out_rest(self) -> None:
         """Record that the rest of the rows is not driven."""
@@ -233,3 +271,25 @@ class MeasurementSteps:
             "check which program ran at the machine",
             latched=True,
         )
+
+
+def arrange_axes(
+    commanded: Path | Configurations, axes: tuple[str, ...], here: tuple[float, ...]
+) -> Path | Configurations:
+    """Return the rows in the axis order of a controller.
+
+    Axes that the plan does not name stay where they are. Raises Fault if the plan
+    names an axis that the controller has not got.
+    """
+    missing = [name for name in commanded.axes if name not in axes]
+    if missing:
+        raise Fault(
+            "wrong-device",
+            f"the controller has axes {', '.join(axes)}, none is {missing[0]}",
+            "check the machine file and the controller",
+            latched=False,
+        )
+    position: NDArray[np.float64] = np.tile(np.array(here, float), (len(commanded), 1))
+    for column, name in enumerate(commanded.axes):
+        position[:, axes.index(name)] = commanded.position[:, column]
+    return replace(commanded, axes=axes, position=position)

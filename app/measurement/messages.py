@@ -11,7 +11,6 @@ from enum import StrEnum
 from typing import Any
 
 from app.kinematics.machine import Machine
-from app.measurement.engine_settings import StreamTimeouts
 from app.motion.configurations import Commanded, Configurations
 from drivers.interfaces.records import Identity, Path, TrackerSamples
 
@@ -32,10 +31,24 @@ class CellState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class StreamTimeouts:
+    """For how long, in seconds that the host has run, a stream may be less than good.
+
+    late_s : what counts at most of a time in which the host did not run: a suspended or
+        starved process reads nothing, and finds all data waiting afterwards
+    """
+
+    silent_s: float = 0.5
+    dead_s: float = 5.0
+    beam_s: float = 0.25
+    late_s: float = 0.25
+
+
+@dataclass(frozen=True, slots=True)
 class CellConfig:
     """Which drivers a cell uses, by their names as plug-ins, and how they are made.
 
-    patience : for how long the tracker's stream may be less than good
+    timeouts : for how long the tracker's stream may be less than good
     """
 
     tracker_driver: str
@@ -69,9 +82,15 @@ class MeasurementOrder:
     grows: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Connect:
-    """Command: connect to tracker and controller."""
+class CellVerb(StrEnum):
+    """Commands that need no argument."""
+
+    CONNECT = "connect"  # to tracker and controller
+    PAUSE = "pause"  # hold the feed; acknowledged by the state `paused`
+    RESUME = "resume"  # go on after a hold; acknowledged by `running`
+    CONCLUDE = "conclude"  # finish the line or point under way, leave out the rest
+    ABORT = "abort"  # stop and forget the path; acknowledged by `aborted`
+    CLOSE = "close"  # end the process
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,38 +101,13 @@ class Begin:
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
-    """Command: hold the feed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Resume:
-    """Command: go on after a hold."""
-
-
-@dataclass(frozen=True, slots=True)
-class Conclude:
-    """Command: finish the line or point under way, leave out the rest."""
-
-
-@dataclass(frozen=True, slots=True)
 class Extend:
     """Command: go on with a further part."""
 
     part: Commanded
 
 
-@dataclass(frozen=True, slots=True)
-class Abort:
-    """Command: stop and forget the path."""
-
-
-@dataclass(frozen=True, slots=True)
-class Close:
-    """Command: end the process."""
-
-
-CellCommand = Connect | Begin | Pause | Resume | Conclude | Extend | Abort | Close
+CellCommand = CellVerb | Begin | Extend
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""How far a measurement is and how long it will still take."""
+"""What a measurement reports on its way: how far it is, how long it takes, points."""
 
 from __future__ import annotations
 
@@ -8,10 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.messages import MeasurementProgress
+from app.measurement.messages import (
+    BlockRecorded,
+    LivePoints,
+    MeasurementProgress,
+    ReportEvent,
+)
 from app.motion.configurations import Configurations
 from app.motion.paths import line_times_s
-from drivers.interfaces.records import Path
+from drivers.interfaces.records import Path, TrackerSamples
 
 _TRUST_S = 3.0  # before it the pace so far says little
 
@@ -135,3 +140,34 @@ class ProgressEstimator:
             elapsed_s=round(now_s - self._begun_s, 3),
             remaining_s=0.0 if finished else round(left_s, 3),
         )
+
+
+SPACING_S = 0.1
+
+
+class LiveView:
+    """Reports recorded blocks, thinned for the eye to points some 0.1 s apart.
+
+    reports_blocks : the whole blocks are reported as well, for a live estimate
+    axes : position of the controller
+    """
+
+    def __init__(self, report: ReportEvent, *, reports_blocks: bool) -> None:
+        self._report, self._reports_blocks = report, reports_blocks
+        self._last_slot = -np.inf
+        self.axes: tuple[float, ...] = ()
+
+    def show(self, samples: TrackerSamples) -> None:
+        """Report a block that has been written."""
+        time_s = samples.device_time_s
+        slot = np.floor(time_s / SPACING_S)
+        valid = samples.status == 0
+        _, first = np.unique(slot[valid], return_index=True)
+        chosen = np.flatnonzero(valid)[first]
+        chosen = chosen[slot[chosen] > self._last_slot]
+        if len(chosen):
+            self._last_slot = float(slot[chosen[-1]])
+            points = np.round(samples.position_mm[chosen], 4).tolist()
+            self._report(LivePoints(points, list(self.axes), float(time_s[-1])))
+        if self._reports_blocks:
+            self._report(BlockRecorded(samples))

@@ -25,26 +25,24 @@ import numpy as np
 
 from app.errors import MeasurementFailed
 from app.files.whole_files import sync_to_disk
-from app.measurement.run_database import (
-    connect,
-    insert_batches,
-    insert_manifest,
-    put_manifest,
-    seal,
-    transaction,
-)
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
     LINK_STREAM,
-    TABLES,
     TRACKER_STREAM,
     Batch,
+    ClosedRun,
     RunHeader,
+    create_run_file,
     encode_manifest,
+    insert_batches,
+    insert_events,
     pack_axes,
     pack_samples,
+    put_manifest,
     replace_commanded,
+    seal,
+    transaction,
 )
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import AxisSamples, TrackerSamples
@@ -55,50 +53,29 @@ RESERVE_BYTES = 500 << 20
 QUEUE_ITEMS = 200
 PUT_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 60.0
-GUARD_PERIOD_S = 1.0
+SPACE_CHECK_S = 1.0
 
 OnRecorded = Callable[[TrackerSamples], None]
 
 
 @dataclass(frozen=True, slots=True)
-class ClosedRun:
-    """A Run that is one read-only file, or as much of it as could be written.
-
-    sha256 : of the file; empty if it could not be closed properly
-    failure : why not; empty if all is well
-    """
-
-    file: Path
-    sha256: str
-    samples: int
-    lost_samples: int
-    failure: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class _Event:
-    mono_ns: int
-    wall_ns: int
-    kind: str
-    body: str
-
-
-@dataclass(frozen=True, slots=True)
 class _Item:
-    """What goes into one transaction."""
+    """What goes into one transaction; `events` are rows without their number."""
 
     batches: tuple[Batch, ...] = ()
-    events: tuple[_Event, ...] = ()
+    events: tuple[tuple[int, int, str, str], ...] = ()
     samples: TrackerSamples | None = None
     manifest: dict[str, str] = field(default_factory=dict)
 
 
 class Recorder:
-    """One Run being written. `put…` and `event` may be called from any thread.
+    """One Run being written. `put…`, `event` and `extend` may be called by any thread.
 
-    committed : called from the writer's thread with each block of samples once it is on
+    on_recorded : called by the writer's thread with each block of samples once it is on
         disk; must return at once; an error of it is logged
-    reserve_bytes : space on the disk below which `low_space` turns true
+    reserve_bytes : space on the disk below which `is_space_low` turns true
+    failure : why nothing can be written any more; empty while all is well
+    samples, lost_samples : handed over so far, and missing between by their counter
 
     Raises MeasurementFailed if the file cannot be begun.
     """
@@ -110,19 +87,14 @@ class Recorder:
         *,
         on_recorded: OnRecorded | None = None,
         reserve_bytes: int = RESERVE_BYTES,
-        free_bytes: Callable[[], int] | None = None,
-        queue_items: int = QUEUE_ITEMS,
     ) -> None:
-        self.file = file
-        self._on_recorded = on_recorded
-        self._reserve_bytes = reserve_bytes
-        self._free_bytes = free_bytes or (lambda: shutil.disk_usage(file.parent).free)
-        self._queue: queue.Queue[_Item | None] = queue.Queue(queue_items)
-        self._failure = ""
-        self._is_space_low = False
+        self.file, self.failure, self.is_space_low = file, "", False
+        self.samples = self.lost_samples = 0
+        self._on_recorded, self._reserve_bytes = on_recorded, reserve_bytes
+        self._queue: queue.Queue[_Item | None] = queue.Queue(QUEUE_ITEMS)
         self._has_callback_failed = False
-        self._guarded_at = time.monotonic()
-        self._samples = self._lost = self._link_bytes = self._axis_rows = 0
+        self._checked_space_s = time.monotonic()
+        self._link_bytes = self._axis_rows = 0
         self._last_sequence: int | None = None
         self._lock = threading.Lock()
         self._database = self._begin(header)
@@ -130,16 +102,6 @@ class Recorder:
             target=self._write, name="run-writer", daemon=True
         )
         self._writer.start()
-
-    @property
-    def failure(self) -> str:
-        """Why nothing can be written any more; empty while all is well."""
-        return self._failure
-
-    @property
-    def is_space_low(self) -> bool:
-        """Whether the disk has less left than the reserve."""
-        return self._is_space_low
 
     @property
     def is_strained(self) -> bool:
@@ -151,16 +113,6 @@ class Recorder:
         """Whether hardly anything waits."""
         return self._queue.qsize() * 10 < self._queue.maxsize
 
-    @property
-    def samples(self) -> int:
-        """Tracker samples handed over so far."""
-        return self._samples
-
-    @property
-    def lost_samples(self) -> int:
-        """Samples missing between those handed over, by the device's counter."""
-        return self._lost
-
     def put_tracker(self, samples: TrackerSamples, link: bytes = b"") -> None:
         """Hand over a block of samples and the bytes that carried it.
 
@@ -168,7 +120,16 @@ class Recorder:
         the device's counter went back.
         """
         with self._lock:
-            batches = [*self._make_tracker_batch(samples), *self._make_link_batch(link)]
+            batches: list[Batch] = []
+            if len(samples):
+                first = self._count_samples(samples)
+                packed = pack_samples(samples)
+                batches.append(
+                    _stamp_batch(TRACKER_STREAM, first, len(samples), packed)
+                )
+            if link:
+                seq0, self._link_bytes = self._link_bytes, self._link_bytes + len(link)
+                batches.append(_stamp_batch(LINK_STREAM, seq0, len(link), link))
             if batches:
                 self._put(_Item(batches=tuple(batches), samples=samples))
 
@@ -183,9 +144,9 @@ class Recorder:
     def event(self, kind: str, text: str) -> None:
         """Write down what happened."""
         body = json.dumps({"text": text}, ensure_ascii=False)
-        moment = _Event(time.monotonic_ns(), time.time_ns(), kind, body)
         with self._lock:
-            self._put(_Item(events=(moment,)))
+            row = (time.monotonic_ns(), time.time_ns(), kind, body)
+            self._put(_Item(events=(row,)))
 
     def extend(self, commanded: Commanded) -> None:
         """Write down that more is commanded: all rows, the earlier ones included."""
@@ -194,24 +155,25 @@ class Recorder:
             self._put(_Item(manifest=self._manifest))
 
     def close(self, outcome: str) -> ClosedRun:
-        """Write what waits, make the file one read-only file and sign it.
+        """Write what waits, make the file one read-only file and hash it.
 
         Never raises: what could not be done is in `failure` of the answer.
         """
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=CLOSE_TIMEOUT_S)
         self._writer.join(CLOSE_TIMEOUT_S)
-        if self._writer.is_alive():
-            self._failure = self._failure or "the disk does not answer"
-            return ClosedRun(self.file, "", self._samples, self._lost, self._failure)
         sha256 = ""
-        try:
-            self._write_end(outcome)
-            sha256 = seal(self._database, self.file)
-        except (sqlite3.Error, OSError) as error:
-            self._failure = self._failure or _describe_storage_error(self.file, error)
-            self._database.close()
-        return ClosedRun(self.file, sha256, self._samples, self._lost, self._failure)
+        if self._writer.is_alive():
+            self.failure = self.failure or "the disk does not answer"
+        else:
+            try:
+                sha256 = self._seal(outcome)
+            except (sqlite3.Error, OSError) as error:
+                self.failure = self.failure or _describe_storage_error(self.file, error)
+                self._database.close()
+        return ClosedRun(
+            self.file, sha256, self.samples, self.lost_samples, self.failure
+        )
 
     def _begin(self, header: RunHeader) -> sqlite3.Connection:
         if self.file.exists():
@@ -220,12 +182,11 @@ class Recorder:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             if self._free_bytes() < self._reserve_bytes:
                 raise MeasurementFailed(
-                    _describe_low_space(self.file, self._reserve_bytes)
+                    f"less than {self._reserve_bytes >> 20} MiB are free under "
+                    f"{self.file.parent}; free some space, then measure again"
                 )
-            database = connect(self.file)
-            database.executescript(TABLES)
             self._manifest = encode_manifest(header, datetime.now(UTC).isoformat())
-            insert_manifest(database, self._manifest)
+            database = create_run_file(self.file, self._manifest)
             # Without its tables and its manifest a log that is cut is worth nothing.
             database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             sync_to_disk(self.file.parent)
@@ -235,60 +196,52 @@ class Recorder:
             ) from error
         return database
 
-    def _make_tracker_batch(self, samples: TrackerSamples) -> list[Batch]:
-        if not len(samples):
-            return []
+    def _count_samples(self, samples: TrackerSamples) -> int:
+        """Count samples, and those missing before them; return their first number."""
         sequence = samples.sequence
-        before = self._last_sequence
-        steps = np.diff(sequence, prepend=sequence[0] - 1 if before is None else before)
+        first, before = int(sequence[0]), self._last_sequence
+        steps = np.diff(sequence, prepend=first - 1 if before is None else before)
         if (steps < 1).any():
             raise MeasurementFailed(
                 "the tracker's counter went back; it was restarted: measure again"
             )
-        self._lost += int(steps.sum()) - len(samples)
-        self._samples += len(samples)
+        self.lost_samples += int(steps.sum()) - len(samples)
+        self.samples += len(samples)
         self._last_sequence = int(sequence[-1])
-        payload = pack_samples(samples)
-        return [_stamp_batch(TRACKER_STREAM, int(sequence[0]), len(samples), payload)]
-
-    def _make_link_batch(self, link: bytes) -> list[Batch]:
-        if not link:
-            return []
-        batch = _stamp_batch(LINK_STREAM, self._link_bytes, len(link), link)
-        self._link_bytes += len(link)
-        return [batch]
+        return first
 
     def _put(self, item: _Item) -> None:
-        if self._failure:
-            raise MeasurementFailed(self._failure)
+        if self.failure:
+            raise MeasurementFailed(self.failure)
         try:
             self._queue.put(item, timeout=PUT_TIMEOUT_S)
         except queue.Full:
-            self._failure = (
+            self.failure = (
                 f"the disk under {self.file.parent} is too slow: {self._queue.maxsize} "
                 "batches wait; use a local disk"
             )
-            raise MeasurementFailed(self._failure) from None
+            raise MeasurementFailed(self.failure) from None
 
     def _write(self) -> None:
         """Body of the writer's thread: everything up to the end mark."""
         while (item := self._queue.get()) is not None:
-            if self._failure:
+            if self.failure:
                 continue
             try:
                 self._commit(item)
-                self._guard()
+                self._check_space()
             except (sqlite3.Error, OSError) as error:
-                self._failure = _describe_storage_error(self.file, error)
+                self.failure = _describe_storage_error(self.file, error)
                 continue
-            self._hand_on(item)
+            if item.samples is not None and self._on_recorded is not None:
+                self._report_recorded(self._on_recorded, item.samples)
 
-    def _hand_on(self, item: _Item) -> None:
+    def _report_recorded(
+        self, on_recorded: OnRecorded, samples: TrackerSamples
+    ) -> None:
         """Pass recorded samples on. A failure there must not end the recording."""
-        if item.samples is None or self._on_recorded is None:
-            return
         try:
-            self._on_recorded(item.samples)
+            on_recorded(samples)
         except Exception:
             if not self._has_callback_failed:
                 log.exception("recorded samples cannot be shown; recording goes on")
@@ -298,36 +251,30 @@ class Recorder:
         with transaction(self._database):
             put_manifest(self._database, item.manifest)
             insert_batches(self._database, item.batches)
-            self._database.executemany(
-                "INSERT INTO event (mono_ns, wall_ns, kind, body) VALUES (?, ?, ?, ?)",
-                [(e.mono_ns, e.wall_ns, e.kind, e.body) for e in item.events],
-            )
+            insert_events(self._database, item.events)
 
-    def _guard(self) -> None:
-        now = time.monotonic()
-        if now - self._guarded_at >= GUARD_PERIOD_S:
-            self._guarded_at = now
-            self._is_space_low = self._free_bytes() < self._reserve_bytes
+    def _free_bytes(self) -> int:
+        return shutil.disk_usage(self.file.parent).free
 
-    def _write_end(self, outcome: str) -> None:
+    def _check_space(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._checked_space_s >= SPACE_CHECK_S:
+            self._checked_space_s = now_s
+            self.is_space_low = self._free_bytes() < self._reserve_bytes
+
+    def _seal(self, outcome: str) -> str:
         end = {
             "outcome": outcome,
-            "samples": self._samples,
-            "lost_samples": self._lost,
+            "samples": self.samples,
+            "lost_samples": self.lost_samples,
             "ended": datetime.now(UTC).isoformat(),
         }
-        insert_manifest(self._database, {CLOSED: json.dumps(end)})
+        put_manifest(self._database, {CLOSED: json.dumps(end)})
+        return seal(self._database, self.file)
 
 
 def _stamp_batch(stream: str, seq0: int, n: int, payload: bytes) -> Batch:
     return Batch(stream, seq0, n, time.monotonic_ns(), time.time_ns(), payload)
-
-
-def _describe_low_space(file: Path, reserve_bytes: int) -> str:
-    return (
-        f"less than {reserve_bytes >> 20} MiB are free under {file.parent}; "
-        "free some space, then measure again"
-    )
 
 
 def _describe_storage_error(file: Path, error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""Layout of a Run on disk: one SQLite file of checksummed batches.
+"""A Run on disk: one SQLite file of checksummed batches; its layout and statements.
 
 `manifest` holds JSON by key, `batch` packed little-endian records of one stream each
 with a CRC-32, `event` what happened. Streams:
@@ -13,18 +13,25 @@ payload. It is checked on every read; so is the CRC of the manifest.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
+import sqlite3
 import struct
 import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from app.files.machine_file import machine_from_json, machine_to_json
+from app.files.whole_files import sync_to_disk
 from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import AxisSamples, Identity, Path, TrackerSamples
+from app.motion.configurations import Commanded, Configurations
+from drivers.interfaces import records
+from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 SCHEMA = "run/1"
 CLOSED = "closed"  # key of the manifest that is written at the end
@@ -40,14 +47,13 @@ CREATE TABLE event (
   kind TEXT NOT NULL, body TEXT NOT NULL) STRICT;
 """
 TRACKER_STREAM, LINK_STREAM, AXES_STREAM = "tracker", "tracker.link", "axes"
-TRACKER = np.dtype(
-    [
-        ("sequence", "<i8"),
-        ("device_time_s", "<f8"),
-        ("position_mm", "<f8", (3,)),
-        ("status", "<i8"),
-    ]
-)
+_TRACKER_COLUMNS = [
+    ["sequence", "<i8", "1"],
+    ["device_time_s", "<f8", "s"],
+    ["position_mm", "3<f8", "mm"],
+    ["status", "<i8", "1"],
+]
+TRACKER = np.dtype([(name, kind) for name, kind, _ in _TRACKER_COLUMNS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +77,27 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
+class ClosedRun:
+    """A Run that is one read-only file, or as much of it as could be written.
+
+    sha256 : of the file; empty if it could not be closed properly
+    failure : why not; empty if all is well
+    """
+
+    file: Path
+    sha256: str
+    samples: int
+    lost_samples: int
+    failure: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class RunHeader:
     """What is known before the first sample."""
 
     name: str
     machine: Machine
-    commanded: Path | Configurations
+    commanded: Commanded
     rate_hz: float
     devices: dict[str, Identity]
     axes: tuple[str, ...]
@@ -84,24 +105,17 @@ class RunHeader:
 
 def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
     """Return the manifest rows of a header, values in JSON."""
-    content: dict[str, Any] = {
+    content = {
         "schema": SCHEMA,
         "name": header.name,
         "started": started,
         "machine": machine_to_json(header.machine),
-        "commanded": encode_commanded(header.commanded),
+        "commanded": _encode_commanded(header.commanded),
         "rate_hz": header.rate_hz,
         "devices": {name: asdict(who) for name, who in header.devices.items()},
         "axes": list(header.axes),
         "streams": {
-            TRACKER_STREAM: {
-                "record": [
-                    ["sequence", "<i8", "1"],
-                    ["device_time_s", "<f8", "s"],
-                    ["position_mm", "3<f8", "mm"],
-                    ["status", "<i8", "1"],
-                ]
-            },
+            TRACKER_STREAM: {"record": _TRACKER_COLUMNS},
             LINK_STREAM: {"record": "bytes as received"},
             AXES_STREAM: {
                 "record": [
@@ -111,23 +125,19 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
             },
         },
     }
-    rows = {key: json.dumps(v, ensure_ascii=False) for key, v in content.items()}
-    return {**rows, _CRC: str(_manifest_crc(rows))}
+    return _sign({k: json.dumps(v, ensure_ascii=False) for k, v in content.items()})
 
 
-def replace_commanded(
-    manifest: dict[str, str], commanded: Path | Configurations
-) -> dict[str, str]:
+def replace_commanded(manifest: dict[str, str], commanded: Commanded) -> dict[str, str]:
     """Return the manifest rows with other commanded rows, their CRC anew."""
-    text = json.dumps(encode_commanded(commanded), ensure_ascii=False)
-    rows = {k: v for k, v in manifest.items() if k != _CRC} | {"commanded": text}
-    return {**rows, _CRC: str(_manifest_crc(rows))}
+    text = json.dumps(_encode_commanded(commanded), ensure_ascii=False)
+    return _sign({k: v for k, v in manifest.items() if k != _CRC} | {"commanded": text})
 
 
 def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
     """Return the header of manifest rows. Raises ValueError if they are damaged."""
     rows = {key: v for key, v in manifest.items() if key not in (CLOSED, _CRC)}
-    if str(_manifest_crc(rows)) != manifest.get(_CRC):
+    if _sign(rows)[_CRC] != manifest.get(_CRC):
         raise ValueError("its CRC does not match")
     content = {key: json.loads(value) for key, value in rows.items()}
     if content["schema"] != SCHEMA:
@@ -135,60 +145,58 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
     return RunHeader(
         name=content["name"],
         machine=machine_from_json(content["machine"], file=f"{file}, machine"),
-        commanded=decode_commanded(content["commanded"]),
+        commanded=_decode_commanded(content["commanded"]),
         rate_hz=float(content["rate_hz"]),
         devices={key: Identity(**who) for key, who in content["devices"].items()},
         axes=tuple(content["axes"]),
     )
 
 
-def _manifest_crc(rows: dict[str, str]) -> int:
-    return zlib.crc32(json.dumps(sorted(rows.items()), default=str).encode())
+def _sign(rows: dict[str, str]) -> dict[str, str]:
+    crc = zlib.crc32(json.dumps(sorted(rows.items()), default=str).encode())
+    return {**rows, _CRC: str(crc)}
 
 
-def encode_commanded(commanded: Path | Configurations) -> dict[str, Any]:
+def _encode_commanded(commanded: Commanded) -> dict[str, Any]:
     """Return the JSON of a path or of points."""
     content: dict[str, Any] = {
-        "kind": "path" if isinstance(commanded, Path) else "points",
+        "kind": "path" if isinstance(commanded, records.Path) else "points",
         "axes": list(commanded.axes),
         "position": commanded.position.tolist(),
         "dwell_s": commanded.dwell_s.tolist(),
         "target": list(commanded.target),
     }
-    if isinstance(commanded, Path):
+    if isinstance(commanded, records.Path):
         content["feed_mm_min"] = commanded.feed_mm_min.tolist()
     return content
 
 
-def decode_commanded(content: dict[str, Any]) -> Path | Configurations:
-    """Return the path or the points of JSON."""
+def _decode_commanded(content: dict[str, Any]) -> Commanded:
     axes, target = tuple(content["axes"]), tuple(content["target"])
     position = np.array(content["position"], np.float64).reshape(-1, len(axes))
     dwell_s = np.array(content["dwell_s"], np.float64)
     if content["kind"] == "points":
         return Configurations(axes, position, dwell_s, target)
     feed_mm_min = np.array(content["feed_mm_min"], np.float64)
-    return Path(axes, position, feed_mm_min, dwell_s, target)
+    return records.Path(axes, position, feed_mm_min, dwell_s, target)
 
 
 def pack_samples(samples: TrackerSamples) -> bytes:
     """Return samples as records of `TRACKER`."""
-    records = np.empty(len(samples), TRACKER)
-    records["sequence"] = samples.sequence
-    records["device_time_s"] = samples.device_time_s
-    records["position_mm"] = samples.position_mm
-    records["status"] = samples.status
-    return records.tobytes()
+    rows = np.empty(len(samples), TRACKER)
+    for name in TRACKER.names or ():
+        rows[name] = getattr(samples, name)
+    return rows.tobytes()
 
 
 def unpack_samples(payload: bytes) -> TrackerSamples:
     """Return the samples of records of `TRACKER`."""
-    records = np.frombuffer(payload, TRACKER)
+    rows = np.frombuffer(payload, TRACKER)
     return TrackerSamples(
-        records["sequence"].astype(np.int64),
-        records["device_time_s"].astype(np.float64),
-        records["position_mm"].astype(np.float64),
-        records["status"].astype(np.int64),
+        rows["sequence"].astype(np.int64),
+        rows["device_time_s"].astype(np.float64),
+        rows["position_mm"].astype(np.float64),
+        rows["status"].astype(np.int64),
     )
 
 
@@ -202,3 +210,86 @@ def unpack_axes(payload: bytes, axes: tuple[str, ...]) -> AxisSamples:
     """Return the controller positions of records of the stream `axes`."""
     rows = np.frombuffer(payload, "<f8").reshape(-1, 1 + len(axes)).astype(np.float64)
     return AxisSamples(axes, rows[:, 0].copy(), rows[:, 1:].copy())
+
+
+def connect(file: Path) -> sqlite3.Connection:
+    """Open a Run file to write, every commit synced to the disk."""
+    database = sqlite3.connect(file, isolation_level=None, check_same_thread=False)
+    try:
+        database.execute("PRAGMA busy_timeout = 5000")
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA synchronous = FULL")
+    except sqlite3.Error:
+        database.close()
+        raise
+    return database
+
+
+def create_run_file(file: Path, manifest: dict[str, str]) -> sqlite3.Connection:
+    """Return a new Run file, open to write, with its tables and its manifest."""
+    database = connect(file)
+    database.executescript(TABLES)
+    with transaction(database):
+        put_manifest(database, manifest)
+    return database
+
+
+@contextlib.contextmanager
+def transaction(database: sqlite3.Connection) -> Iterator[None]:
+    """All of the block's statements, or none."""
+    database.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        database.execute("COMMIT")
+    except BaseException:
+        with contextlib.suppress(sqlite3.Error):
+            database.execute("ROLLBACK")
+        raise
+
+
+def put_manifest(database: sqlite3.Connection, manifest: dict[str, str]) -> None:
+    """Insert rows into the table `manifest`, or replace them."""
+    database.executemany(
+        "INSERT OR REPLACE INTO manifest VALUES (?, ?)", manifest.items()
+    )
+
+
+def insert_batches(database: sqlite3.Connection, batches: Iterable[Batch]) -> None:
+    """Insert rows into the table `batch`."""
+    database.executemany(
+        "INSERT INTO batch VALUES (?, ?, ?, ?, ?, ?, ?)",
+        [
+            (b.stream, b.seq0, b.n, b.mono_ns, b.wall_ns, b.crc32, b.payload)
+            for b in batches
+        ],
+    )
+
+
+def insert_events(
+    database: sqlite3.Connection, rows: Iterable[tuple[int, int, str, str]]
+) -> None:
+    """Insert rows into the table `event`, numbered in their order."""
+    database.executemany(
+        "INSERT INTO event (mono_ns, wall_ns, kind, body) VALUES (?, ?, ?, ?)", rows
+    )
+
+
+def seal(database: sqlite3.Connection, file: Path) -> str:
+    """Close a Run file for good, one read-only file; return its SHA-256.
+
+    Raises sqlite3.OperationalError if somebody else has the file open.
+    """
+    with contextlib.closing(database):
+        busy, _, _ = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        if busy:
+            raise sqlite3.OperationalError("the Run file is open elsewhere")
+        database.execute("PRAGMA journal_mode = DELETE")
+    file.chmod(0o444)
+    sync_to_disk(file.parent)
+    return hash_file(file)
+
+
+def hash_file(file: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with file.open("rb") as source:
+        return hashlib.file_digest(source, "sha256").hexdigest()

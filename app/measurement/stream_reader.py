@@ -1,53 +1,76 @@
-"""Carries the tracker's stream from the driver to the disk, in a thread of its own."""
+"""Carries the tracker's stream from the driver to the disk, and assesses it."""
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
+from enum import Enum
 
+import numpy as np
+
+from app.errors import MeasurementFailed
+from app.measurement.messages import StreamTimeouts
 from app.measurement.recorder import Recorder
-from app.measurement.stream_monitor import StreamMonitor
-from drivers.interfaces.link import ByteLink
+from app.measurement.timing import RunningClock
+from drivers.interfaces.errors import DeviceError, DeviceTimeout
 from drivers.interfaces.records import TrackerSamples
-from drivers.interfaces.tracker import Tracker
+from drivers.interfaces.tracker import ByteLink, Tracker
 
 BATCH_S = 0.1  # that is committed at once
-READ_S = 0.02  # between looks at the tracker
+READ_S = 0.02  # between reads of the tracker
+TICK_S = 0.1
+
+
+class StreamState(Enum):
+    """How the stream is."""
+
+    GOOD = "good"
+    SILENT = "silent"  # nothing came for a while: hold the feed
+    DEAD = "dead"  # nothing came for so long that it will not come by itself
+    BEAM_LOST = "beam-lost"  # samples come, none of them valid
+
+
+OnStreamState = Callable[[int, int, StreamState], None]
+"""Receives samples so far, samples lost and the stream's state, again and again."""
 
 
 class StreamReader:
     """Reads blocks of some 20 ms and hands batches of some 100 ms to the recorder.
 
-    clock : stamps what has come, for the watch
+    It has a thread of its own; any thread may call `assess` and read the properties.
+
+    failure : what ended the thread before it was stopped
+    device_time_s : device clock of the newest sample, None before the first
+    has_valid : a valid sample has come so far
     """
 
     def __init__(
         self,
         tracker: Tracker,
         recorder: Recorder,
-        monitor: StreamMonitor,
+        timeouts: StreamTimeouts,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._tracker, self._recorder, self._monitor = tracker, recorder, monitor
-        self._clock = clock
+        self._tracker, self._recorder, self._timeouts = tracker, recorder, timeouts
+        # A process that did not run has not read either: that is no silence.
+        self._clock = RunningClock(timeouts.late_s, clock)
+        self._lock = threading.Lock()
+        self._received_s = self._valid_s = self._clock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(
             target=self._run, name="stream-reader", daemon=True
         )
-        self._failure: Exception | None = None
-
-    @property
-    def failure(self) -> Exception | None:
-        """What ended the pump before it was stopped."""
-        return self._failure
+        self.failure: Exception | None = None
+        self.device_time_s: float | None = None
+        self.has_valid = False
 
     def start(self, rate_hz: float) -> None:
         """Start the stream. Raises as `Tracker.start`."""
         while len(self._tracker.read(0.0)):
             pass  # left over from an earlier stream
-        if isinstance(self._tracker, ByteLink):
-            self._tracker.take_link_bytes()
+        self._take_link_bytes()
         self._tracker.start(rate_hz)
         self._thread.start()
 
@@ -58,29 +81,100 @@ class StreamReader:
             self._thread.join()
         self._tracker.stop()
 
+    def assess(self) -> StreamState:
+        """Assess the stream as it is now."""
+        now_s = self._clock()
+        with self._lock:
+            silence_s = now_s - self._received_s
+            # A beam is assessed by the samples that came, not by their absence.
+            without_beam_s = self._received_s - self._valid_s
+        if silence_s > self._timeouts.dead_s:
+            return StreamState.DEAD
+        if silence_s > self._timeouts.silent_s:
+            return StreamState.SILENT
+        if without_beam_s > self._timeouts.beam_s:
+            return StreamState.BEAM_LOST
+        return StreamState.GOOD
+
     def _run(self) -> None:
-        """Body of the thread. What it fails of is kept for the engine to find."""
+        """Body of the thread."""
         try:
             while not self._stopping.is_set():
                 self._fill_batch()
             self._hand_over([self._tracker.read(0.0)])
         except Exception as error:
-            self._failure = error
+            self.failure = error
 
     def _fill_batch(self) -> None:
         blocks: list[TrackerSamples] = []
         end_s = time.monotonic() + BATCH_S
         while (left_s := end_s - time.monotonic()) > 0 and not self._stopping.is_set():
             block = self._tracker.read(left_s)
-            self._monitor.add_block(block, self._clock())
+            self._note_arrival(block)
             blocks.append(block)
             self._stopping.wait(READ_S)
         self._hand_over(blocks)
 
+    def _note_arrival(self, block: TrackerSamples) -> None:
+        now_s = self._clock()
+        if not len(block):
+            return
+        with self._lock:
+            self._received_s = now_s
+            self.device_time_s = float(block.device_time_s[-1])
+            if np.any(block.status == 0):
+                self._valid_s, self.has_valid = now_s, True
+
     def _hand_over(self, blocks: list[TrackerSamples]) -> None:
-        link = (
-            self._tracker.take_link_bytes()
-            if isinstance(self._tracker, ByteLink)
-            else b""
-        )
-        self._recorder.put_tracker(TrackerSamples.join(blocks), link)
+        self._recorder.put_tracker(TrackerSamples.join(blocks), self._take_link_bytes())
+
+    def _take_link_bytes(self) -> bytes:
+        tracker = self._tracker
+        return tracker.take_link_bytes() if isinstance(tracker, ByteLink) else b""
+
+
+def record_stream(
+    tracker: Tracker,
+    recorder: Recorder,
+    rate_hz: float,
+    is_over: Callable[[float], bool],
+    on_state: OnStreamState,
+) -> None:
+    """Record a connected tracker while a CNC without link drives its own program.
+
+    Nothing is known of the CNC meanwhile: what was driven when is found in the stream
+    afterwards. The caller closes the recorder.
+
+    is_over : waits at most so many seconds and tells whether the recording is to end
+
+    Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
+    DeviceError of the driver; what has been recorded by then is kept.
+    """
+    reader = StreamReader(tracker, recorder, StreamTimeouts())
+    reader.start(rate_hz)
+    try:
+        while not is_over(TICK_S):
+            _refuse_failures(reader, recorder)
+            state = reader.assess()
+            on_state(recorder.samples, recorder.lost_samples, state)
+            if state is StreamState.DEAD:
+                raise DeviceTimeout(
+                    "no sample has come for some seconds; check the tracker and its "
+                    "cable, then run the program again"
+                )
+    except BaseException:
+        # A tracker that is gone cannot be told to stop: what went wrong first counts.
+        with contextlib.suppress(DeviceError):
+            reader.stop()
+        raise
+    reader.stop()
+    _refuse_failures(reader, recorder)
+
+
+def _refuse_failures(reader: StreamReader, recorder: Recorder) -> None:
+    if reader.failure is not None:
+        raise reader.failure
+    if recorder.failure:
+        raise MeasurementFailed(recorder.failure)
+    if recorder.is_space_low:
+        raise MeasurementFailed("too little room is left on the disk; free some")

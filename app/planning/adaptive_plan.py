@@ -16,9 +16,8 @@ import numpy as np
 from app.errors import PlanningError
 from app.estimation.live import LiveFindings
 from app.kinematics.machine import Machine, remove_rotary_axes
-from app.measurement.parts import append_part
 from app.measurement.progress import schedule_rows
-from app.motion.configurations import Commanded, Configurations
+from app.motion.configurations import Commanded, Configurations, append_part
 from app.motion.motion_times import Drive, drive_of
 from app.motion.paths import ACCELERATION_MM_S2
 from app.planning.design_state import DesignState, inverse

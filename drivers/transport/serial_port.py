@@ -56,7 +56,7 @@ class SerialPort(BytePort):
 
     def read(self, timeout_s: float) -> bytes:
         """Return what the kernel holds, at most 64 KiB at once."""
-        fd = self._opened().fileno()
+        fd = self._require_open().fileno()
         poll = select.poll()
         poll.register(fd, select.POLLIN)
         events = poll.poll(timeout_s * 1e3)
@@ -75,7 +75,7 @@ class SerialPort(BytePort):
     def write(self, data: bytes) -> None:
         """Send within 0.2 s; a tty that takes longer hangs."""
         try:
-            self._opened().write(data)
+            self._require_open().write(data)
         except serial.SerialTimeoutException as error:
             raise DeviceTimeout(
                 f"{self._path} takes no bytes; check the cable and flow control"
@@ -89,7 +89,7 @@ class SerialPort(BytePort):
         if port is not None:
             port.close()
 
-    def _opened(self) -> serial.Serial:
+    def _require_open(self) -> serial.Serial:
         if self._serial is None:
             raise ConnectionLost(f"{self._path} is not open; connect first")
         return self._serial

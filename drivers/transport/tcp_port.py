@@ -47,7 +47,7 @@ class TcpPort(BytePort):
 
     def read(self, timeout_s: float) -> bytes:
         """Return what the kernel holds, at most 64 KiB at once."""
-        opened = self._opened()
+        opened = self._require_open()
         poll = select.poll()
         poll.register(opened, select.POLLIN)
         if not poll.poll(timeout_s * 1e3):
@@ -63,7 +63,7 @@ class TcpPort(BytePort):
     def write(self, data: bytes) -> None:
         """Send within 0.2 s; a peer that takes longer hangs."""
         try:
-            self._opened().sendall(data)
+            self._require_open().sendall(data)
         except TimeoutError as error:
             raise DeviceTimeout(
                 f"{self.name} takes no bytes; the device or its network hangs"
@@ -77,7 +77,7 @@ class TcpPort(BytePort):
         if opened is not None:
             opened.close()
 
-    def _opened(self) -> socket.socket:
+    def _require_open(self) -> socket.socket:
         if self._socket is None:
             raise ConnectionLost(f"{self.name} is not open; connect first")
         return self._socket

@@ -37,6 +37,6 @@ class Backlash(HiddenEffect):
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the table is from where the screw is."""
-        table = motion.played_mm(self.axis, 0.5e-3 * self.width_um, time_s)
+        table = motion.play_mm(self.axis, 0.5e-3 * self.width_um, time_s)
         off = table - motion.position_mm(self.axis, time_s)
         return error_motion(f"E{self.axis}{self.axis}", off)

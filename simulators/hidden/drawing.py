@@ -79,7 +79,7 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
     the machine cannot have.
     """
     if text.lstrip().startswith("{"):
-        return _given(text, machine)
+        return _try_effect(text, machine)
     name, _, size = text.partition("*")
     try:
         size_um = float(size or _USUAL_UM)
@@ -106,7 +106,7 @@ def from_json(content: Mapping[str, Any]) -> HiddenEffect:
         raise SimulatorError(f"hidden: {content.get('name')}: {error}") from error
 
 
-def _given(text: str, machine: MachineFile) -> HiddenEffect:
+def _try_effect(text: str, machine: MachineFile) -> HiddenEffect:
     """Return the effect of a JSON object once it has moved the machine at rest."""
     try:
         content = json.loads(text)

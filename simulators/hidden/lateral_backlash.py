@@ -55,7 +55,7 @@ class LateralBacklash(HiddenEffect):
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far it leans, by how much of the play friction has crossed."""
         half_mm = 0.5 * self.turnover_mm
-        follows = motion.played_mm(self.axis, half_mm, time_s)
+        follows = motion.play_mm(self.axis, half_mm, time_s)
         lean = (motion.position_mm(self.axis, time_s) - follows) / half_mm
         unit = 1e-6 if self._turns else 1e-3
         return error_motion(self.motion, unit * self.half_width * lean)

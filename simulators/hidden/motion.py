@@ -46,7 +46,7 @@ class Motion:
             self.timeline.jerk[piece] * heading,
         )
 
-    def played_mm(
+    def play_mm(
         self, axis: str, half_width_mm: float, time_s: np.ndarray
     ) -> np.ndarray:
         """Return the output of the play operator, (n,): what really follows the axis.
@@ -56,7 +56,7 @@ class Motion:
         """
         key = (axis, half_width_mm)
         if key not in self._remembered:
-            self._remembered[key] = self._played(axis, half_width_mm)
+            self._remembered[key] = self._play(axis, half_width_mm)
         before = self._remembered[key][self._piece(time_s)]
         now = self.position_mm(axis, time_s)
         return np.clip(before, now - half_width_mm, now + half_width_mm)
@@ -70,7 +70,7 @@ class Motion:
         """
         key = (axis, np.inf)
         if key not in self._remembered:
-            self._remembered[key] = self._turned(axis)
+            self._remembered[key] = self._find_turns(axis)
         travel, sign = self._remembered[key][self._piece(time_s)].T
         begin = self.timeline.origin[self._piece(time_s), self.column(axis)]
         return travel + np.abs(self.position_mm(axis, time_s) - begin), sign
@@ -79,7 +79,7 @@ class Motion:
         place = np.searchsorted(self.timeline.start_s, time_s, side="right") - 1
         return np.maximum(place, 0)
 
-    def _played(self, axis: str, half_width_mm: float) -> np.ndarray:
+    def _play(self, axis: str, half_width_mm: float) -> np.ndarray:
         begin = self.timeline.origin[:, self.column(axis)]
         state = np.empty(len(begin))
         state[0] = begin[0]
@@ -88,7 +88,7 @@ class Motion:
             state[k] = min(max(state[k - 1], low), high)
         return state
 
-    def _turned(self, axis: str) -> np.ndarray:
+    def _find_turns(self, axis: str) -> np.ndarray:
         """Return travel since the reversal as each piece begins, and the sign in it."""
         begin = self.timeline.origin[:, self.column(axis)]
         step = np.append(np.diff(begin), 0.0)
@@ -104,7 +104,7 @@ class Motion:
         return known
 
 
-def continued(known: Timeline | None, new: Timeline) -> Timeline:
+def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
     """Return a new timeline with what was known of the time before it."""
     if known is None or known.start_s[0] >= new.start_s[0]:
         return new

@@ -23,7 +23,7 @@ from app.jobs.store import Store
 from app.jobs.transitions import State
 from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig
-from app.measurement.recording import open_run
+from app.measurement.run_reading import open_run
 from app.motion.paths import check_travel
 from simulators.bench import Bench
 

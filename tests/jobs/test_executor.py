@@ -83,6 +83,16 @@ def test_a_task_computes_elsewhere_and_reports(one_lane, tasks):
     assert reports == [(0.5, "half"), (1.0, "whole")]
 
 
+def test_progress_that_cannot_be_reported_ends_nothing(one_lane, tasks):
+    before = run(one_lane, tasks.about).result()["pid"]
+
+    def fail(share, stage):
+        raise OSError("nobody listens")
+
+    assert run(one_lane, tasks.add, 2, 3, on_progress=fail).result() == 5
+    assert run(one_lane, tasks.about).result()["pid"] == before
+
+
 def test_a_lane_is_prepared_polite_and_single_threaded(one_lane, tasks):
     about = run(one_lane, tasks.about).result()
     assert about["pid"] != os.getpid()

@@ -13,11 +13,15 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from app.measurement.engine_settings import EngineSettings, StreamTimeouts
-from app.measurement.messages import CellEvent, FaultReported, StateChanged
+from app.measurement.messages import (
+    CellEvent,
+    FaultReported,
+    StateChanged,
+    StreamTimeouts,
+)
 from app.measurement.run_file import LINK_STREAM
+from app.measurement.timing import EngineSettings
 from drivers.interfaces.errors import DeviceTimeout
-from drivers.interfaces.link import ByteLink
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import (
     Identity,
@@ -27,7 +31,7 @@ from drivers.interfaces.records import (
     Path,
     TrackerSamples,
 )
-from drivers.interfaces.tracker import Tracker
+from drivers.interfaces.tracker import ByteLink, Tracker
 
 E = TypeVar("E")
 

@@ -24,26 +24,24 @@ from app.files.bundle import read_bundle, write_bundle
 from app.files.machine_file import machine_from_json
 from app.measurement import cell as cell_module
 from app.measurement.cell import Cell
-from app.measurement.cell_process import serve
-from app.measurement.engine_settings import StreamTimeouts
+from app.measurement.cell_process import MAX_BLOCKS, Outbox, serve
 from app.measurement.messages import (
     Begin,
     BlockRecorded,
     CellConfig,
     CellEvent,
     CellState,
-    Connect,
+    CellVerb,
     Connected,
     FaultReported,
     LivePoints,
     MeasurementOrder,
     MeasurementProgress,
-    Pause,
     RunClosed,
     StateChanged,
+    StreamTimeouts,
 )
-from app.measurement.outbox import MAX_BLOCKS, Outbox
-from app.measurement.recording import open_run, repair_run
+from app.measurement.run_reading import open_run, repair_run
 from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
 from app.plugins import load
@@ -218,7 +216,7 @@ def test_enough_after_some_points_ends_the_standstill_run_in_order(connected, or
     points = Configurations(order.commanded.axes, corners, np.full(4, 8.0))
     connected.cell.begin(replace(order, commanded=points, feed_mm_min=9000.0))
     connected.until_line(1)
-    connected.cell.conclude()
+    connected.cell.send(CellVerb.CONCLUDE)
     assert connected.until_closed().outcome == "finished"
     run = open_run(order.run_file)
     done = sum(event.kind == "point" for event in run.events)
@@ -258,14 +256,14 @@ def test_connect_tells_who_answers(driven):
 def test_pause_resume_and_abort_reach_the_machine(connected, long_order, machine_state):
     connected.cell.begin(long_order)
     connected.until_line(1)
-    connected.cell.pause()
+    connected.cell.send(CellVerb.PAUSE)
     connected.until_state("paused")
     held = machine_state()
     assert (held.state, held.hold_reason) == ("held", "command")
     assert machine_state().position == held.position
-    connected.cell.resume()
+    connected.cell.send(CellVerb.RESUME)
     connected.until_state("running")
-    connected.cell.abort()
+    connected.cell.send(CellVerb.ABORT)
     assert connected.until_closed().outcome == "aborted"
     assert machine_state().state == "aborted"
     run = open_run(long_order.run_file)
@@ -280,7 +278,7 @@ def test_a_second_order_is_refused_while_one_runs(connected, long_order, tmp_pat
     connected.until(lambda: connected.faults == ["busy"])
     assert connected.states[-1] == "running"
     assert connected.cell.connect()["motion"].model == "Simulated CNC"
-    connected.cell.abort()
+    connected.cell.send(CellVerb.ABORT)
     connected.until_closed()
     assert not (tmp_path / "other.sqlite").exists()
 
@@ -298,7 +296,7 @@ def test_killing_the_cell_leaves_a_run_and_a_machine_that_holds(
     assert not connected.cell.alive
     assert connected.cell.poll(0.0) == []
     with pytest.raises(MeasurementFailed, match="not alive"):
-        connected.cell.pause()
+        connected.cell.send(CellVerb.PAUSE)
     deadline_s = time.monotonic() + 20.0
     while (status := machine_state()).state == "running":
         assert time.monotonic() < deadline_s
@@ -496,7 +494,7 @@ def test_a_cell_that_stands_is_held_by_the_watchdog_and_waits_for_somebody(
     watchful.until(lambda: watchful.faults[-1:] == ["held-at-machine"])
     assert "watchdog" in watchful.of(FaultReported)[-1].text
     assert machine_state().state == "held"
-    watchful.cell.resume()
+    watchful.cell.send(CellVerb.RESUME)
     closed = watchful.until_closed()
     assert (closed.outcome, closed.lost_samples) == ("finished", 0)
 
@@ -510,7 +508,7 @@ def test_a_broken_beam_waits_for_somebody(bench, watchful, long_order):
     assert watchful.faults[-1] == "beam-lost"
     seen = len(watchful.of(LivePoints))
     watchful.until(lambda: len(watchful.of(LivePoints)) > seen + 2)
-    watchful.cell.resume()
+    watchful.cell.send(CellVerb.RESUME)
     assert watchful.until_closed().outcome == "finished"
     assert (open_run(long_order.run_file).tracker.status != 0).any()
 
@@ -644,12 +642,12 @@ def test_a_cell_obeys_in_the_same_process_as_well(bench, order):
     thread = threading.Thread(target=serve, args=(theirs, config_of(bench), (reading,)))
     thread.start()
     try:
-        ours.send(Connect())
+        ours.send(CellVerb.CONNECT)
         kinds = []
         while Connected not in kinds:
             assert ours.poll(10.0)
             kinds.append(type(ours.recv()))
-        ours.send(Pause())
+        ours.send(CellVerb.PAUSE)
         ours.send(Begin(order))
         while not isinstance(ours.recv(), MeasurementProgress):
             pass

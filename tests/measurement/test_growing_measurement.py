@@ -17,9 +17,8 @@ from app.measurement.messages import (
     PartRequested,
     RunClosed,
 )
-from app.measurement.parts import append_part
-from app.measurement.recording import open_run
-from app.motion.configurations import Configurations
+from app.measurement.run_reading import open_run
+from app.motion.configurations import Configurations, append_part
 from drivers.interfaces.records import Path
 
 ON = [(10.0, 60.0, -40.0), (210.0, 60.0, -40.0), (210.0, 160.0, -140.0)]

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.measurement.engine_settings import EngineSettings
 from app.measurement.faults import Fault
 from app.measurement.measurement import Measurement, arrange_axes
 from app.measurement.messages import (
@@ -21,7 +20,8 @@ from app.measurement.messages import (
     RunClosed,
     StateChanged,
 )
-from app.measurement.recording import open_run
+from app.measurement.run_reading import open_run
+from app.measurement.timing import EngineSettings
 from app.motion.configurations import Configurations
 from drivers.interfaces.errors import (
     ConnectionLost,
@@ -823,7 +823,7 @@ def test_a_disk_that_fails_holds_the_machine_first(
 def test_a_disk_that_is_almost_full_ends_the_run_cleanly(
     begin, long_order, motion, journal, monkeypatch
 ):
-    monkeypatch.setattr("app.measurement.recorder.GUARD_PERIOD_S", 0.0)
+    monkeypatch.setattr("app.measurement.recorder.SPACE_CHECK_S", 0.0)
     running = begin(long_order)
     running.until_moving()
     recorder = running.measurement._recorder

@@ -19,9 +19,8 @@ import pytest
 from app.errors import BundleError, MeasurementFailed
 from app.measurement import recorder as recorder_module
 from app.measurement.recorder import Recorder
-from app.measurement.recording import open_run, repair_run
-from app.measurement.run_database import hash_file
-from app.measurement.run_file import RunHeader
+from app.measurement.run_file import RunHeader, hash_file
+from app.measurement.run_reading import open_run, repair_run
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
@@ -152,11 +151,14 @@ def test_nothing_sees_a_block_before_it_is_on_disk(file, header):
     assert all(on_disk >= 50 * (i + 1) for i, (_, on_disk) in enumerate(seen))
 
 
-def test_a_display_that_fails_does_not_stop_the_recording(file, header, caplog):
+def test_a_display_that_fails_does_not_stop_the_recording(
+    file, header, caplog, monkeypatch
+):
     def fail(samples: TrackerSamples) -> None:
         raise ValueError("no screen")
 
-    recorder = Recorder(file, header, on_recorded=fail, reserve_bytes=0, queue_items=3)
+    monkeypatch.setattr(recorder_module, "QUEUE_ITEMS", 3)
+    recorder = Recorder(file, header, on_recorded=fail, reserve_bytes=0)
     for i in range(20):
         recorder.put_tracker(block(50 * i))
     closed = recorder.close("finished")
@@ -185,15 +187,17 @@ def test_a_folder_that_cannot_be_written_is_named(header, tmp_path):
         Recorder(tmp_path / "runs" / "a.sqlite", header, reserve_bytes=0)
 
 
-def test_a_full_disk_refuses_to_begin(file, header):
+def test_a_full_disk_refuses_to_begin(file, header, monkeypatch):
+    monkeypatch.setattr(Recorder, "_free_bytes", lambda _: 10 << 20)
     with pytest.raises(MeasurementFailed, match="less than 500 MiB are free"):
-        Recorder(file, header, free_bytes=lambda: 10 << 20)
+        Recorder(file, header)
 
 
 def test_a_disk_that_fills_up_is_noticed_in_time(file, header, monkeypatch):
-    monkeypatch.setattr(recorder_module, "GUARD_PERIOD_S", 0.0)
+    monkeypatch.setattr(recorder_module, "SPACE_CHECK_S", 0.0)
     free = [1 << 40]
-    recorder = Recorder(file, header, free_bytes=lambda: free[0])
+    monkeypatch.setattr(Recorder, "_free_bytes", lambda _: free[0])
+    recorder = Recorder(file, header)
     recorder.put_tracker(block(0))
     free[0] = 1 << 20
     recorder.put_tracker(block(50))
@@ -232,7 +236,8 @@ def test_a_disk_that_is_too_slow_is_an_error_once_the_queue_is_full(
     file, header, monkeypatch
 ):
     monkeypatch.setattr(recorder_module, "PUT_TIMEOUT_S", 0.05)
-    recorder = Recorder(file, header, reserve_bytes=0, queue_items=4)
+    monkeypatch.setattr(recorder_module, "QUEUE_ITEMS", 4)
+    recorder = Recorder(file, header, reserve_bytes=0)
     go_on, commit = threading.Event(), recorder._commit
 
     def stuck(item) -> None:

@@ -20,7 +20,7 @@ from app.measurement.messages import (
     MeasurementOrder,
     RunClosed,
 )
-from app.measurement.recording import open_run
+from app.measurement.run_reading import open_run
 from drivers.interfaces.records import Path
 from simulators.bench import Bench
 from simulators.machine_file import parse_machine

@@ -350,8 +350,10 @@ def test_closing_ends_both_processes_and_removes_the_links(tmp_path: Path) -> No
 
 
 ORPHANS = """
-import sys, time
+import signal, time
 from simulators.bench import Bench
+# A shell that starts a program in the background lets it ignore SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 bench = Bench().start()
 print(*bench.process_ids.values(), flush=True)
 time.sleep(60)

@@ -24,7 +24,7 @@ from simulators.hidden.drawing import (
 from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.hidden.lateral_backlash import LateralBacklash
-from simulators.hidden.motion import Motion, continued
+from simulators.hidden.motion import Motion, continue_from
 from simulators.hidden.reversal_spike import ReversalSpike
 from simulators.hidden.screw_cyclic import ScrewCyclic
 from simulators.hidden.servo_mismatch import ServoMismatch
@@ -107,14 +107,14 @@ def test_play_has_a_memory_and_does_not_depend_on_when_it_is_asked(
     timeline = follow(THERE_AND_BACK, THERE_AND_BACK.position[0], 0.0, Limits())
     motion = Motion(machine, timeline)
     time_s = np.linspace(0.0, timeline.end_s + 1.0, 40_001)
-    table = motion.played_mm("X", 0.5, time_s)
+    table = motion.play_mm("X", 0.5, time_s)
     stepped, state = np.empty(len(time_s)), 50.0
     for k, screw in enumerate(motion.position_mm("X", time_s)):
         state = min(max(state, screw - 0.5), screw + 0.5)
         stepped[k] = state
     np.testing.assert_allclose(table, stepped, atol=1e-9)
     some = np.sort(np.random.default_rng(1).choice(len(time_s), 50))
-    np.testing.assert_array_equal(motion.played_mm("X", 0.5, time_s[some]), table[some])
+    np.testing.assert_array_equal(motion.play_mm("X", 0.5, time_s[some]), table[some])
 
 
 def test_a_motion_that_goes_on_remembers_what_was_before(machine: MachineFile) -> None:
@@ -127,9 +127,9 @@ def test_a_motion_that_goes_on_remembers_what_was_before(machine: MachineFile) -
         .then(follow(way, THERE_AND_BACK.position[-1], later, Limits()))
     )
     time_s = np.linspace(later, later + 1.0, 50)
-    forgot, knows = Motion(machine, new), Motion(machine, continued(first, new))
-    assert forgot.played_mm("X", 0.5, time_s)[-1] == pytest.approx(150.0)
-    assert knows.played_mm("X", 0.5, time_s)[-1] == pytest.approx(149.5)
+    forgot, knows = Motion(machine, new), Motion(machine, continue_from(first, new))
+    assert forgot.play_mm("X", 0.5, time_s)[-1] == pytest.approx(150.0)
+    assert knows.play_mm("X", 0.5, time_s)[-1] == pytest.approx(149.5)
     assert knows.since_reversal_mm("X", time_s)[0][-1] == pytest.approx(100.0)
     np.testing.assert_allclose(
         knows.position_mm("Z", time_s), forgot.position_mm("Z", time_s)

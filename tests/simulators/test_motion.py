@@ -113,7 +113,7 @@ def test_a_hold_stops_on_the_line_within_the_limits(
 ) -> None:
     timeline = follow(one_line(length, feed, 0.0), np.zeros(3), 0.0, limits)
     at = when * timeline.end_s
-    stopped = interruption.held(timeline, at, limits)
+    stopped = interruption.hold_motion(timeline, at, limits)
     assert_smooth(stopped, limits, feed)
     rest = stopped.positions(np.array([stopped.end_s + 1.0]))[0]
     assert rest[0] <= length + 1e-6
@@ -134,9 +134,9 @@ def test_a_held_program_goes_on_to_its_end(
     timeline = follow(program, np.zeros(3), 0.0, JERKY)
     at = when * timeline.end_s
     left = interruption.program_left(timeline, program, at)
-    stopped = interruption.held(timeline, at, JERKY)
+    stopped = interruption.hold_motion(timeline, at, JERKY)
     begin = stopped.end_s + pause
-    whole = interruption.resumed(stopped, left, begin, JERKY)
+    whole = interruption.resume_motion(stopped, left, begin, JERKY)
     assert_smooth(whole, JERKY, program.feed_mm_s.max())
     end = whole.positions(np.array([whole.end_s]))[0]
     np.testing.assert_allclose(end, program.position[-1], atol=1e-9)
@@ -151,8 +151,8 @@ def test_a_dwell_that_was_held_goes_on_with_its_rest() -> None:
     at = arrival + 0.5
     left = interruption.program_left(timeline, program, at)
     assert left.dwell_s[0] == pytest.approx(1.5)
-    whole = interruption.resumed(
-        interruption.held(timeline, at, JERKY), left, 10.0, JERKY
+    whole = interruption.resume_motion(
+        interruption.hold_motion(timeline, at, JERKY), left, 10.0, JERKY
     )
     assert whole.end_s == pytest.approx(11.5)
 

@@ -105,9 +105,9 @@ def test_the_motions_are_those_of_the_tool_relative_to_the_workpiece(
         joint = truth.joints[name.name]
         assert isinstance(joint, RotaryJoint)
         moved = replace(joint, translation=(motion, *joint.translation[1:]))
-        shifted = replace(truth, joints={**truth.joints, name.name: moved})
+        shift = replace(truth, joints={**truth.joints, name.name: moved})
         np.testing.assert_allclose(
-            shifted.point_mm(np.zeros((1, 5)), tool) - [tool.offset_mm],
+            shift.point_mm(np.zeros((1, 5)), tool) - [tool.offset_mm],
             [[0.01, 0.0, 0.0]],
             atol=1e-12,
         )

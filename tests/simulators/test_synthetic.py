@@ -19,7 +19,7 @@ from simulators.synthetic import Defects, Setting, record
 from simulators.tracker_head import (
     Air,
     SampleNoise,
-    measured,
+    measure_polar,
     random_clock,
     random_pose,
     to_cartesian,
@@ -48,7 +48,9 @@ def test_noise_has_the_stated_size_along_and_across_the_beam(
 ) -> None:
     point = rng.normal(0.0, 900.0, 3)
     noise = rng.standard_normal((20_000, 3))
-    seen = to_cartesian(measured(np.tile(point, (20_000, 1)), noise, machine.tracker))
+    seen = to_cartesian(
+        measure_polar(np.tile(point, (20_000, 1)), noise, machine.tracker)
+    )
     r = float(np.linalg.norm(point))
     beam = point / r
     off = seen - point

@@ -76,7 +76,7 @@ class CommandChannel:
 
     def open(self) -> Controller:
         """Connect where there is no connection, and ask who is there."""
-        with self._lock.taken():
+        with self._lock.hold():
             if self._controller is None or not self._link.is_open:
                 self._controller = None
                 self._link.open()
@@ -94,13 +94,13 @@ class CommandChannel:
 
     def close(self) -> None:
         """Release the port. Idempotent."""
-        with self._lock.taken(urgent=True):
+        with self._lock.hold(urgent=True):
             self._controller = None
             self._link.close()
 
     def status(self) -> ControllerStatus:
         """Read the status, with the text of an alarm."""
-        with self._lock.taken():
+        with self._lock.hold():
             status = self._read_status()
             if status.motion.state is not MotionState.ALARM:
                 return status
@@ -109,7 +109,7 @@ class CommandChannel:
 
     def send_heartbeat(self) -> None:
         """Write a new number for the watchdog."""
-        with self._lock.taken():
+        with self._lock.hold():
             self._beats = (self._beats + 1) & 0xFFFF
             words = r.encode("heartbeat", self._beats)
             address = r.BY_NAME["heartbeat"].address
@@ -119,7 +119,7 @@ class CommandChannel:
         self, verb: r.Command, arguments: Sequence[int] = (), *, urgent: bool = False
     ) -> ControllerStatus:
         """Have a verb done once; return the status that acknowledges it."""
-        with self._lock.taken(urgent=urgent):
+        with self._lock.hold(urgent=urgent):
             status = self._deliver([self._number(urgent), verb, *arguments])
             self._judge(verb, status)
             return status
@@ -147,14 +147,14 @@ class CommandChannel:
         rather than not at all.
         """
         try:
-            taken = self._read_status().acknowledged
+            acknowledged = self._read_status().acknowledged
         except DeviceTimeout:
             if not urgent:
                 raise
-            taken = 0
+            acknowledged = 0
         self._sequence = _following(self._sequence)
-        if self._sequence == taken:
-            self._sequence = _following(taken)
+        if self._sequence == acknowledged:
+            self._sequence = _following(acknowledged)
         return self._sequence
 
     def _deliver(self, request: list[int]) -> ControllerStatus:

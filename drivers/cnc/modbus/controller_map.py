@@ -70,11 +70,11 @@ def explain_magic(words: Sequence[int]) -> str:
     (version,) = r.decode("map_version", words, r.IDENTITY)
     high_first, low_first = _halves(r.ORDER_TEST)
     swapped = {
-        _joined(low_first, high_first): "low word first; set it to high word first",
-        _joined(_bytes_swapped(high_first), _bytes_swapped(low_first)): (
+        _join_words(low_first, high_first): "low word first; set it to high word first",
+        _join_words(_bytes_swapped(high_first), _bytes_swapped(low_first)): (
             "low byte first; set it to high byte first"
         ),
-        _joined(_bytes_swapped(low_first), _bytes_swapped(high_first)): (
+        _join_words(_bytes_swapped(low_first), _bytes_swapped(high_first)): (
             "words and bytes swapped; set it to big-endian"
         ),
     }
@@ -123,7 +123,7 @@ def _halves(value: int) -> tuple[int, int]:
     return value >> 16, value & 0xFFFF
 
 
-def _joined(high: int, low: int) -> int:
+def _join_words(high: int, low: int) -> int:
     return high << 16 | low
 
 

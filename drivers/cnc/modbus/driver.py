@@ -80,7 +80,7 @@ class ModbusController(MotionController):
 
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         """Start a straight move; returns when the controller has acknowledged it."""
-        controller = self._known()
+        controller = self._require_controller()
         path = Path(
             controller.axes,
             np.atleast_2d(np.asarray(position, np.float64)),
@@ -93,7 +93,7 @@ class ModbusController(MotionController):
 
     def load(self, path: Path) -> None:
         """Send a path in blocks of seven rows, commit it and compare its CRC."""
-        words = self._checked_words(path)
+        words = self._encode_checked(path)
         aborts = self._aborts
         for first in range(0, len(words), r.ROWS_A_BLOCK):
             block = words[first : first + r.ROWS_A_BLOCK]
@@ -163,7 +163,7 @@ class ModbusController(MotionController):
             log.warning("%s closed without an answer: %s", self._channel.name, error)
         self._channel.close()
 
-    def _known(self) -> Controller:
+    def _require_controller(self) -> Controller:
         controller = self._channel.controller
         if controller is None:
             raise ConnectionLost(
@@ -171,8 +171,8 @@ class ModbusController(MotionController):
             )
         return controller
 
-    def _checked_words(self, path: Path) -> NDArray[np.uint16]:
-        controller = self._known()
+    def _encode_checked(self, path: Path) -> NDArray[np.uint16]:
+        controller = self._require_controller()
         if sorted(path.axes) != sorted(controller.axes):
             raise Refused(
                 f"the path has the axes {' '.join(path.axes)}, "

@@ -114,7 +114,7 @@ class ModbusLink:
 
     def read(self, block: Block) -> list[int]:
         """Return the words of a block. Harmless, so it may be repeated."""
-        client = self._connected()
+        client = self._require_connected()
         try:
             reply = client.read_holding_registers(
                 block.address, count=block.count, device_id=self._unit
@@ -131,14 +131,14 @@ class ModbusLink:
 
     def write(self, address: int, words: Sequence[int]) -> None:
         """Write registers in one request. DeviceTimeout leaves the outcome unknown."""
-        client = self._connected()
+        client = self._require_connected()
         try:
             reply = client.write_registers(address, list(words), device_id=self._unit)
         except (ModbusException, OSError) as error:
             raise self._failure(error) from error
         self._check(reply, f"writing {len(words)} registers at {address}")
 
-    def _connected(self) -> ModbusTcpClient | ModbusSerialClient:
+    def _require_connected(self) -> ModbusTcpClient | ModbusSerialClient:
         if self._client is None or not self._client.connected:
             raise ConnectionLost(f"{self._address} is not connected; connect first")
         return self._client

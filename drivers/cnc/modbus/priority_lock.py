@@ -20,7 +20,7 @@ class PriorityLock:
         self._urgent = 0
 
     @contextmanager
-    def taken(self, *, urgent: bool = False) -> Iterator[None]:
+    def hold(self, *, urgent: bool = False) -> Iterator[None]:
         """Hold the lock inside a `with`."""
         self._take(urgent)
         try:

@@ -15,9 +15,8 @@ from drivers.interfaces.errors import (
     Refused,
     WrongDevice,
 )
-from drivers.interfaces.link import ByteLink
 from drivers.interfaces.records import Identity, LinkHealth, TrackerSamples
-from drivers.interfaces.tracker import Tracker
+from drivers.interfaces.tracker import ByteLink, Tracker
 from drivers.tracker.streaming.codec import SampleDecoder, link_health
 from drivers.tracker.streaming.framing import FrameReader
 from drivers.tracker.streaming.messages import (
@@ -101,7 +100,7 @@ class StreamingTracker(Tracker, ByteLink):
     def start(self, rate_hz: float) -> None:
         """Begin to stream; a stream at another rate is stopped first."""
         with self._lock:
-            receiver = self._connected()
+            receiver = self._require_receiver()
             self._check_rate(rate_hz)
             if self._rate_hz not in (None, rate_hz):
                 self.stop()
@@ -111,7 +110,7 @@ class StreamingTracker(Tracker, ByteLink):
 
     def read(self, timeout_s: float) -> TrackerSamples:
         """Return the samples since the last call, some 20 ms of them or more."""
-        receiver = self._connected()
+        receiver = self._require_receiver()
         deadline_s = time.monotonic() + timeout_s
         while True:
             left_s = max(0.0, deadline_s - time.monotonic())
@@ -215,7 +214,7 @@ class StreamingTracker(Tracker, ByteLink):
             )
         return error
 
-    def _connected(self) -> Receiver:
+    def _require_receiver(self) -> Receiver:
         if self._receiver is None:
             raise ConnectionLost(f"{self._port.name} is not connected; connect first")
         return self._receiver
@@ -255,13 +254,13 @@ class StreamingTracker(Tracker, ByteLink):
             self._send(command)
             reply = receiver.wait_reply(self._reply_timeout_s / _TRIES)
             if reply is not None:
-                return self._accepted(reply)
+                return self._refuse_nak(reply)
         raise DeviceTimeout(
             f"{self._port.name}: no reply to {type(command).__name__.upper()} in "
             f"{self._reply_timeout_s:g} s; is the tracker on, warm and in remote mode?"
         )
 
-    def _accepted(self, reply: Reply) -> Ack:
+    def _refuse_nak(self, reply: Reply) -> Ack:
         if isinstance(reply, Nak):
             raise Refused(
                 f"{self._port.name} refuses: {reply.text or 'no reason given'} "

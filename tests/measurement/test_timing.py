@@ -2,10 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.measurement.clocks import RunningClock, Stopwatch
-from app.measurement.controller_monitor import ControllerMonitor
-from app.measurement.engine_settings import EngineSettings
 from app.measurement.faults import Fault
+from app.measurement.measurement_monitor import ControllerMonitor
+from app.measurement.timing import EngineSettings, RunningClock, Stopwatch
 
 
 class HandClock:

@@ -21,22 +21,20 @@ import numpy as np
 from app.errors import BundleError
 from app.files.run import Run, RunEvent
 from app.files.whole_files import sync_to_disk
-from app.measurement.recorder import ClosedRun
-from app.measurement.run_database import (
-    connect,
-    hash_file,
-    insert_batches,
-    insert_manifest,
-    seal,
-    transaction,
-)
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
-    TABLES,
     TRACKER_STREAM,
     Batch,
+    ClosedRun,
+    connect,
+    create_run_file,
     decode_header,
+    hash_file,
+    insert_batches,
+    put_manifest,
+    seal,
+    transaction,
     unpack_axes,
     unpack_samples,
 )
@@ -118,7 +116,7 @@ def repair_run(file: str | Path) -> ClosedRun:
     else:
         database = connect(place)
         if CLOSED not in content.manifest:
-            insert_manifest(database, {CLOSED: json.dumps(end)})
+            put_manifest(database, {CLOSED: json.dumps(end)})
         sha256 = seal(database, place)
     return ClosedRun(place, sha256, len(tracker), lost, failure)
 
@@ -259,9 +257,7 @@ def _salvage(file: Path, content: _Content) -> str:
     """Copy the readable rows into a new file of that name; the old becomes `.torn`."""
     draft = file.with_name(file.name + ".salvage")
     draft.unlink(missing_ok=True)
-    database = connect(draft)
-    database.executescript(TABLES)
-    insert_manifest(database, content.manifest)
+    database = create_run_file(draft, content.manifest)
     with transaction(database):
         insert_batches(database, tuple(content.batches))
         database.executemany(
