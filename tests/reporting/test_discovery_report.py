@@ -52,6 +52,7 @@ def test_where_it_disagrees_is_told_by_line_time_place_and_direction(page):
         assert grouping in said
     assert "direction of Y" in said
     assert "region of X and Z" in said
+    assert "X, Y and Z of the workpiece, on which the tracker stands" in said
 
 
 def test_what_belongs_to_the_measurement_stays_out_of_the_machine(knocked, page):
