@@ -8,6 +8,7 @@ import pytest
 from app.alignment.align import align
 from app.errors import PlanningError
 from app.estimation.batch import estimate
+from app.estimation.volumetric_map import build_volumetric_map
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.machine import Target, TrackerNoise
 from app.motion.configurations import Configurations
@@ -159,8 +160,6 @@ def test_what_is_left_of_the_error_follows_the_grade(
     record, rigid_free, volume, at_rest
 ):
     """The table of docs/grade.md, on machines of one size."""
-    from app.estimation.volumetric_map import volumetric_map
-
     share = {"good": [], "usable": [], "poor": []}
     for seed, rows in enumerate([6, 7, 9, 11, 13, 16, 20, 26, 34, 45], 400):
         run, truth = record(seed, rows=rows)
@@ -170,7 +169,7 @@ def test_what_is_left_of_the_error_follows_the_grade(
         q = volume(run.machine)
         before = rigid_free(q, truth.deviation_mm(q))
         at = at_rest(run.machine, q)
-        error = volumetric_map(found.model).error_mm(at, found.theta)
+        error = build_volumetric_map(found.model).error_mm(at, found.theta)
         left = before - rigid_free(q, error)
         share[graded.verdict].append(
             np.linalg.norm(left, axis=1).mean() / np.linalg.norm(before, axis=1).mean()
