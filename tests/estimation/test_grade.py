@@ -8,8 +8,7 @@ import pytest
 from app.alignment.align import align
 from app.errors import PlanningError
 from app.estimation.batch import estimate
-from app.estimation.volumetric_map import build_volumetric_map
-from app.estimation.volumetric_map import compute_volumetric_gram
+from app.estimation.volumetric_map import build_volumetric_map, compute_volumetric_gram
 from app.kinematics.machine import Target, TrackerNoise
 from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
