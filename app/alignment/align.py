@@ -1,7 +1,8 @@
-"""Observations of one closed Run."""
+"""Runs in, observations out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,15 +16,38 @@ from app.alignment.cell_blocks import (
 )
 from app.alignment.cleaning import find_valid_samples, require_units
 from app.alignment.nominal_path import NominalPath, compute_nominal_path
-from app.alignment.observations import Observations
+from app.alignment.observations import Observations, add_surroundings
 from app.alignment.reduction import CELL_MM
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
 from app.alignment.stops import find_stops
 from app.errors import AlignmentError
+from app.files.one_machine import one_machine
 from app.files.run import Run
+from app.kinematics.machine import Machine
 
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
+
+
+def align_all(
+    runs: Sequence[Run], names: Sequence[str]
+) -> tuple[Machine, list[Observations]]:
+    """Align Runs of one machine; return it, and the observations of each Run.
+
+    Raises BundleError if the machines differ, AlignmentError with the name of the Run
+    meant where there are several.
+    """
+    machine = one_machine([run.machine for run in runs], names)
+    observed: list[Observations] = []
+    for run, name in zip(runs, names, strict=True):
+        try:
+            seen = add_surroundings(align(run), run.commanded, run.temperature)
+        except AlignmentError as error:
+            if len(runs) == 1:
+                raise
+            raise AlignmentError(f"{name}: {error}") from error
+        observed.append(seen)
+    return machine, observed
 
 
 def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:

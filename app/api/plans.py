@@ -34,7 +34,6 @@ from app.motion.nc_programs.programs import (
     name_file,
     write_program,
 )
-from app.results.grading import graded
 
 router = APIRouter(prefix="/plans", tags=["plans"])
 checks = APIRouter(tags=["plans"])
@@ -193,7 +192,10 @@ def get_plan_grade(
         raise NotFound(f"job {job_id} ({job.kind}) commands nothing to be graded")
     if service.machine is None:
         raise NotFound("the service has no machine file to grade the plan with")
-    found = graded(
+    # Imported where it computes: the service itself carries no science.
+    from app.results.grade_json import grade_set_up
+
+    found = grade_set_up(
         service.machine,
         commanded_from_plan(plan),
         tracker_mm=tracker_mm,

@@ -119,7 +119,8 @@ def discover(
     from app.estimation.prior_model import read_prior_model
     from app.files.bundle import read_bundle
     from app.reporting.analysis_files import read_runs
-    from app.reporting.discovery_files import discover_runs, write_discovery
+    from app.reporting.discovery_files import write_discovery
+    from app.results.discovery import discover_runs
 
     require_folder(output, "the results")
     with show_progress("discover") as on_progress:

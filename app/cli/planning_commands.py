@@ -43,10 +43,11 @@ def grade(
 ) -> None:
     """What a set-up is worth, from its geometry alone; nothing moves."""
     compute_on_one_thread()
-    from app.results.grading import graded, read_set_up
+    from app.files.commanded_file import read_set_up
+    from app.results.grade_json import grade_set_up
 
     place = None if tracker is None else _parse_place(tracker)
-    found = graded(
+    found = grade_set_up(
         *read_set_up(machine, commanded),
         tracker_mm=place,
         perpendicular_only=perpendicular_only,

@@ -19,12 +19,12 @@ from app.cli.terminal import (
 )
 from app.errors import BadInput
 from app.files.bundle import write_bundle
+from app.files.commanded_file import read_set_up
 from app.measurement.recorder import ClosedRun, Recorder
 from app.measurement.run_file import RunHeader
 from app.measurement.run_reading import open_run
 from app.measurement.stream_reader import StreamState, record_stream
 from app.plugins import load
-from app.results.grading import read_set_up
 from app.settings import load_settings
 from drivers.interfaces.tracker import Tracker
 

@@ -15,12 +15,17 @@ from pathlib import Path as FilePath
 from app.errors import BundleError
 from app.files.bundle_files import FILES, BundleFiles, open_bundle
 from app.files.commanded_file import decode_path, decode_points, encode_commanded
-from app.files.environment_file import decode_environment, encode_environment
 from app.files.machine_file import decode_machine, encode_machine
-from app.files.reference_file import decode_reference, encode_reference
+from app.files.recorded_files import (
+    decode_environment,
+    decode_reference,
+    decode_stream,
+    encode_environment,
+    encode_reference,
+    encode_stream,
+)
 from app.files.run import Run
-from app.files.stream_file import decode_stream, encode_stream
-from app.files.whole_files import replace_file
+from app.files.whole_files import write_files
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -60,7 +65,6 @@ def write_bundle(run: Run, folder: str | FilePath) -> None:
     """
     place = FilePath(folder)
     files = _encode_files(run)
-    place.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         if name not in files and (place / name).exists():
             raise BundleError(
@@ -68,8 +72,7 @@ def write_bundle(run: Run, folder: str | FilePath) -> None:
                 file=str(place / name),
                 remedy="write to an empty folder",
             )
-    for name, data in files.items():
-        replace_file(place / name, data)
+    write_files(place, files)
 
 
 def zip_bundle(run: Run) -> bytes:
@@ -87,7 +90,7 @@ def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
     files = {
         "machine.json": encode_machine(run.machine),
-        commanded: encode_commanded(run.commanded, run.machine),
+        commanded: encode_commanded(run.commanded),
         "tracker.parquet": encode_stream(run.tracker),
     }
     if run.temperature is not None and len(run.temperature.time_s):

@@ -52,11 +52,25 @@ def open_bundle(path: str | Path) -> Iterator[BundleFiles]:
     if place.is_dir():
         yield _Folder(place)
     elif place.is_file():
-        with _open_archive(place) as archive:
+        remedy = "give the folder of a bundle or a .zip of it"
+        with _open_archive(place, place.name, remedy) as archive:
             yield _Archive(archive, place.name)
     else:
         raise BundleError(
             "no such folder or file", file=str(path), remedy="check the path"
+        )
+
+
+def check_archive(file: Path, limit_bytes: int) -> None:
+    """Refuse an archive that would unpack to more than a limit. Raises BundleError."""
+    remedy = "send the .zip of a measurement bundle"
+    with _open_archive(file, "bundle", remedy) as archive:
+        total = sum(info.file_size for info in archive.infolist())
+    if total > limit_bytes:
+        raise BundleError(
+            f"unpacks to {total >> 20} MiB, more than {limit_bytes >> 20} MiB",
+            file="bundle",
+            remedy="use tracker.parquet, or raise max_upload_mb",
         )
 
 
@@ -108,18 +122,12 @@ class _Archive(BundleFiles):
         return data
 
 
-@contextmanager
-def _open_archive(file: Path) -> Iterator[zipfile.ZipFile]:
+def _open_archive(file: Path, label: str, remedy: str) -> zipfile.ZipFile:
     try:
-        archive = zipfile.ZipFile(file)
+        return zipfile.ZipFile(file)
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        raise BundleError(
-            "is truncated or not a zip archive",
-            file=file.name,
-            remedy="give the folder of a bundle or a .zip of it",
-        ) from error
-    with archive:
-        yield archive
+        problem = "is truncated or not a zip archive"
+        raise BundleError(problem, file=label, remedy=remedy) from error
 
 
 def _list_members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.ZipInfo]:

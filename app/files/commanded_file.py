@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
-import io
 import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import BundleError
-from app.files.tables import Table, read_csv
-from app.kinematics.machine import LinearAxis, Machine
+from app.files.machine_file import read_machine
+from app.files.tables import Table, encode_csv, read_csv
+from app.files.whole_files import read_whole
+from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from app.motion.travel import first_breach
 from drivers.interfaces.records import Path
 
 _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
+
+
+def read_set_up(
+    machine_file: FilePath, commanded_file: FilePath
+) -> tuple[Machine, Path | Configurations]:
+    """Return the machine and its path, or points where the file has no feed.
+
+    Raises BundleError with file, row and column.
+    """
+    machine = read_machine(machine_file)
+    data = read_whole(commanded_file)
+    header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
+    is_path = "feed_mm_min" in [name.strip() for name in header.split(",")]
+    decode = decode_path if is_path else decode_points
+    return machine, decode(data, machine, file=str(commanded_file))
 
 
 def decode_path(data: bytes, machine: Machine, *, file: str = "path.csv") -> Path:
@@ -50,36 +68,32 @@ def decode_points(
     return points
 
 
-def encode_commanded(commanded: Path | Configurations, machine: Machine) -> bytes:
+def encode_commanded(commanded: Path | Configurations) -> bytes:
     """Return the `path.csv` of a path or the `points.csv` of points."""
-    units = dict(zip(machine.axis_names, name_columns(machine), strict=True))
-    columns: dict[str, list[str]] = {
-        units[name]: [repr(float(v)) for v in commanded.position[:, index]]
-        for index, name in enumerate(commanded.axes)
-    }
+    return encode_csv(list_columns(commanded))
+
+
+def list_columns(commanded: Path | Configurations) -> dict[str, Iterable[object]]:
+    """Return the columns of the file of a path or of points."""
+    columns: dict[str, Iterable[object]] = dict(
+        zip(name_columns(commanded.axes), commanded.position.T, strict=True)
+    )
     if isinstance(commanded, Path):
-        columns["feed_mm_min"] = [repr(float(v)) for v in commanded.feed_mm_min]
-    columns["dwell_s"] = [repr(float(v)) for v in commanded.dwell_s]
+        columns["feed_mm_min"] = commanded.feed_mm_min
+    columns["dwell_s"] = commanded.dwell_s
     if commanded.target:
-        columns["target"] = list(commanded.target)
-    text = io.StringIO()
-    text.write(",".join(columns) + "\n")
-    for row in zip(*columns.values(), strict=True):
-        text.write(",".join(row) + "\n")
-    return text.getvalue().encode()
+        columns["target"] = commanded.target
+    return columns
 
 
-def name_columns(machine: Machine) -> list[str]:
-    """Return the names of the columns of axis positions."""
-    return [
-        f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
-        for axis in machine.axes
-    ]
+def name_columns(axes: Sequence[str]) -> list[str]:
+    """Return the columns of axes."""
+    return [f"{axis.lower()}_{'mm' if axis in 'XYZ' else 'deg'}" for axis in axes]
 
 
 def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
     """Return the axis positions of every row in the column order of the machine."""
-    wanted = name_columns(machine)
+    wanted = name_columns(machine.axis_names)
     for name in table.names:
         if _AXIS_COLUMN.match(name) and name not in wanted:
             raise BundleError(
@@ -89,26 +103,20 @@ def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
                 remedy=f"the machine has {', '.join(wanted)}",
             )
     table.require(*wanted)
-    if len(table) == 0:
-        raise BundleError("has no rows", file=table.file, remedy="command something")
+    table.require_rows("command something")
     return np.stack([table.numbers(name) for name in wanted], axis=1)
 
 
 def _read_dwell(table: Table) -> NDArray[np.float64]:
     dwell_s = table.numbers("dwell_s")
-    if (dwell_s < 0).any():
-        index = int(np.argmax(dwell_s < 0))
-        raise table.error(f"is {dwell_s[index]:g}, below 0", index, "dwell_s")
+    table.refuse(dwell_s < 0, "dwell_s", lambda k: f"is {dwell_s[k]:g}, below 0")
     return dwell_s
 
 
 def _read_feed(table: Table) -> NDArray[np.float64]:
     feed = table.numbers("feed_mm_min")
-    if (feed <= 0).any():
-        index = int(np.argmax(feed <= 0))
-        raise table.error(
-            f"is {feed[index]:g}", index, "feed_mm_min", "a feed must be above 0"
-        )
+    remedy = "a feed must be above 0"
+    table.refuse(feed <= 0, "feed_mm_min", lambda k: f"is {feed[k]:g}", remedy)
     return feed
 
 
@@ -116,14 +124,8 @@ def _read_targets(table: Table, machine: Machine) -> tuple[str, ...]:
     if "target" not in table.names:
         return ()
     known = {target.name for target in machine.targets}
-    words = table.texts("target")
-    for index, word in enumerate(words):
-        if word not in known:
-            named = ", ".join(sorted(known - {""})) or "no named target"
-            raise table.error(
-                f"is {word!r}, unknown", index, "target", f"machine.json has {named}"
-            )
-    return tuple(words)
+    named = ", ".join(sorted(known - {""})) or "no named target"
+    return tuple(table.choices("target", known, f"machine.json has {named}"))
 
 
 def _refuse_standing_lines(table: Table, path: Path) -> None:

@@ -17,8 +17,12 @@ from jaxtyping import Float64
 from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from app.errors import BadInput
+from app.files.covariance_file import (
+    AS_WRITTEN,
+    CovarianceFile,
+    covariance_json,
+)
 from app.files.file_model import FileModel, Text, quote, refuse, validate
-from app.files.packing import ENCODING, pack_symmetric, unpack_symmetric
 from app.files.units import scale_of, unit_of
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.axis_location import list_axis_locations
@@ -32,14 +36,12 @@ from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions
 
 SCHEMA = "model/1"
-_MOST = 20_000  # stated numbers; a larger covariance would not fit in memory
 _FEWEST_KNOTS, _MOST_KNOTS = 3, 2_000
-_AS_WRITTEN = "take the file as it was written"
 
 Stated = tuple[Effect, Float64[np.ndarray, " s"]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class EstimatedModel:
     """A model with its parameters and their covariance."""
 
@@ -78,22 +80,16 @@ class ErrorMotionFile(FileModel):
         axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
         _require_symbol(self.symbol, axes)
         axis = axes[self.symbol]
-        knots = self._numbers(key := f"knots_{position_unit(axis)}")
+        knots = _read_numbers(self, key := f"knots_{position_unit(axis)}")
         few = not _FEWEST_KNOTS <= len(knots) <= _MOST_KNOTS
         if few or (np.diff(knots) <= 0).any():
             remedy = f"write {_FEWEST_KNOTS} to {_MOST_KNOTS}, in order"
             raise refuse(f"are {len(knots)}, or not increasing", remedy, key)
-        values = self._numbers(key := f"values_{find_unit(self.symbol)}")
+        values = _read_numbers(self, key := f"values_{find_unit(self.symbol)}")
         if len(values) != len(knots):
             problem = f"are {len(values)} for {len(knots)} knots"
             raise refuse(problem, "write one a knot", key)
         return make_error_motion_over(self.symbol, axis, knots), values
-
-    def _numbers(self, key: str) -> Float64[np.ndarray, " n"]:
-        numbers = getattr(self, key)
-        if numbers is None:
-            raise refuse("is missing", "add it", key)
-        return np.array(numbers, np.float64)
 
 
 class NumberFile(FileModel):
@@ -111,10 +107,8 @@ class NumberFile(FileModel):
             effects = [e for a in machine.rotary_axes for e in list_axis_locations(a)]
         known = {effect.symbol: effect for effect in effects}
         _require_symbol(self.symbol, known)
-        value = getattr(self, key := f"value_{find_unit(self.symbol)}")
-        if value is None:
-            raise refuse("is missing", "add it", key)
-        return known[self.symbol], np.array([value])
+        value = _read_numbers(self, f"value_{find_unit(self.symbol)}")
+        return known[self.symbol], value.reshape(1)
 
 
 class CataloguedFile(FileModel):
@@ -141,7 +135,7 @@ class CataloguedFile(FileModel):
         effect = self._restore_effect(family, machine)
         if len(self.values) != (count := len(effect.parameters)):
             problem = f"are {len(self.values)}, the effect has {count}"
-            raise refuse(problem, _AS_WRITTEN, "values")
+            raise refuse(problem, AS_WRITTEN, "values")
         return effect, np.array(self.values, np.float64)
 
     def _restore_effect(self, family: Family, machine: Machine) -> Effect:
@@ -173,35 +167,9 @@ class CataloguedFile(FileModel):
 def _restore(
     file: ErrorMotionFile | NumberFile | CataloguedFile, info: ValidationInfo
 ) -> Stated:
-    """Return the effect of the machine that is the context of the validation."""
+    """Return an effect of the machine that the context is."""
     machine: Any = info.context
     return file.restore(machine)
-
-
-class CovarianceFile(FileModel):
-    """The covariance of the numbers of the effects, one effect after another."""
-
-    size: int
-    encoding: str
-    data: Text
-
-    def matrix(self, size: int) -> Float64[np.ndarray, "s s"]:
-        """Return the matrix, which must be of the size of what the effects state."""
-        if self.size != size or size > _MOST:
-            problem = f"is {self.size}, the effects state {size} numbers"
-            raise refuse(problem, "", "covariance", "size")
-        if self.encoding != ENCODING:
-            remedy = f"write one of {ENCODING}"
-            place = "covariance", "encoding"
-            raise refuse(f"is {quote(self.encoding)}", remedy, *place)
-        try:
-            covariance = unpack_symmetric(self.data, size)
-        except ValueError as error:
-            raise refuse(str(error), _AS_WRITTEN, "covariance", "data") from error
-        if (np.diag(covariance) < 0.0).any():
-            problem = "states a negative variance"
-            raise refuse(problem, _AS_WRITTEN, "covariance", "data")
-        return covariance
 
 
 EffectFile = Annotated[
@@ -226,7 +194,7 @@ class ModelFile(FileModel):
             if name in names[:index]:
                 remedy = "state each effect once"
                 raise refuse(f"repeats {name}", remedy, "effects", index)
-        self.covariance.matrix(self.size)
+        self.covariance.matrix(sum(len(values) for _, values in self.stated))
         return self
 
     @property
@@ -234,18 +202,13 @@ class ModelFile(FileModel):
         """Effects of the machine with their stated values."""
         return self.effects  # pyright: ignore[reportReturnType] (what _restore returns)
 
-    @property
-    def size(self) -> int:
-        """How many numbers the effects state."""
-        return sum(len(values) for _, values in self.stated)
-
     def estimated_model(self, machine: Machine) -> EstimatedModel:
         """Return the model with its parameters."""
         model = MachineModel(machine, tuple(effect for effect, _ in self.stated))
         G = build_number_rows(model)
         back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
         values = np.concatenate([*(v for _, v in self.stated), np.empty(0)])
-        covariance = self.covariance.matrix(self.size)
+        covariance = self.covariance.matrix(len(values))
         return EstimatedModel(model, back @ values, back @ covariance @ back.T)
 
 
@@ -265,58 +228,42 @@ def model_to_json(
     What belongs to the measurement (how the targets sit in the spindle) is integrated
     out: to the map of one target it adds a shift, which is no machine error.
     """
-    model, theta, covariance = _select_machine_effects(model, theta, covariance)
+    own = tuple(e for e in model.effects if e.role is Role.MACHINE)
+    kept = np.concatenate([np.arange(model.size)[model.slices[e.name]] for e in own])
+    model = MachineModel(model.machine, own)
+    theta, covariance = theta[kept], covariance[np.ix_(kept, kept)]
     G = build_number_rows(model)
     values = G @ theta
     catalogued = {e.name: e for e in model.catalogue_effects}
-    effects: list[dict[str, Any]] = []
-    begin = 0
-    for effect in model.effects:
-        size = len(_build_rows(effect))
-        known = catalogued.get(effect.name)
-        effects.append(_effect_json(effect, known, values[begin : begin + size]))
-        begin += size
+    ends = np.cumsum([len(_build_rows(effect)) for effect in model.effects])
+    stated = zip(model.effects, np.split(values, ends[:-1]), strict=True)
     return {
         "schema": SCHEMA,
-        "effects": effects,
-        "covariance": {
-            "of": "the numbers of the effects, one effect after another",
-            "size": len(values),
-            "encoding": ENCODING,
-            "data": pack_symmetric(G @ covariance @ G.T),
-        },
+        "effects": [_effect_json(e, catalogued.get(e.name), v) for e, v in stated],
+        "covariance": covariance_json(G @ covariance @ G.T),
     }
 
 
 def build_number_rows(model: MachineModel) -> Float64[np.ndarray, "s p"]:
     """Return G of all effects: their stated numbers per parameter."""
-    blocks = [_build_rows(effect) for effect in model.effects]
-    G = np.zeros((sum(len(b) for b in blocks), model.size))
-    begin = 0
-    for effect, block in zip(model.effects, blocks, strict=True):
-        G[begin : begin + len(block), model.slices[effect.name]] = block
-        begin += len(block)
-    return G
+    blocks = [np.empty((0, model.size))]
+    for effect in model.effects:
+        rows = _build_rows(effect)
+        blocks.append(np.zeros((len(rows), model.size)))
+        blocks[-1][:, model.slices[effect.name]] = rows
+    return np.concatenate(blocks)
+
+
+def _read_numbers(file: FileModel, key: str) -> Float64[np.ndarray, "*n"]:
+    if (stated := getattr(file, key)) is None:
+        raise refuse("is missing", "add it", key)
+    return np.array(stated, np.float64)
 
 
 def _require_symbol(symbol: str, known: dict[str, Any]) -> None:
     if symbol not in known:
-        raise refuse(
-            f"is {quote(symbol)}", f"write one of {', '.join(known)}", "symbol"
-        )
-
-
-def _select_machine_effects(
-    model: MachineModel,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-) -> tuple[MachineModel, Float64[np.ndarray, " m"], Float64[np.ndarray, "m m"]]:
-    effects = tuple(e for e in model.effects if e.role is Role.MACHINE)
-    kept = np.concatenate(
-        [np.arange(model.size)[model.slices[e.name]] for e in effects]
-    )
-    machine_model = MachineModel(model.machine, effects)
-    return machine_model, theta[kept], covariance[np.ix_(kept, kept)]
+        remedy = f"write one of {', '.join(known)}"
+        raise refuse(f"is {quote(symbol)}", remedy, "symbol")
 
 
 def _build_rows(effect: Effect) -> Float64[np.ndarray, "s p"]:

@@ -13,22 +13,22 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from app.files.file_model import FileModel, Text, parse_json, refuse, validate
 from app.files.machine_file import MachineFile
 from app.files.model_file import EstimatedModel, model_from_json
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
 
 RESULT_SCHEMA, MODEL_SCHEMA = "result/1", "extended-model/1"
 LARGEST_BYTES = 1 << 30  # of a result file or of points
+_POSITIONING = ("EXX", "EYY", "EZZ")
 Table = tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationResult:
+class CalibrationResult(EstimatedModel):
     """What a result or model file says about a machine.
 
     unobservable : statements in words; provenance : as the file states it
@@ -39,9 +39,6 @@ class CalibrationResult:
     version : of the model; that of a result, which has no parent, is 1
     """
 
-    model: MachineModel
-    theta: Float64[np.ndarray, " p"]
-    covariance: Float64[np.ndarray, "p p"]
     mode: str = "otf"
     unobservable: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -55,11 +52,6 @@ class CalibrationResult:
     def machine(self) -> Machine:
         """The machine."""
         return self.model.machine
-
-    @property
-    def estimated_model(self) -> EstimatedModel:
-        """The model with its parameters alone."""
-        return EstimatedModel(self.model, self.theta, self.covariance)
 
 
 class _Observability(FileModel):
@@ -98,14 +90,17 @@ class _HalfDifference(FileModel):
     value_um: list[float]
 
 
-class _HalfDifferences(FileModel):
-    EXX: _HalfDifference | None = None
-    EYY: _HalfDifference | None = None
-    EZZ: _HalfDifference | None = None
+def _keep_positioning(content: object) -> object:
+    """Leave out what is not an axis' own positioning."""
+    if not isinstance(content, Mapping):
+        return content
+    return {key: content[key] for key in _POSITIONING if key in content}
 
 
 class _Direction(FileModel):
-    half_difference: _HalfDifferences
+    half_difference: Annotated[
+        dict[str, _HalfDifference], BeforeValidator(_keep_positioning)
+    ]
 
 
 class _Document(FileModel):
@@ -145,12 +140,9 @@ class _Document(FileModel):
         """Return the half difference of each axis that the file states one for."""
         if self.direction is None:
             return {}
-        stated = self.direction.half_difference
-        tables = {"X": stated.EXX, "Y": stated.EYY, "Z": stated.EZZ}
         return {
-            axis: (np.array(table.position_mm, float), np.array(table.value_um, float))
-            for axis, table in tables.items()
-            if table is not None
+            symbol[1]: (np.array(half.position_mm, float), np.array(half.value_um))
+            for symbol, half in self.direction.half_difference.items()
         }
 
 

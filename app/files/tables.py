@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,15 +61,31 @@ class Table:
             problem, file=self.file, row=row, column=column, remedy=remedy
         )
 
+    def refuse(
+        self,
+        bad: NDArray[np.bool_],
+        column: str,
+        describe: Callable[[int], str],
+        remedy: str = "",
+    ) -> None:
+        """Raise the error of the first bad row, if there is one."""
+        if bad.any():
+            index = int(np.argmax(bad))
+            raise self.error(describe(index), index, column, remedy)
+
+    def require_rows(self, remedy: str) -> None:
+        """Raise BundleError if there is no row."""
+        if not len(self):
+            raise BundleError("has no rows", file=self.file, remedy=remedy)
+
     def numbers(self, name: str, *, nan: bool = False) -> NDArray[np.float64]:
         """Return a column as float64; empty cells are NaN, refused unless `nan`."""
         self.require(name)
         value = _convert_column(self, name)
-        if np.isinf(value).any():
-            raise self.error("is infinite", int(np.argmax(np.isinf(value))), name)
-        if not nan and np.isnan(value).any():
-            index = int(np.argmax(np.isnan(value)))
-            raise self.error("is empty or NaN", index, name, "every row needs a number")
+        self.refuse(np.isinf(value), name, lambda _: "is infinite")
+        if not nan:
+            empty, remedy = np.isnan(value), "every row needs a number"
+            self.refuse(empty, name, lambda _: "is empty or NaN", remedy)
         return value
 
     def cells(self, name: str) -> list[str]:
@@ -84,6 +100,26 @@ class Table:
         if "" in words:
             raise self.error("is empty", words.index(""), name)
         return words
+
+    def choices(self, name: str, known: Collection[str], remedy: str) -> list[str]:
+        """Return a column of words, all of them known."""
+        words = self.texts(name)
+        for index, word in enumerate(words):
+            if word not in known:
+                raise self.error(f"is {word!r}, unknown", index, name, remedy)
+        return words
+
+
+def encode_csv(columns: Mapping[str, Iterable[object]]) -> bytes:
+    """Return comma-separated values with a header; numbers keep all their digits."""
+    cells = [
+        map(repr, np.asarray(column, np.float64).tolist())
+        if isinstance(column, np.ndarray)
+        else map(str, column)
+        for column in columns.values()
+    ]
+    lines = [columns, *zip(*cells, strict=True)]
+    return "".join(f"{','.join(line)}\n" for line in lines).encode()
 
 
 def read_csv(data: bytes, file: str) -> Table:

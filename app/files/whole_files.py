@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from app.errors import BundleError
@@ -39,6 +40,13 @@ def replace_file(file: Path, data: bytes) -> None:
     finally:
         draft.unlink(missing_ok=True)
     sync_to_disk(file.parent)
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files below a folder, in their order, each whole or not at all."""
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        replace_file(folder / name, data)
 
 
 def sync_to_disk(place: Path) -> None:

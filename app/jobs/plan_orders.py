@@ -59,8 +59,8 @@ def plan_measurement(
     # Imported where it computes: the service itself carries no science.
     from app.planning.default_path import default_path
     from app.planning.plan import make_plan
-    from app.reporting.plan_files import plan_document
-    from app.results.grading import graded
+    from app.results.grade_json import grade_set_up
+    from app.results.plan_document import plan_document
 
     if "mode" not in order:
         feed_mm_min, *_ = order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]
@@ -71,7 +71,7 @@ def plan_measurement(
             f"the plan has {len(planned.commanded)} rows; a controller takes "
             f"{MAX_ROWS}; give less time"
         )
-    grade = graded(
+    grade = grade_set_up(
         machine,
         planned.commanded,
         tracker_mm=planned.station_mm.tolist(),

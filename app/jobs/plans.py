@@ -76,7 +76,7 @@ def commanded_from_plan(plan: Mapping[str, Any]) -> Commanded:
 
 
 def _positions(machine: Machine, rows: Sequence[Row]) -> NDArray[np.float64]:
-    columns = name_columns(machine)
+    columns = name_columns(machine.axis_names)
     for number, row in enumerate(rows, 1):
         given = {name for name in row if name.endswith(("_mm", "_deg"))}
         for names, problem in (

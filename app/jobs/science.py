@@ -68,7 +68,8 @@ def discover_recorded(
     # Imported where it computes: the service itself carries no science and no plots.
     from app.estimation.prior_model import read_prior_model
     from app.reporting.analysis_files import read_runs
-    from app.reporting.discovery_files import discover_runs, write_discovery
+    from app.reporting.discovery_files import write_discovery
+    from app.results.discovery import discover_runs
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
     runs = read_runs(run_files, open_recorded)

@@ -11,9 +11,9 @@ from app.errors import BundleError
 from app.files.file_model import encode_json
 from app.files.result_file import LARGEST_BYTES, read_result
 from app.files.run import Run
-from app.files.whole_files import read_whole, replace_file
+from app.files.whole_files import read_whole, replace_file, write_files
 from app.reporting.calibration_report import render_calibration_report
-from app.results.error_tables_csv import error_tables_csv
+from app.results.error_table_files import error_tables_csv
 from app.results.findings import Findings
 from app.results.points_csv import encode_predictions, read_points
 from app.results.prediction import Prediction, predict
@@ -69,12 +69,13 @@ def _read(place: Path, read: Callable[[Path], Run], count: int) -> Run:
 
 def write_analysis(analysis: Analysis, folder: str | Path) -> None:
     """Write `result.json`, `error_tables.csv` and `report.html` into a folder."""
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
     # The result last: where it stands, the others stand as well.
-    replace_file(place / TABLES, analysis.tables_csv.encode())
-    replace_file(place / REPORT, analysis.report_html.encode())
-    replace_file(place / RESULT, encode_json(analysis.result))
+    files = {
+        TABLES: analysis.tables_csv.encode(),
+        REPORT: analysis.report_html.encode(),
+        RESULT: encode_json(analysis.result),
+    }
+    write_files(Path(folder), files)
 
 
 def predict_points(

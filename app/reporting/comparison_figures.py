@@ -20,8 +20,7 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.comparison import ComparedError, Comparison, K
-from app.results.comparison_volume import ComparedVolume
+from app.results.comparison import ComparedError, ComparedVolume, Comparison, K
 
 _BINS = 31
 _VIEW = np.array([[0.87, -0.5, 0.0], [0.28, 0.48, -0.83]])  # from front, right, above

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from app.files.file_model import encode_json
-from app.files.reference_file import decode_reference
+from app.files.recorded_files import decode_reference
 from app.files.result_file import read_result
-from app.files.whole_files import replace_file
+from app.files.whole_files import write_files
 from app.reporting.comparison_report import render_comparison_report
-from app.results.comparison import ReferenceUncertainty, compare
+from app.results.comparison import ReferenceUncertainty, compare, compare_volumes
 from app.results.comparison_files import comparison_csv, comparison_json
-from app.results.comparison_volume import compare_volumes
 
 COMPARISON, TABLE, PAGE = "comparison.json", "comparison.csv", "comparison.html"
 
@@ -38,9 +37,10 @@ def compare_files(
     }
     content = comparison_json(comparison, volume, names)
     page = render_comparison_report(loaded.machine, comparison, volume, names)
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    replace_file(place / TABLE, comparison_csv(comparison).encode())
-    replace_file(place / PAGE, page.encode())
-    replace_file(place / COMPARISON, encode_json(content))
+    files = {
+        TABLE: comparison_csv(comparison).encode(),
+        PAGE: page.encode(),
+        COMPARISON: encode_json(content),
+    }
+    write_files(Path(folder), files)
     return content

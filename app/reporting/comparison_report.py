@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from app.kinematics.machine import Machine
+from app.kinematics.symbols import describe_symbol
 from app.reporting.axis_panels import SIGN
 from app.reporting.comparison_figures import draw_error_motions, draw_volume
 from app.reporting.templating import View, render_page
 from app.results.comparison import (
     ComparedError,
     ComparedNumber,
+    ComparedVolume,
     Comparison,
     K,
-    described,
+    mean_length,
 )
-from app.results.comparison_files import KINDS, agreeing, kind_of, largest
-from app.results.comparison_volume import ComparedVolume, mean_length
+from app.results.comparison_files import (
+    KINDS,
+    classify,
+    compute_agreement,
+    find_largest,
+)
 from app.results.number_format import format_expanded, format_number
 
 
@@ -29,7 +35,7 @@ def render_comparison_report(
     names : of the result and the reference
     """
     errors = [
-        e for kind in KINDS for e in comparison.errors if kind_of(e.symbol) == kind
+        e for kind in KINDS for e in comparison.errors if classify(e.symbol) == kind
     ]
     return render_page(
         "comparison.html",
@@ -57,26 +63,35 @@ def _state_error(error: ComparedError) -> tuple[str, ...]:
     mean = float(abs(error.difference).mean())
     return (
         error.symbol,
-        described(error),
-        f"{format_number(largest(error), 2)} {unit}",
+        _describe_motion(error),
+        f"{format_number(find_largest(error), 2)} {unit}",
         f"{format_number(mean, 2)} {unit}",
         f"{format_number(K * float(error.combined.max()), 2)} {unit}",
         format_number(float(abs(error.normalised).max()), 2),
-        f"{format_number(100.0 * agreeing(error), 0)} %",
+        f"{format_number(100.0 * compute_agreement(error), 0)} %",
     )
+
+
+def _describe_motion(error: ComparedError) -> str:
+    text = describe_symbol(error.symbol)
+    if error.merged:
+        text += f", with its share of {', '.join(error.merged)}"
+    if error.missing:
+        text += f"; holds a share of {', '.join(error.missing)}, not in the reference"
+    return text
 
 
 def _state_number(number: ComparedNumber) -> tuple[str, ...]:
     unit = SIGN[number.unit]
-    result = format_expanded(number.value, number.sigma)
-    reference = format_expanded(number.reference, number.reference_sigma)
+    result = format_expanded(float(number.value), float(number.sigma))
+    reference = format_expanded(float(number.reference), float(number.reference_sigma))
     return (
         number.symbol,
         f"result {result} {unit}, reference {reference} {unit}",
-        f"{format_number(abs(number.difference), 2)} {unit}",
+        f"{format_number(float(abs(number.difference)), 2)} {unit}",
         "",
-        f"{format_number(K * number.combined, 2)} {unit}",
-        format_number(abs(number.normalised), 2),
+        f"{format_number(K * float(number.combined), 2)} {unit}",
+        format_number(float(abs(number.normalised)), 2),
         "yes" if abs(number.normalised) <= 1.0 else "no",
     )
 

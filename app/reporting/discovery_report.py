@@ -23,8 +23,7 @@ from app.reporting.discovery_figures import (
     draw_shares,
 )
 from app.reporting.templating import View, render_page
-from app.results.discovery_wording import others, title
-from app.results.discrimination_json import reason
+from app.results.discovery_json import describe_alternatives, explain, write_title
 from app.results.model_difference import in_words
 from app.results.model_file import NextModel
 from app.results.number_format import format_number
@@ -53,7 +52,7 @@ def render_discovery_report(
             "names": discovery.run_names,
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
-            "titles": [title(f.candidate) for f in named],
+            "titles": [write_title(f.candidate) for f in named],
             "findings": [_describe_finding(f, discovery, model) for f in named],
             "unnamed": _describe_unnamed(discovery.findings),
             "compared": discovery.compared,
@@ -85,7 +84,7 @@ def describe_ask(design: DiscriminationDesign, file: str) -> View:
     """
     questions = zip(design.questions, design.expected, strict=True)
     return {
-        "reason": reason(design),
+        "reason": explain(design),
         "decides": design.decides,
         "questions": [
             (_word_question(q), format_number(factor)) for q, factor in questions
@@ -100,7 +99,7 @@ def describe_ask(design: DiscriminationDesign, file: str) -> View:
 def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) -> View:
     evidence = finding.evidence
     return {
-        "title": title(finding.candidate),
+        "title": write_title(finding.candidate),
         "numbers": "; ".join(
             in_words(name, number.value, number.uncertainty)
             for name, number in finding.parameters.items()
@@ -109,7 +108,7 @@ def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) 
         "share": format_number(100 * evidence.share, 0),
         "log_bayes": format_number(evidence.log_bayes),
         "held_out": format_number(evidence.held_out),
-        "others": others(finding),
+        "others": describe_alternatives(finding),
         "is_machine": model.extended.holds(finding),
     }
 

@@ -19,7 +19,7 @@ from app.reporting.svg import (
     join_shapes,
     write_label,
 )
-from app.results.error_tables import ErrorTable, error_table
+from app.results.error_tables import ErrorTable, build_error_table
 from app.results.findings import Findings, RunFindings
 
 _COVERAGE = 2.0  # k of expanded uncertainties
@@ -74,7 +74,7 @@ def _make_fine_table(findings: Findings, symbol: str) -> ErrorTable | None:
         return None
     at_mm = np.linspace(motion.axis.low, motion.axis.high, _DRAWN)
     theta, covariance = estimate.theta[part], estimate.covariance[part, part]
-    return error_table(motion, theta, covariance, at_mm)
+    return build_error_table(motion, theta, covariance, at_mm)
 
 
 def _draw_motion(frame: Frame, table: ErrorTable, name: str) -> Markup:

@@ -14,8 +14,7 @@ from app.reporting.axis_panels import SIGN
 from app.reporting.error_figures import draw_error_motions
 from app.reporting.templating import View
 from app.reporting.volume_figure import draw_volume
-from app.results.direction_tables import compute_half_differences
-from app.results.error_tables import ErrorTable
+from app.results.error_tables import ErrorTable, compute_half_differences
 from app.results.findings import Findings
 from app.results.model_difference import in_words
 from app.results.number_format import format_expanded, format_number
@@ -82,7 +81,7 @@ def describe_direction(findings: Findings) -> View:
     )
     rows: list[tuple[str, str, str]] = []
     for half in halves:
-        if half.shows:
+        if np.any(np.abs(half.value) > 2.0 * half.uncertainty):
             i = int(np.argmax(np.abs(half.value)))
             value = format_expanded(float(half.value[i]), float(half.uncertainty[i]))
             rows.append(
@@ -131,7 +130,9 @@ def describe_effects(findings: Findings) -> View:
     used = findings.provenance.model
     if used is None:
         raise ValueError("the analysis has no model")
-    effects = list_updated_effects(findings.estimate)
+    estimate = findings.estimate
+    parts = estimate.model, estimate.theta, estimate.covariance
+    effects = list_updated_effects(estimate.known, *parts, estimate.chances)
     return {
         "version": used.version,
         "source": used.source,

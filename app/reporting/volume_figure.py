@@ -16,6 +16,7 @@ from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis
+from app.planning.planner import with_resting_axes
 from app.reporting.chart import Frame, Scale, round_down
 from app.reporting.error_figures import draw_legend
 from app.reporting.svg import (
@@ -31,7 +32,6 @@ from app.reporting.svg import (
     write_label,
 )
 from app.results.findings import Findings
-from app.results.volumetric_error import add_rotary_axes
 
 # Readable on light and on dark paper: blue, violet, orange.
 _STOPS, _RED, _GREEN, _BLUE = (
@@ -63,7 +63,7 @@ def _draw_volume(findings: Findings) -> Markup:
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
     error = UM_PER_MM * build_volumetric_map(model).error_mm(
-        make_standstill(model.machine, add_rotary_axes(model.machine, flat)),
+        make_standstill(model.machine, with_resting_axes(model.machine, flat)),
         findings.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)

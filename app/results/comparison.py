@@ -1,4 +1,4 @@
-"""A result against a direct measurement of single error motions.
+"""A result against a direct measurement: single error motions, and the volume.
 
 sanders-2023, section 2.3. Both sides are put into one convention over the positions
 that both know: positioning and turns are 0 at the axis zero, else at the lowest
@@ -22,97 +22,80 @@ from jaxtyping import Float64
 from app.errors import BadInput
 from app.files.result_file import CalibrationResult
 from app.files.run import DirectMeasurement
-from app.files.units import scale_of
-from app.kinematics.machine import Axis, position_unit
+from app.files.units import UM_PER_MM, scale_of
+from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.error_motion import find_arm, reference_position_mm
+from app.kinematics.machine import Axis, LinearAxis, Machine, position_unit
 from app.kinematics.symbols import (
     SQUARENESS,
-    describe_symbol,
     find_unit,
     is_location,
     list_error_motions,
 )
-from app.results.comparison_gauge import (
+from app.results.direct_error import (
+    DirectError,
     build_convention,
+    combine_direct_error,
     find_merged_shares,
     index_motions,
 )
-from app.results.direct_error import DirectError, direct_error
-from app.results.error_tables import result_tables
+from app.results.error_tables import evaluate, restore_error_tables
 
 K = 2.0
+GRID = 9  # positions an axis
 
 
-@dataclass(frozen=True, slots=True)
-class ComparedError:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparedNumber:
+    """A squareness or a location in both, with standard uncertainties (k = 1).
+
+    unit : "um" or "urad", of every value; n is () here
+    """
+
+    symbol: str
+    unit: str
+    value: Float64[np.ndarray, "*n"]
+    sigma: Float64[np.ndarray, "*n"]
+    reference: Float64[np.ndarray, "*n"]
+    reference_sigma: Float64[np.ndarray, "*n"]
+
+    @property
+    def difference(self) -> Float64[np.ndarray, "*n"]:
+        """Result less reference."""
+        return self.value - self.reference
+
+    @property
+    def combined(self) -> Float64[np.ndarray, "*n"]:
+        """Standard uncertainty of the difference; 0 where both are 0 by convention."""
+        return np.hypot(self.sigma, self.reference_sigma)
+
+    @property
+    def normalised(self) -> Float64[np.ndarray, "*n"]:
+        """E_n; 0 where a value is 0 by convention."""
+        known = self.combined > 0
+        half = np.where(known, K * self.combined, 1.0)
+        return np.where(known, self.difference / half, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparedError(ComparedNumber):
     """One error motion in both, in the convention of the paper.
 
-    unit : "um" or "urad", of every value
     position_mm : (n,) of the axis; deg where `position_unit` says so
-    sigma, reference_sigma : (n,) standard uncertainties (k = 1)
     forward, backward : (n,) direct values of one direction; NaN where not measured
     forward_spread, backward_spread : (n,) standard deviations over the runs
     merged : motions whose share the direct values were given, as the result has it
     missing : motions whose share the result has and the reference does not know
     """
 
-    symbol: str
-    unit: str
     position_unit: str
     position_mm: Float64[np.ndarray, " n"]
-    value: Float64[np.ndarray, " n"]
-    sigma: Float64[np.ndarray, " n"]
-    reference: Float64[np.ndarray, " n"]
-    reference_sigma: Float64[np.ndarray, " n"]
     forward: Float64[np.ndarray, " n"]
     backward: Float64[np.ndarray, " n"]
     forward_spread: Float64[np.ndarray, " n"]
     backward_spread: Float64[np.ndarray, " n"]
     merged: tuple[str, ...]
     missing: tuple[str, ...]
-
-    @property
-    def difference(self) -> Float64[np.ndarray, " n"]:
-        """Result less reference."""
-        return self.value - self.reference
-
-    @property
-    def combined(self) -> Float64[np.ndarray, " n"]:
-        """Standard uncertainty of the difference; 0 where both are 0 by convention."""
-        return np.hypot(self.sigma, self.reference_sigma)
-
-    @property
-    def normalised(self) -> Float64[np.ndarray, " n"]:
-        """E_n of each position; 0 where a value is 0 by convention."""
-        known = self.combined > 0
-        half = np.where(known, K * self.combined, 1.0)
-        return np.where(known, self.difference / half, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedNumber:
-    """A squareness or a location in both, with standard uncertainties."""
-
-    symbol: str
-    unit: str
-    value: float
-    sigma: float
-    reference: float
-    reference_sigma: float
-
-    @property
-    def difference(self) -> float:
-        """Result less reference."""
-        return self.value - self.reference
-
-    @property
-    def combined(self) -> float:
-        """Standard uncertainty of the difference."""
-        return float(np.hypot(self.sigma, self.reference_sigma))
-
-    @property
-    def normalised(self) -> float:
-        """E_n."""
-        return self.difference / (K * self.combined) if self.combined > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +134,12 @@ def compare(
 
     Raises BadInput if no error is known to both, or one is stated in a wrong unit.
     """
-    stated = instrument or ReferenceUncertainty()
+    instrument = instrument or ReferenceUncertainty()
     _refuse_units(reference)
     direct = {
-        symbol: direct_error(symbol, reference, stated.of(find_unit(symbol)))
+        symbol: combine_direct_error(
+            symbol, reference, instrument.of(find_unit(symbol))
+        )
         for symbol in dict.fromkeys(one.error for one in reference)
     }
     errors: list[ComparedError] = []
@@ -167,8 +152,8 @@ def compare(
             else:
                 errors.append(outcome)
     numbers = tuple(_compare_numbers(result, direct))
-    told = {e.symbol for e in errors} | {n.symbol for n in numbers} | set(refused)
-    refused |= {s: "the result does not state it" for s in direct if s not in told}
+    stated = {e.symbol for e in errors} | {n.symbol for n in numbers} | set(refused)
+    refused |= {s: "the result does not state it" for s in direct if s not in stated}
     if not errors and not numbers:
         raise BadInput(
             "result and reference have no error in common; the reference measures "
@@ -199,64 +184,107 @@ def _compare_error(
     if len(theirs.position_mm) < 2:
         return "the reference has fewer than two positions in the travel"
     shares, missing = find_merged_shares(result, axis, symbol, direct)
-    theirs, merged = _add_shares(theirs, shares, direct)
-    gauge = build_convention(symbol, axis, theirs.position_mm)
-    rows = gauge @ motions[symbol].rows(theirs.position_mm)
-    part = result.model.slices[symbol]
-    scale = scale_of(find_unit(symbol))
-    variance = np.einsum("np,np->n", rows @ result.covariance[part, part], rows)
-    removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
-    return ComparedError(
-        symbol,
-        find_unit(symbol),
-        position_unit(axis),
-        theirs.position_mm,
-        scale * (rows @ result.theta[part]),
-        scale * np.sqrt(np.maximum(variance, 0.0)),
-        gauge @ theirs.mean,
-        np.sqrt((gauge**2) @ theirs.sigma**2),
-        theirs.forward - removed,
-        theirs.backward - removed,
-        theirs.forward_spread,
-        theirs.backward_spread,
-        merged,
-        missing,
-    )
-
-
-def _add_shares(
-    theirs: DirectError, shares: dict[str, float], direct: dict[str, DirectError]
-) -> tuple[DirectError, tuple[str, ...]]:
     for other, share in shares.items():
         theirs = theirs.plus(direct[other], share)
-    return theirs, tuple(shares)
+    gauge = build_convention(symbol, axis, theirs.position_mm)
+    removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
+    motion, (theta, covariance) = motions[symbol], result.part(symbol)
+    value, sigma = evaluate(
+        symbol, gauge @ motion.rows(theirs.position_mm), theta, covariance
+    )
+    return ComparedError(
+        symbol=symbol,
+        unit=find_unit(symbol),
+        position_unit=position_unit(axis),
+        position_mm=theirs.position_mm,
+        value=value,
+        sigma=sigma,
+        reference=gauge @ theirs.mean,
+        reference_sigma=np.sqrt((gauge**2) @ theirs.sigma**2),
+        forward=theirs.forward - removed,
+        backward=theirs.backward - removed,
+        forward_spread=theirs.forward_spread,
+        backward_spread=theirs.backward_spread,
+        merged=tuple(shares),
+        missing=missing,
+    )
 
 
 def _compare_numbers(
     result: CalibrationResult, direct: dict[str, DirectError]
 ) -> Iterator[ComparedNumber]:
     """Compare what belongs to no position."""
-    tables = result_tables(result)
+    tables = restore_error_tables(result)
     ours = {e.symbol: e for e in (*tables.squareness, *tables.locations)}
     for symbol, theirs in direct.items():
         if symbol not in ours or not (symbol in SQUARENESS or is_location(symbol)):
             continue
-        reference_sigma = float(np.sqrt(np.mean(theirs.sigma**2)))
         yield ComparedNumber(
-            symbol,
-            find_unit(symbol),
-            ours[symbol].value,
-            ours[symbol].uncertainty,
-            float(theirs.mean.mean()),
-            reference_sigma,
+            symbol=symbol,
+            unit=find_unit(symbol),
+            value=np.array(ours[symbol].value),
+            sigma=np.array(ours[symbol].uncertainty),
+            reference=np.array(theirs.mean.mean()),
+            reference_sigma=np.array(np.sqrt(np.mean(theirs.sigma**2))),
         )
 
 
-def described(error: ComparedError) -> str:
-    """Return the error in words, with what is merged into it."""
-    text = describe_symbol(error.symbol)
-    if error.merged:
-        text += f", with its share of {', '.join(error.merged)}"
-    if error.missing:
-        text += f"; holds a share of {', '.join(error.missing)}, not in the reference"
-    return text
+@dataclass(frozen=True, slots=True)
+class ComparedVolume:
+    """Volumetric errors on a grid, squareness left out (section 2.3.2, figure 9).
+
+    position : (n, axes); rotary axes stand at their zero
+    value_um, reference_um : (n, 3) of the errors that both know
+    """
+
+    position: Float64[np.ndarray, "n a"]
+    value_um: Float64[np.ndarray, "n 3"]
+    reference_um: Float64[np.ndarray, "n 3"]
+
+    @property
+    def difference_um(self) -> Float64[np.ndarray, "n 3"]:
+        """Result less reference."""
+        return self.value_um - self.reference_um
+
+
+def mean_length(error: Float64[np.ndarray, "n 3"]) -> float:
+    """Return the mean length of vectors: the paper's mean absolute error."""
+    return float(np.linalg.norm(error, axis=1).mean())
+
+
+def compare_volumes(machine: Machine, comparison: Comparison) -> ComparedVolume | None:
+    """Return both volumetric errors, or None if no straight axis was compared."""
+    straight = {axis.name for axis in machine.linear_axes}
+    errors = [e for e in comparison.errors if e.symbol[2] in straight]
+    if not errors:
+        return None
+    position = _make_grid(machine, errors)
+    at = make_standstill(machine, position)
+    value, reference = np.zeros((len(position), 3)), np.zeros((len(position), 3))
+    for error in errors:
+        # µm per µm, or µm per µrad: the arm is in mm per rad.
+        arm = find_arm(error.symbol, at) * (UM_PER_MM / scale_of(error.unit))
+        where = at.axis_mm(error.symbol[2])
+        for total, stated in ((value, error.value), (reference, error.reference)):
+            total += arm * np.interp(where, error.position_mm, stated)[:, None]
+    return ComparedVolume(position, value, reference)
+
+
+def _make_grid(
+    machine: Machine, errors: list[ComparedError]
+) -> Float64[np.ndarray, "n a"]:
+    columns = [
+        _choose_positions(axis, [e for e in errors if e.symbol[2] == axis.name])
+        if isinstance(axis, LinearAxis)
+        else np.array([reference_position_mm(axis)])
+        for axis in machine.axes
+    ]
+    mesh = np.meshgrid(*columns, indexing="ij")
+    return np.stack([part.ravel() for part in mesh], axis=1)
+
+
+def _choose_positions(axis: LinearAxis, errors: list[ComparedError]) -> np.ndarray:
+    """Return positions over the range that all errors of an axis have."""
+    low = max((float(e.position_mm[0]) for e in errors), default=axis.low)
+    high = min((float(e.position_mm[-1]) for e in errors), default=axis.high)
+    return np.linspace(low, high, GRID)

@@ -9,8 +9,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.symbols import is_straightness, is_turn
-from app.results.comparison import ComparedError, ComparedNumber, Comparison, K
-from app.results.comparison_volume import ComparedVolume, mean_length
+from app.results.comparison import (
+    ComparedError,
+    ComparedNumber,
+    ComparedVolume,
+    Comparison,
+    K,
+    mean_length,
+)
 
 SCHEMA = "comparison/1"
 HEADER = (
@@ -20,7 +26,7 @@ HEADER = (
 KINDS = ("positioning", "straightness", "turns")
 
 
-def kind_of(symbol: str) -> str:
+def classify(symbol: str) -> str:
     """Return the paper's kind of an error motion."""
     if is_turn(symbol):
         return "turns"
@@ -41,7 +47,7 @@ def comparison_json(
         "lowest position; straightness is 0 there and at the highest position; the "
         "mean of both directions",
         "errors": {e.symbol: _error_json(e) for e in comparison.errors},
-        "numbers": {n.symbol: _number_json(n) for n in comparison.numbers},
+        "numbers": {n.symbol: _columns_json(n) for n in comparison.numbers},
         "kinds": {kind: _kind_json(comparison, kind) for kind in KINDS},
         "volumetric": None if volume is None else _volume_json(volume),
         "not_compared": comparison.not_compared,
@@ -50,15 +56,16 @@ def comparison_json(
 
 def comparison_csv(comparison: Comparison) -> str:
     """Return the text of `comparison.csv`: a row a position."""
-    return "".join(f"{line}\n" for line in _lines(comparison))
+    rows = [",".join(row) for row in _list_rows(comparison)]
+    return "".join(f"{line}\n" for line in (HEADER, *rows))
 
 
-def largest(error: ComparedError) -> float:
+def find_largest(error: ComparedError) -> float:
     """Return the largest difference of an error motion."""
     return float(np.abs(error.difference).max())
 
 
-def agreeing(error: ComparedError) -> float:
+def compute_agreement(error: ComparedError) -> float:
     """Return the share of positions at which both agree: |E_n| at most 1."""
     known = error.combined > 0
     if not known.any():
@@ -70,19 +77,13 @@ def _error_json(error: ComparedError) -> dict[str, Any]:
     unit = error.unit
     return {
         f"position_{error.position_unit}": error.position_mm.tolist(),
-        f"result_{unit}": error.value.tolist(),
-        f"result_uncertainty_{unit}": error.sigma.tolist(),
-        f"reference_{unit}": error.reference.tolist(),
-        f"reference_uncertainty_{unit}": error.reference_sigma.tolist(),
+        **_columns_json(error),
         f"forward_{unit}": _or_none(error.forward),
         f"backward_{unit}": _or_none(error.backward),
-        f"difference_{unit}": error.difference.tolist(),
-        f"combined_uncertainty_{unit}": error.combined.tolist(),
-        "en": error.normalised.tolist(),
-        f"largest_difference_{unit}": largest(error),
+        f"largest_difference_{unit}": find_largest(error),
         f"mean_difference_{unit}": float(np.abs(error.difference).mean()),
         "largest_en": float(np.abs(error.normalised).max()),
-        "share_within": agreeing(error),
+        "share_within": compute_agreement(error),
         "merged": list(error.merged),
         "missing": list(error.missing),
     }
@@ -92,22 +93,29 @@ def _or_none(values: Float64[np.ndarray, " n"]) -> list[float | None]:
     return [v if np.isfinite(v) else None for v in values.tolist()]
 
 
-def _number_json(number: ComparedNumber) -> dict[str, float]:
-    unit = number.unit
+def _columns(one: ComparedNumber) -> dict[str, Float64[np.ndarray, "*n"]]:
+    """Return what both files state of every number."""
     return {
-        f"result_{unit}": number.value,
-        f"result_uncertainty_{unit}": number.sigma,
-        f"reference_{unit}": number.reference,
-        f"reference_uncertainty_{unit}": number.reference_sigma,
-        f"difference_{unit}": number.difference,
-        f"combined_uncertainty_{unit}": number.combined,
-        "en": number.normalised,
+        "result": one.value,
+        "result_uncertainty": one.sigma,
+        "reference": one.reference,
+        "reference_uncertainty": one.reference_sigma,
+        "difference": one.difference,
+        "combined_uncertainty": one.combined,
+        "en": one.normalised,
+    }
+
+
+def _columns_json(one: ComparedNumber) -> dict[str, Any]:
+    return {
+        key if key == "en" else f"{key}_{one.unit}": values.tolist()
+        for key, values in _columns(one).items()
     }
 
 
 def _kind_json(comparison: Comparison, kind: str) -> dict[str, Any] | None:
     """Return the figures that the paper states for a kind of motions."""
-    errors = [e for e in comparison.errors if kind_of(e.symbol) == kind]
+    errors = [e for e in comparison.errors if classify(e.symbol) == kind]
     if not errors:
         return None
     unit = errors[0].unit
@@ -117,7 +125,7 @@ def _kind_json(comparison: Comparison, kind: str) -> dict[str, Any] | None:
         f"largest_difference_{unit}": float(every.max()),
         f"mean_difference_{unit}": float(every.mean()),
         f"largest_expanded_{unit}": K * max(float(e.combined.max()) for e in errors),
-        "share_within": float(np.mean([agreeing(e) for e in errors])),
+        "share_within": float(np.mean([compute_agreement(e) for e in errors])),
     }
 
 
@@ -135,33 +143,13 @@ def _volume_json(volume: ComparedVolume) -> dict[str, Any]:
     }
 
 
-def _lines(comparison: Comparison) -> Iterator[str]:
-    yield HEADER
+def _list_rows(comparison: Comparison) -> Iterator[list[str]]:
     for error in comparison.errors:
-        columns = (
-            error.value,
-            error.sigma,
-            error.reference,
-            error.reference_sigma,
-            error.difference,
-            error.combined,
-            error.normalised,
-        )
-        for position, *row in zip(error.position_mm, *columns, strict=True):
-            numbers = ",".join(f"{value:z.5f}" for value in row)
-            yield (
-                f"{error.symbol},{position:.4f},{error.position_unit},{numbers},"
-                f"{error.unit}"
-            )
-    for n in comparison.numbers:
-        row = (
-            n.value,
-            n.sigma,
-            n.reference,
-            n.reference_sigma,
-            n.difference,
-            n.combined,
-            n.normalised,
-        )
-        numbers = ",".join(f"{value:z.5f}" for value in row)
-        yield f"{n.symbol},,,{numbers},{n.unit}"
+        columns = _columns(error).values()
+        for at, *numbers in zip(error.position_mm, *columns, strict=True):
+            cells = [f"{value:z.5f}" for value in numbers]
+            place = f"{at:.4f}", error.position_unit
+            yield [error.symbol, *place, *cells, error.unit]
+    for one in comparison.numbers:
+        cells = [f"{value:z.5f}" for value in _columns(one).values()]
+        yield [one.symbol, "", "", *cells, one.unit]

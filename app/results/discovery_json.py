@@ -1,4 +1,4 @@
-"""`discovery.json` (schema `discovery/1` of the file formats)."""
+"""`discovery.json` (schema `discovery/1` of the file formats), and its words."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
+
 from app.discovery.discover import Discovery
 from app.discovery.findings import Finding
 from app.discovery.residual_location import RunResidual, Segment
-from app.kinematics.effects.catalogue import Candidate, Family
+from app.files.commanded_file import list_columns
+from app.kinematics.effects.catalogue import Candidate, Family, find_family
 from app.kinematics.symbols import is_turn
+from app.planning.discrimination import Question
+from app.planning.discrimination_lines import DECIDED, DiscriminationDesign
 from app.results.updated_effects import parameters_json
 
 SCHEMA = "discovery/1"
@@ -117,3 +122,60 @@ def _worst(found: Discovery) -> list[dict[str, Any]]:
 
 def _explained(shown: RunResidual) -> dict[str, dict[str, float]]:
     return {"before": shown.before.shares, "after": shown.after.shares}
+
+
+def write_title(candidate: Candidate) -> str:
+    """Return an effect in words: `Backlash of Y`."""
+    return find_family(candidate.family).title(candidate.keys)
+
+
+def describe_alternatives(finding: Finding) -> str:
+    """Say what else a finding may be."""
+    if not finding.alternatives:
+        return "no other effect of the catalogue explains the measurement as well"
+    names = "; ".join(write_title(c) for c in finding.alternatives)
+    return f"this measurement cannot tell it from: {names}"
+
+
+def ask_json(asked: DiscriminationDesign, file: str) -> dict[str, Any]:
+    """Return the questions, the lines that decide them, and the reason in words.
+
+    file : the `path.csv` of the lines, beside `discovery.json`; `rows` are the same, as
+        a measuring job takes them for its path
+    """
+    columns = list_columns(asked.path)
+    rows = zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True)
+    return {
+        "reason": explain(asked),
+        "questions": [
+            {"between": [question.left, question.right], "expected_log_bayes": gain}
+            for question, gain in zip(asked.questions, asked.expected, strict=True)
+        ],
+        "decides": asked.decides,
+        "path": file,
+        "rows": [dict(zip(columns, row, strict=True)) for row in rows],
+        "lines": asked.lines,
+        "duration_s": asked.duration_s,
+    }
+
+
+def explain(asked: DiscriminationDesign) -> str:
+    """Return why the lines are to be driven, and what they are."""
+    step = np.sign(np.diff(asked.path.position, axis=0))
+    turns = int(np.sum((step[1:] * step[:-1] < 0.0).any(axis=1)))
+    feeds = sorted({round(float(f)) for f in asked.path.feed_mm_min[1:]})
+    gain = min(asked.expected)
+    enough = "decides" if asked.decides else f"is less than the {DECIDED:.0f} wanted"
+    questions = "; ".join(_describe_question(q) for q in asked.questions)
+    return (
+        f"{questions}. {asked.lines} lines in "
+        f"{asked.duration_s:.0f} s, {turns} of them turning back, at "
+        f"{', '.join(str(f) for f in feeds)} mm/min are expected to bring a log Bayes "
+        f"factor of {gain:.0f}, which {enough}."
+    )
+
+
+def _describe_question(question: Question) -> str:
+    if not question.right:
+        return f"the evidence for {question.left} is thin"
+    return f"{question.left} and {question.right} explain the measurement alike"

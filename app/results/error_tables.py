@@ -79,7 +79,7 @@ class ErrorTables:
         return next((t for t in self.tables if t.symbol == symbol), None)
 
 
-def error_tables(
+def build_error_tables(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
@@ -97,12 +97,14 @@ def error_tables(
         part = model.slices[effect.name]
         own = theta[part], covariance[part, part]
         if motion := effect.motion:
-            table = error_table(motion, *own, choose_table_positions(motion.axis))
+            table = build_error_table(motion, *own, choose_table_positions(motion.axis))
             tables.append(replace(table, measured=ranges.get(motion.axis.name)))
-        elif effect.iso_symbol in SQUARENESS:
-            squareness.append(_single_error(effect.iso_symbol, *own))
-        elif effect.iso_symbol:
-            locations.append(_single_error(effect.iso_symbol, *own))
+        elif symbol := effect.iso_symbol:
+            value, sigma = evaluate(symbol, np.eye(1), *own)
+            single = SingleError(
+                symbol, find_unit(symbol), float(value[0]), float(sigma[0])
+            )
+            (squareness if symbol in SQUARENESS else locations).append(single)
     return ErrorTables(
         tuple(tables),
         tuple(squareness),
@@ -112,17 +114,10 @@ def error_tables(
     )
 
 
-def result_tables(result: CalibrationResult) -> ErrorTables:
+def restore_error_tables(result: CalibrationResult) -> ErrorTables:
     """Return the error tables of a result or model file."""
-    return error_tables(result.model, result.theta, result.covariance, result.measured)
-
-
-def _single_error(
-    symbol: str, theta: Float64[np.ndarray, "1"], covariance: Float64[np.ndarray, "1 1"]
-) -> SingleError:
-    scale, sigma = scale_of(find_unit(symbol)), float(np.sqrt(covariance[0, 0]))
-    return SingleError(
-        symbol, find_unit(symbol), scale * float(theta[0]), scale * sigma
+    return build_error_tables(
+        result.model, result.theta, result.covariance, result.measured
     )
 
 
@@ -133,20 +128,57 @@ def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
     return np.linspace(axis.low, axis.high, max(intervals + 1, _FEWEST))
 
 
-def error_table(
+def build_error_table(
     motion: ErrorCurve,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
     """Return one error motion at given positions, from its own parameters."""
-    scale, rows = scale_of(find_unit(motion.symbol)), motion.rows(position_mm)
-    variance = np.einsum("np,np->n", rows @ covariance, rows)
+    stated = evaluate(motion.symbol, motion.rows(position_mm), theta, covariance)
     return ErrorTable(
         motion.symbol,
         find_unit(motion.symbol),
         position_mm,
-        scale * (rows @ theta),
-        scale * np.sqrt(np.maximum(variance, 0.0)),
+        *stated,
         position_unit(motion.axis),
     )
+
+
+def compute_half_differences(
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[ErrorTable, ...]:
+    """Return half the difference of both directions of each error motion that has one.
+
+    Going up an axis errs by its table plus the half difference, coming down by the
+    table less it.
+    """
+    parts = [
+        (effect.name, half)
+        for effect in model.effects
+        if (half := effect.half_difference)
+    ]
+    tables: list[ErrorTable] = []
+    for symbol, axis in {half.symbol: half.axis for _, half in parts}.items():
+        at_mm = choose_table_positions(axis)
+        rows = np.zeros((len(at_mm), model.size))
+        for name, half in parts:
+            if half.symbol == symbol:
+                rows[:, model.slices[name]] = half.rows(at_mm)
+        stated = evaluate(symbol, rows, theta, covariance)
+        tables.append(ErrorTable(symbol, find_unit(symbol), at_mm, *stated))
+    return tuple(tables)
+
+
+def evaluate(
+    symbol: str,
+    rows: Float64[np.ndarray, "n p"],
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Return numbers that are linear in the parameters, and their uncertainties."""
+    scale = scale_of(find_unit(symbol))
+    variance = np.einsum("np,np->n", rows @ covariance, rows)
+    return scale * (rows @ theta), scale * np.sqrt(np.maximum(variance, 0.0))

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.batch import Estimate, RunEstimate
-from app.files.run_summary import RunSummary
+from app.files.run import RunSummary
 from app.files.units import UM_PER_MM
 from app.planning.grade import Grade
-from app.results.error_tables import ErrorTables, error_tables
+from app.results.error_tables import ErrorTables, build_error_tables
 from app.results.trial_results import TrialResults
 from app.results.updated_effects import UsedModel
-from app.results.volumetric_error import VolumetricError, volumetric_error
+from app.results.volumetric_error import VolumetricError, compute_volumetric_error
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +108,8 @@ def state_findings(
     return Findings(
         estimate,
         provenance,
-        error_tables(*parts, estimate.measured),
-        volumetric_error(*parts),
+        build_error_tables(*parts, estimate.measured),
+        compute_volumetric_error(*parts),
         tuple(
             RunFindings(
                 number,

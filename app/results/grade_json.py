@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from app.files.units import UM_PER_MM
+from app.kinematics.machine import Machine
 from app.kinematics.symbols import describe_symbol
-from app.planning.grade import GOOD, USABLE, Grade, WeakMotion
+from app.motion.configurations import Commanded
+from app.planning.grade import GOOD, USABLE, Grade, WeakMotion, grade
 
 _MEANS = {
     "good": "the map will be known to a quarter of what one tracker sample scatters "
@@ -14,6 +19,26 @@ _MEANS = {
     "usable": "the map will be worth more than measuring its every point once",
     "poor": "the map would rest on what is usual of machines more than on data",
 }
+
+
+def grade_set_up(
+    machine: Machine,
+    commanded: Commanded,
+    *,
+    tracker_mm: Sequence[float] | None = None,
+    perpendicular_only: bool = False,
+) -> dict[str, Any]:
+    """Return the grade of a set-up as JSON.
+
+    tracker_mm : where the tracker stands, in the frame that it stands on; four usual
+        places are tried where nobody has said so
+    """
+    stand = None if tracker_mm is None else np.array(tracker_mm, np.float64)
+    return grade_json(
+        grade(
+            machine, commanded, station_mm=stand, perpendicular_only=perpendicular_only
+        )
+    )
 
 
 def grade_json(found: Grade) -> dict[str, Any]:

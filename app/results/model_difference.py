@@ -10,7 +10,7 @@ import numpy as np
 from app.files.model_file import EstimatedModel
 from app.files.units import unit_of
 from app.kinematics.effects.base import Effect, ErrorCurve
-from app.results.error_tables import choose_table_positions, error_table
+from app.results.error_tables import build_error_table, choose_table_positions
 from app.results.number_format import format_expanded, format_number
 
 _SHOWS = 2.0  # expanded uncertainty of the later model, k = 2
@@ -109,8 +109,8 @@ def _list_motion_changes(
     before: EstimatedModel, after: EstimatedModel, old: ErrorCurve, new: ErrorCurve
 ) -> Iterator[Change]:
     at_mm = choose_table_positions(new.axis)
-    was = error_table(old, *before.part(old.symbol), at_mm)
-    now = error_table(new, *after.part(new.symbol), at_mm)
+    was = build_error_table(old, *before.part(old.symbol), at_mm)
+    now = build_error_table(new, *after.part(new.symbol), at_mm)
     moved = now.value - was.value
     excess = np.abs(moved) / np.maximum(now.uncertainty, 1e-9)
     worst = int(np.argmax(excess))

@@ -6,8 +6,7 @@ a model, with the effects that were found in it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -28,26 +27,19 @@ from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_to_json
 from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import MODEL_SCHEMA
-from app.files.run import Run
-from app.files.run_summary import digest_run
+from app.files.run import Run, digest_run
 from app.files.units import unit_of
 from app.kinematics.effects.target_placement import find_tool_orientation
 from app.kinematics.model import MachineModel
-from app.results.direction_tables import compute_half_differences
 from app.results.discovery_json import effect_json
-from app.results.error_tables import error_tables
+from app.results.error_table_files import observability_json, tables_json
+from app.results.error_tables import build_error_tables, compute_half_differences
 from app.results.model_difference import list_differences
-from app.results.result_json import (
-    half_differences_json,
-    locations_json,
-    ranges_json,
-    table_json,
-)
 
 _TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
 
-def given_by(earlier: PriorModel, run: Run) -> ReferenceModel:
+def build_reference(earlier: PriorModel, run: Run) -> ReferenceModel:
     """Return an earlier model as the base that explains a Run.
 
     Raises BundleError if it is of another machine or of another target.
@@ -67,75 +59,72 @@ def given_by(earlier: PriorModel, run: Run) -> ReferenceModel:
 
 @dataclass(frozen=True)
 class NextModel:
-    """What became of a model: its content as a file, and the change in words."""
+    """A model with what was found in it, and its content as a file."""
 
     extended: ExtendedModel
     content: dict[str, Any]
 
 
-def next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
+def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     """Return the model with what was found in it.
 
     parent : what the Run was held against; None for the rigid-body model fitted to it
     """
     grown = extend_model(found)
-    state = EstimatedModel(grown.model, grown.theta, grown.covariance)
-    before, told = _before(found, parent)
+    parts, machine = (grown.model, grown.theta, grown.covariance), grown.model.machine
+    before, origin = _describe_parent(found, parent)
+    measured = find_measured_ranges(*(one.observations for one in found.aligned))
+    runs = [
+        {"name": one.run.name, "input_sha256": digest_run(one.run)}
+        for one in found.aligned
+    ]
     return NextModel(
         grown,
         {
             "schema": MODEL_SCHEMA,
-            "version": told["version"] + 1,
-            "parent": told,
+            "version": origin["version"] + 1,
+            "parent": origin,
             "difference": [
-                {"kind": c.kind, "what": c.what, "text": c.text}
-                for c in list_differences(before, state)
+                asdict(c) for c in list_differences(before, EstimatedModel(*parts))
             ],
-            "machine": machine_to_json(grown.model.machine),
+            "machine": machine_to_json(machine),
             "mode": found.aligned[0].run.mode,
             "effects": [_effect_json(f, grown) for f in found.findings],
-            **_tables_json(grown, found),
-            "observability": _observability_json(found),
+            **tables_json(
+                build_error_tables(*parts, measured),
+                compute_half_differences(*parts),
+                "none",
+                measured,
+                machine,
+            ),
+            "observability": observability_json(
+                assess_observability(found.baseline.model.machine, found.baseline.runs)
+            ),
             "provenance": {
                 "software": "truepath",
                 "software_version": version("truepath"),
                 "created": datetime.now(UTC).isoformat(timespec="seconds"),
                 "run": found.run_names,
-                "input_sha256": digest_run(found.aligned[0].run),
-                "runs": [*_earlier_runs(parent), *_runs_json(found)],
+                "input_sha256": runs[0]["input_sha256"],
+                "runs": [*(parent.runs if parent else ()), *runs],
             },
-            "model": model_to_json(grown.model, grown.theta, grown.covariance),
+            "model": model_to_json(*parts),
         },
     )
 
 
-def _before(
+def _describe_parent(
     found: Discovery, parent: PriorModel | None
 ) -> tuple[EstimatedModel, dict[str, Any]]:
     if parent is None:
         base = baseline_model(found)
-        told = {
-            "version": 1,
-            "source": "rigid-body model fitted to " + found.run_names,
-            "sha256": None,
-        }
-        return EstimatedModel(base.model, base.theta, base.covariance), told
-    told = {
-        "version": parent.version,
-        "source": parent.source,
-        "sha256": parent.sha256,
-    }
-    return parent.result.estimated_model, told
-
-
-def _runs_json(found: Discovery) -> list[dict[str, str]]:
-    runs = [aligned.run for aligned in found.aligned]
-    return [{"name": run.name, "input_sha256": digest_run(run)} for run in runs]
-
-
-def _earlier_runs(parent: PriorModel | None) -> Sequence[dict[str, Any]]:
-    """Return the Runs that what is known of the machine came from before."""
-    return () if parent is None else parent.runs
+        before = EstimatedModel(base.model, base.theta, base.covariance)
+        version, source = 1, f"rigid-body model fitted to {found.run_names}"
+        sha256 = None
+    else:
+        before = parent.result
+        version, source, sha256 = parent.version, parent.source, parent.sha256
+    return before, {"version": version, "source": source, "sha256": sha256}
 
 
 def _effect_json(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:
@@ -150,33 +139,4 @@ def _effect_json(finding: Finding, grown: ExtendedModel) -> dict[str, Any]:
             "values": (scale * finding.theta).tolist(),
             "covariance": (scale[:, None] * finding.covariance * scale).tolist(),
         },
-    }
-
-
-def _tables_json(grown: ExtendedModel, found: Discovery) -> dict[str, Any]:
-    ranges = find_measured_ranges(*(one.observations for one in found.aligned))
-    tables = error_tables(grown.model, grown.theta, grown.covariance, ranges)
-    halves = compute_half_differences(grown.model, grown.theta, grown.covariance)
-    return {
-        "error_tables": {t.symbol: table_json(t) for t in tables.tables},
-        "squareness_urad": {
-            s.symbol: {"value": s.value, "uncertainty": s.uncertainty}
-            for s in tables.squareness
-        },
-        **locations_json(tables),
-        "direction": {
-            "model": "constant" if halves else "none",
-            "half_difference": half_differences_json(halves),
-        },
-        "measured_range": ranges_json(ranges, grown.model.machine),
-    }
-
-
-def _observability_json(found: Discovery) -> dict[str, Any]:
-    seen = assess_observability(found.baseline.model.machine, found.baseline.runs)
-    return {
-        "rank": seen.rank,
-        "parameters": seen.parameters,
-        "unobservable": list(seen.unobservable),
-        "weak": list(seen.poorly_observable),
     }

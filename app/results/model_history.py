@@ -56,5 +56,5 @@ def read_difference(before: Path, after: Path) -> list[dict[str, str]]:
     from app.results.model_difference import list_differences
 
     old, new = (read_result(file) for file in (before, after))
-    changes = list_differences(old.estimated_model, new.estimated_model)
+    changes = list_differences(old, new)
     return [asdict(change) for change in changes]

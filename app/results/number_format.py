@@ -11,13 +11,9 @@ def format_expanded(value: float, standard: float) -> str:
     decimals = 1
     if half > 0.0:
         decimals = min(max(1 - math.floor(math.log10(half)), 0), 3)
-    return f"{_number(value, decimals)} ± {_number(half, decimals)}"
+    return f"{format_number(value, decimals)} ± {format_number(half, decimals)}"
 
 
 def format_number(value: float, decimals: int = 1) -> str:
     """Return a number with a true minus sign."""
-    return _number(value, decimals)
-
-
-def _number(value: float, decimals: int) -> str:
     return f"{value:z.{decimals}f}".replace("-", "−")

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.errors import BundleError
+from app.files.commanded_file import name_columns
 from app.files.tables import Table, read_csv
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Machine
 from app.results.prediction import Prediction
 
 PREDICTED = ("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um")
@@ -40,9 +39,8 @@ class Points:
 def read_points(data: bytes, machine: Machine, *, file: str = "points.csv") -> Points:
     """Return the points of a CSV file. Raises BundleError with row and column."""
     table = read_csv(data, file)
-    columns = [_read_numbers(table, name) for name in _name_columns(machine)]
-    if not len(table):
-        raise BundleError("has no rows", file=file, remedy="name at least one point")
+    columns = [_read_numbers(table, name) for name in name_columns(machine.axis_names)]
+    table.require_rows("name at least one point")
     return Points(np.stack(columns, axis=1), _read_targets(table, machine), table)
 
 
@@ -53,39 +51,20 @@ def encode_predictions(points: Points, predicted: Prediction) -> str:
     kept = [name for name in points.table.names if name not in PREDICTED]
     writer.writerow([*kept, *PREDICTED])
     given = [points.table.cells(name) for name in kept]
-    writer.writerows(
-        [*words, *numbers]
-        for words, numbers in zip(
-            zip(*given, strict=True), _format_rows(predicted), strict=True
-        )
-    )
+    numbers = np.hstack([predicted.error_um, predicted.uncertainty_um]).tolist()
+    for *words, row in zip(*given, numbers, strict=True):
+        writer.writerow([*words, *(f"{value:z.5f}" for value in row)])
     return sink.getvalue()
-
-
-def _format_rows(predicted: Prediction) -> Iterator[list[str]]:
-    both = np.hstack([predicted.error_um, predicted.uncertainty_um])
-    for row in both.tolist():
-        yield [f"{value:z.5f}" for value in row]
-
-
-def _name_columns(machine: Machine) -> list[str]:
-    return [
-        f"{axis.name.lower()}_{'mm' if isinstance(axis, LinearAxis) else 'deg'}"
-        for axis in machine.axes
-    ]
 
 
 def _read_numbers(table: Table, name: str) -> Float64[np.ndarray, " n"]:
     values = table.numbers(name)
-    far = np.abs(values) > _FARTHEST
-    if far.any():
-        index = int(np.argmax(far))
-        raise table.error(
-            f"is {values[index]:g}, no position of a machine",
-            index,
-            name,
-            f"check the unit, {name.rpartition('_')[2]}",
-        )
+    table.refuse(
+        np.abs(values) > _FARTHEST,
+        name,
+        lambda k: f"is {values[k]:g}, no position of a machine",
+        f"check the unit, {name.rpartition('_')[2]}",
+    )
     return values
 
 
@@ -93,13 +72,4 @@ def _read_targets(table: Table, machine: Machine) -> tuple[str, ...]:
     known = [target.name for target in machine.targets if target.name]
     if "target" not in table.names or not known:
         return ()
-    names = table.texts("target")
-    for index, name in enumerate(names):
-        if name not in known:
-            raise table.error(
-                f"is {name!r}, unknown",
-                index,
-                "target",
-                f"the result has {', '.join(known)}",
-            )
-    return tuple(names)
+    return tuple(table.choices("target", known, f"the result has {', '.join(known)}"))

@@ -18,7 +18,7 @@ from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Axis, LinearAxis, Machine
+from app.kinematics.machine import Machine
 
 _USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache
@@ -98,9 +98,7 @@ def _list_warnings(
     outside = int(_find_outside(result.machine, position).sum())
     if outside:
         travel = ", ".join(
-            f"{axis.name} {low:g} to {high:g}"
-            for axis in result.machine.axes
-            for low, high in (_travel(axis),)
+            f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in result.machine.axes
         )
         yield (
             f"{outside} of {len(position)} points lie beyond the travel ({travel}): "
@@ -126,7 +124,7 @@ def _list_warnings(
 def _find_outside(
     machine: Machine, position: Float64[np.ndarray, "n a"]
 ) -> Bool[np.ndarray, " n"]:
-    low, high = np.array([_travel(axis) for axis in machine.axes]).T
+    low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
     slack = 1e-6 * (high - low)  # numbers that were rounded when they were written
     return ((position < low - slack) | (position > high + slack)).any(axis=1)
 
@@ -143,9 +141,3 @@ def _find_unmeasured(
             at = position[:, column]
             beyond |= (at < low - slack) | (at > high + slack)
     return beyond | _find_outside(result.machine, position)
-
-
-def _travel(axis: Axis) -> tuple[float, float]:
-    if isinstance(axis, LinearAxis):
-        return axis.min_mm, axis.max_mm
-    return axis.min_deg, axis.max_deg

@@ -7,31 +7,22 @@ prediction needs, so that the file alone gives the map of the estimate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
-from app.estimation.extrapolation import Ranges
 from app.files.machine_file import machine_to_json
 from app.files.model_file import model_to_json
 from app.files.result_file import RESULT_SCHEMA
-from app.files.run_summary import combine_digests
-from app.files.units import UM_PER_MM
-from app.kinematics.machine import Machine, position_unit
-from app.results.direction_tables import HalfDifference, compute_half_differences
-from app.results.error_tables import ErrorTable, ErrorTables
-from app.results.findings import Findings, Provenance
+from app.files.run import combine_digests
+from app.files.units import UM_PER_MM, URAD_PER_RAD
+from app.results.error_table_files import observability_json, tables_json
+from app.results.error_tables import ErrorTables, compute_half_differences
+from app.results.findings import Findings, Provenance, RunFindings
 from app.results.grade_json import grade_json
-from app.results.run_json import (
-    alignment_json,
-    by_direction_json,
-    lines_json,
-    noise_json,
-    run_json,
-)
-from app.results.trials_json import trials_json
+from app.results.trial_results import trials_json
 from app.results.updated_effects import (
     list_updated_effects,
     updated_effects_json,
@@ -41,101 +32,39 @@ from app.results.updated_effects import (
 
 def result_json(found: Findings) -> dict[str, Any]:
     """Return the content of the result file."""
-    estimate = found.estimate
+    estimate, machine = found.estimate, found.estimate.model.machine
+    parts = estimate.model, estimate.theta, estimate.covariance
+    halves = compute_half_differences(*parts)
     return {
         "schema": RESULT_SCHEMA,
-        "machine": machine_to_json(estimate.model.machine),
+        "machine": machine_to_json(machine),
         "mode": found.main.summary.mode,
-        "error_tables": {t.symbol: table_json(t) for t in found.tables.tables},
-        "squareness_urad": {
-            s.symbol: {"value": s.value, "uncertainty": s.uncertainty}
-            for s in found.tables.squareness
-        },
-        "direction": _direction_json(found),
+        **tables_json(
+            found.tables, halves, estimate.direction, estimate.measured, machine
+        ),
         "effects": updated_effects_json(
-            list_updated_effects(estimate), found.provenance.model
+            list_updated_effects(estimate.known, *parts, estimate.chances),
+            found.provenance.model,
         ),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
-        **locations_json(found.tables),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
-        "alignment": alignment_json(found.main),
-        "residuals": _residuals_json(found),
-        "noise": {**noise_json(found.main), "prior_strength": estimate.prior_precision},
-        "runs": [run_json(run) for run in found.runs],
-        "observability": {
-            "rank": estimate.observability.rank,
-            "parameters": estimate.observability.parameters,
-            "unobservable": list(estimate.observability.unobservable),
-            "weak": list(estimate.observability.poorly_observable),
-        },
-        "measured_range": ranges_json(
-            found.estimate.measured, found.estimate.model.machine
+        "alignment": _alignment_json(found.main),
+        "residuals": _residuals_json(
+            np.concatenate([r.estimate.residuals.residual_mm for r in found.runs]),
+            estimate.rms_mm,
+            estimate.floor_mm,
+            [{"run": r.number, **line} for r in found.runs for line in _lines_json(r)],
         ),
+        "noise": {
+            **_noise_json(found.main),
+            "prior_strength": estimate.prior_precision,
+        },
+        "runs": [_run_json(run) for run in found.runs],
+        "observability": observability_json(estimate.observability),
         "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
-        "model": model_to_json(estimate.model, estimate.theta, estimate.covariance),
-    }
-
-
-def table_json(table: ErrorTable) -> dict[str, Any]:
-    """Return an error table."""
-    return {
-        f"position_{table.position_unit}": table.position_mm.tolist(),
-        f"value_{table.unit}": table.value.tolist(),
-        f"uncertainty_{table.unit}": table.uncertainty.tolist(),
-        "extrapolated": table.extrapolated.tolist(),
-    }
-
-
-def ranges_json(ranges: Ranges, machine: Machine) -> dict[str, Any]:
-    """Return the range of each axis beyond which its tables are extrapolated."""
-    return {
-        axis.name: {
-            f"from_{position_unit(axis)}": ranges[axis.name][0],
-            f"to_{position_unit(axis)}": ranges[axis.name][1],
-        }
-        for axis in machine.axes
-        if axis.name in ranges
-    }
-
-
-def _direction_json(found: Findings) -> dict[str, Any]:
-    estimate = found.estimate
-    halves = compute_half_differences(
-        estimate.model, estimate.theta, estimate.covariance
-    )
-    plain = estimate.direction == "none" and halves  # lost motion of a model's
-    return {
-        "model": "constant" if plain else estimate.direction,
-        "half_difference": half_differences_json(halves),
-    }
-
-
-def half_differences_json(halves: Sequence[HalfDifference]) -> dict[str, Any]:
-    """Return half the difference of both directions, by symbol."""
-    return {
-        half.symbol: {
-            "position_mm": half.position_mm.tolist(),
-            f"value_{half.unit}": half.value.tolist(),
-            f"uncertainty_{half.unit}": half.uncertainty.tolist(),
-        }
-        for half in halves
-    }
-
-
-def locations_json(tables: ErrorTables) -> dict[str, Any]:
-    """Return where rotary axes are; nothing for a machine that has none."""
-    if not tables.locations:
-        return {}
-    return {
-        "axis_location": {
-            place.symbol: {
-                f"value_{place.unit}": place.value,
-                f"uncertainty_{place.unit}": place.uncertainty,
-            }
-            for place in tables.locations
-        }
+        "model": model_to_json(*parts),
     }
 
 
@@ -158,18 +87,21 @@ def _volumetric_json(found: Findings) -> dict[str, Any]:
     }
 
 
-def _residuals_json(found: Findings) -> dict[str, Any]:
-    """Return the residuals over the cells of all Runs."""
-    every = np.concatenate([run.estimate.residuals.residual_mm for run in found.runs])
+def _residuals_json(
+    residual_mm: Float64[np.ndarray, "n 3"],
+    rms_mm: float,
+    floor_mm: float,
+    by_line: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return root mean squares, those by direction in the frame of the beam."""
+    beam = UM_PER_MM * np.sqrt(np.mean(residual_mm**2, axis=0))
     return {
-        "rms_um": UM_PER_MM * found.estimate.rms_mm,
-        "noise_floor_um": UM_PER_MM * found.estimate.floor_mm,
-        "by_direction_um": by_direction_json(every),
-        "by_line": [
-            {"run": run.number, **line}
-            for run in found.runs
-            for line in lines_json(run)
-        ],
+        "rms_um": UM_PER_MM * rms_mm,
+        "noise_floor_um": UM_PER_MM * floor_mm,
+        "by_direction_um": dict(
+            zip(("beam", "azimuth", "elevation"), beam.tolist(), strict=True)
+        ),
+        "by_line": by_line,
     }
 
 
@@ -196,4 +128,73 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "measured_s": run.measured_s,
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},
+    }
+
+
+def _run_json(run: RunFindings) -> dict[str, Any]:
+    summary, residuals = run.summary, run.estimate.residuals
+    return {
+        "name": summary.name,
+        "mode": summary.mode,
+        "samples": run.estimate.offered_samples,
+        "used_samples": run.estimate.used_samples,
+        "measured_s": summary.measured_s,
+        "feed_mm_min": list(summary.feed_mm_min) if summary.feed_mm_min else None,
+        "input_sha256": summary.digest,
+        "source": summary.source,
+        "alignment": _alignment_json(run),
+        "residuals": _residuals_json(
+            residuals.residual_mm,
+            residuals.rms_mm,
+            residuals.floor_mm,
+            _lines_json(run),
+        ),
+        "noise": _noise_json(run),
+    }
+
+
+def _alignment_json(run: RunFindings) -> dict[str, Any]:
+    """Return where the tracker stood, and what of the commanded rows was found."""
+    summary, estimate = run.summary, run.estimate
+    sigma = np.sqrt(np.maximum(np.diag(estimate.pose_covariance), 0.0))
+    first = 1 if summary.mode == "otf" else 0
+    rows = set(range(first, first + summary.lines))
+    return {
+        "pose": {
+            "from": "workpiece",
+            "to": "tracker",
+            "rotation": estimate.pose.rotation.tolist(),
+            "shift_mm": estimate.pose.translation_mm.tolist(),
+        },
+        "pose_uncertainty": {
+            "about_mm": estimate.centre_mm.tolist(),
+            "shift_um": (UM_PER_MM * sigma[:3]).tolist(),
+            "turn_urad": (URAD_PER_RAD * sigma[3:]).tolist(),
+        },
+        "lines": summary.lines,
+        "matched_lines": estimate.lines,
+        "rows_without_data": sorted(rows - set(run.by_line.row.tolist())),
+        "cells": estimate.cells,
+        "samples": estimate.offered_samples,
+        "used_samples": estimate.used_samples,
+    }
+
+
+def _lines_json(run: RunFindings) -> list[dict[str, Any]]:
+    lines = run.by_line
+    return [
+        {"row": int(row), "cells": int(cells), "rms_um": float(rms)}
+        for row, cells, rms in zip(lines.row, lines.cells, lines.rms_um, strict=True)
+    ]
+
+
+def _noise_json(run: RunFindings) -> dict[str, Any]:
+    noise, known = run.noise, ("along_beam", "across_beam")
+    return {
+        "distance_mm": noise.distance_mm,
+        "stated_um": dict(zip(known, noise.stated_um.tolist(), strict=True)),
+        "white_um": dict(zip(known, noise.white_um.tolist(), strict=True)),
+        "slow_um": dict(zip(known, noise.ou_um.tolist(), strict=True)),
+        "slow_time_s": noise.ou_time_s,
+        "along_travel_um": noise.along_travel_um,
     }

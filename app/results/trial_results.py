@@ -7,8 +7,10 @@ the same measurement (JCGM 101) give each number's estimate, standard uncertaint
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -18,10 +20,12 @@ from app.estimation.monte_carlo import prepare_trials, run_block
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM, scale_of
 from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import RotaryAxis
+from app.kinematics.machine import position_unit as unit_of_axis
 from app.kinematics.model import MachineModel
-from app.kinematics.symbols import find_unit
+from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.numerics.adaptive_trials import (
+    BLOCK,
+    COVERAGE,
     Mapper,
     TrialPlan,
     agrees,
@@ -30,9 +34,12 @@ from app.numerics.adaptive_trials import (
 )
 from app.progress import ShareProgress, ignore_progress
 from app.results.error_tables import choose_table_positions
+from app.results.volumetric_error import make_grid
 
 MAP = "volumetric error"
-_GRID, _TURNED = 3, 2  # points of a linear and of a rotary axis, ends included
+METHOD = "JCGM 101:2008, adaptive (7.9.4), held against the linear law (8)"
+_LINEAR, _ROTARY = 3, 2  # points of an axis, ends included
+_Place = tuple[str, str, Float64[np.ndarray, "n k"], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,17 +101,6 @@ class TrialResults:
         return max(_compare_sigmas(q) for q in self.quantities)
 
 
-@dataclass(frozen=True, slots=True)
-class _Quantity:
-    """A quantity and its rows in the parameters of the machine."""
-
-    name: str
-    unit: str
-    position: Float64[np.ndarray, "n k"]
-    position_unit: str
-    rows: Float64[np.ndarray, "m p"]
-
-
 def run_trials(
     estimate: Estimate,
     plan: TrialPlan,
@@ -118,8 +114,8 @@ def run_trials(
     """
     if estimate.fit is None:
         raise ValueError("the estimate has not kept its fit")
-    asked = _list_quantities(estimate.model)
-    rows = np.concatenate([a.rows for a in asked])
+    asked = list(_list_quantities(estimate.model))
+    rows = np.concatenate([of for _, of in asked])
     trials = prepare_trials(estimate.fit, rows, plan)
     moved = propagate(partial(run_block, trials), plan, run, on_progress)
     linear = np.sqrt(np.einsum("op,op->o", rows @ estimate.covariance, rows).clip(0.0))
@@ -133,48 +129,31 @@ def run_trials(
         "tolerance": numerical_tolerance(linear, plan.digits),
         "agrees": agrees(moved, np.zeros(len(rows)), linear, plan.digits),
     }
-    ends = np.cumsum([len(a.rows) for a in asked])
+    ends = np.cumsum([len(of) for _, of in asked])
     quantities = tuple(
-        TrialQuantity(
-            a.name,
-            a.unit,
-            a.position,
-            a.position_unit,
-            **{k: v[end - len(a.rows) : end] for k, v in columns.items()},
-        )
-        for a, end in zip(asked, ends, strict=True)
+        TrialQuantity(*place, **{k: v[end - len(of) : end] for k, v in columns.items()})
+        for (place, of), end in zip(asked, ends, strict=True)
     )
     return TrialResults(plan, moved.trials, moved.settled, quantities)
 
 
-def _list_quantities(model: MachineModel) -> list[_Quantity]:
-    asked: list[_Quantity] = []
+def _list_quantities(
+    model: MachineModel,
+) -> Iterator[tuple[_Place, Float64[np.ndarray, "m p"]]]:
+    """Yield every quantity with its rows in the parameters of the machine."""
     for effect in model.effects:
-        at, position_unit = np.zeros((1, 0)), ""
-        if not effect.iso_symbol:
+        if not (symbol := effect.iso_symbol):
             continue
-        rows = np.eye(1)
+        at, position_unit, rows = np.zeros((1, 0)), "", np.eye(1)
         if motion := effect.motion:
             at = choose_table_positions(motion.axis)[:, None]
-            position_unit = "deg" if isinstance(motion.axis, RotaryAxis) else "mm"
-            rows = motion.rows(at[:, 0])
+            position_unit, rows = unit_of_axis(motion.axis), motion.rows(at[:, 0])
         whole = np.zeros((len(rows), model.size))
-        stated = find_unit(effect.iso_symbol)
-        whole[:, model.slices[effect.name]] = scale_of(stated) * rows
-        asked.append(_Quantity(effect.iso_symbol, stated, at, position_unit, whole))
-    return [*asked, _map_quantity(model)]
-
-
-def _map_quantity(model: MachineModel) -> _Quantity:
-    travel = [
-        np.linspace(
-            axis.low, axis.high, _TURNED if isinstance(axis, RotaryAxis) else _GRID
-        )
-        for axis in model.machine.axes
-    ]
-    at = np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
+        whole[:, model.slices[effect.name]] = scale_of(find_unit(symbol)) * rows
+        yield (symbol, find_unit(symbol), at, position_unit), whole
+    at = make_grid(model.machine, _LINEAR, _ROTARY)
     J = build_volumetric_map(model).jacobian(make_standstill(model.machine, at))
-    return _Quantity(MAP, "um", at, "", UM_PER_MM * J.reshape(-1, model.size))
+    yield (MAP, "um", at, ""), UM_PER_MM * J.reshape(-1, model.size)
 
 
 def _compare_sigmas(quantity: TrialQuantity) -> float:
@@ -183,3 +162,58 @@ def _compare_sigmas(quantity: TrialQuantity) -> float:
         return 0.0
     ratio = quantity.sigma[stated] / quantity.linear[stated]
     return float(np.abs(ratio - 1.0).max())
+
+
+def trials_json(held: TrialResults) -> dict[str, Any]:
+    """Return the key `monte_carlo` of `result.json`."""
+    named = {q.name: q for q in held.quantities}
+    return {
+        "method": METHOD,
+        "seed": held.plan.seed,
+        "trials": held.trials,
+        "block": BLOCK,
+        "significant_digits": held.plan.digits,
+        "coverage": COVERAGE,
+        "interval": held.plan.interval,
+        "settled": held.settled,
+        "agrees": held.agrees,
+        "numbers": held.numbers,
+        "agreeing": held.agreeing,
+        "largest_disagreement": held.disagreement,
+        "error_tables": {
+            q.name: {
+                f"position_{q.position_unit}": q.position[:, 0].tolist(),
+                **_columns_json(q),
+            }
+            for q in held.quantities
+            if q.position_unit
+        },
+        "squareness_urad": {
+            n: _single_json(q) for n, q in named.items() if n in SQUARENESS
+        },
+        "axis_location": {
+            n: _single_json(q) for n, q in named.items() if is_location(n)
+        },
+        "volumetric_error": {
+            "of": "x, y and z of one position after another",
+            "position": named[MAP].position.tolist(),
+            **_columns_json(named[MAP]),
+        },
+    }
+
+
+def _columns_json(q: TrialQuantity) -> dict[str, Any]:
+    return {
+        f"value_{q.unit}": q.value.tolist(),
+        f"linear_uncertainty_{q.unit}": q.linear.tolist(),
+        f"mean_{q.unit}": q.mean.tolist(),
+        f"uncertainty_{q.unit}": q.sigma.tolist(),
+        f"interval_95_low_{q.unit}": q.low.tolist(),
+        f"interval_95_high_{q.unit}": q.high.tolist(),
+        f"tolerance_{q.unit}": q.tolerance.tolist(),
+        "agrees": q.agrees.tolist(),
+    }
+
+
+def _single_json(q: TrialQuantity) -> dict[str, Any]:
+    return {key: value[0] for key, value in _columns_json(q).items()}

@@ -6,14 +6,13 @@ would, the machine is not any more as the model has it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.batch import Estimate
 from app.estimation.known_effects import KnownEffects
 from app.kinematics.effects.catalogue import Quantity
 from app.kinematics.effects.catalogue_effect import CatalogueEffect
@@ -64,22 +63,25 @@ class UpdatedEffect:
         return None if self.chance is None else self.chance >= _DOUBTFUL
 
 
-def list_updated_effects(estimate: Estimate) -> tuple[UpdatedEffect, ...]:
-    """Return the effects that an estimate has beside the error motions."""
-    model, known = estimate.model, estimate.known
+def list_updated_effects(
+    known: KnownEffects,
+    model: MachineModel,
+    theta: Float64[np.ndarray, " p"],
+    covariance: Float64[np.ndarray, "p p"],
+    chances: Sequence[float | None],
+) -> tuple[UpdatedEffect, ...]:
+    """Return the known effects, with the parameters that the model has now.
+
+    chances : of each effect, as `UpdatedEffect.chance`
+    """
     found: list[UpdatedEffect] = []
     begin = 0
-    for effect, chance in zip(known.effects, estimate.chances, strict=True):
+    for effect, chance in zip(known.effects, chances, strict=True):
         own = slice(begin, begin + len(effect.parameters))
         now, begin = model.slices[effect.name], own.stop
-        found.append(
-            UpdatedEffect(
-                effect,
-                effect.state(known.theta[own], known.covariance[own, own]),
-                effect.state(estimate.theta[now], estimate.covariance[now, now]),
-                chance,
-            )
-        )
+        before = effect.state(known.theta[own], known.covariance[own, own])
+        after = effect.state(theta[now], covariance[now, now])
+        found.append(UpdatedEffect(effect, before, after, chance))
     return tuple(found)
 
 
@@ -87,15 +89,10 @@ def updated_effects_json(
     effects: tuple[UpdatedEffect, ...], used: UsedModel | None
 ) -> list[dict[str, Any]]:
     """Return the effects as `result.json` states them."""
-    fresh = used is not None and used.of_these_runs
+    if used is not None and used.of_these_runs:  # nothing was known before
+        return [_effect_json(one, None) | {"agrees": None} for one in effects]
     return [
-        {
-            "name": one.effect.family,
-            **dict(one.effect.keys),
-            "parameters": parameters_json(one.after),
-            "known_before": None if fresh else parameters_json(one.before),
-            "agrees": None if fresh else one.agrees,
-        }
+        _effect_json(one, parameters_json(one.before)) | {"agrees": one.agrees}
         for one in effects
     ]
 
@@ -123,24 +120,22 @@ def predicted_effects_json(
 
     covariance : of the model's parameters, once the plan is measured
     """
-    found: list[dict[str, Any]] = []
-    begin = 0
-    for effect in known.effects:
-        own = slice(begin, begin + len(effect.parameters))
-        now, begin = model.slices[effect.name], own.stop
-        before, after = (
-            parameters_json(effect.state(known.theta[own], C))
-            for C in (known.covariance[own, own], covariance[now, now])
-        )
-        found.append(
-            {
-                "name": effect.family,
-                **dict(effect.keys),
-                "parameters": after,
-                "known_before": before,
-            }
-        )
-    return found
+    theta = np.zeros(model.size)
+    parameters = np.arange(model.size)
+    places = [parameters[model.slices[effect.name]] for effect in known.effects]
+    theta[np.concatenate([*places, np.empty(0, int)])] = known.theta
+    nobody = [None] * len(places)
+    effects = list_updated_effects(known, model, theta, covariance, nobody)
+    return [_effect_json(one, parameters_json(one.before)) for one in effects]
+
+
+def _effect_json(one: UpdatedEffect, before: dict[str, Any] | None) -> dict[str, Any]:
+    return {
+        "name": one.effect.family,
+        **dict(one.effect.keys),
+        "parameters": parameters_json(one.after),
+        "known_before": before,
+    }
 
 
 def used_model_json(used: UsedModel | None) -> dict[str, Any] | None:

@@ -16,7 +16,7 @@ from jaxtyping import Float64
 from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Axis, LinearAxis, Machine
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
 
 _GRID = 9  # points an axis
@@ -59,52 +59,44 @@ class VolumetricError:
     after: Spread
 
 
-def volumetric_error(
+def compute_volumetric_error(
     model: MachineModel,
     theta: Float64[np.ndarray, " p"],
     covariance: Float64[np.ndarray, "p p"],
 ) -> VolumetricError:
     """Return the volumetric error of the first target over the axis travel."""
-    position_mm = make_grid(model, _GRID)
+    linear = _FEW if model.machine.rotary_axes else _GRID
+    position_mm = make_grid(model.machine, linear, _FEWEST)
     J = UM_PER_MM * build_volumetric_map(model).jacobian(
         make_standstill(model.machine, position_mm)
     )
     error = J @ theta
     drawn = J.reshape(-1, model.size) @ _draw_parameters(covariance)
     left = drawn.reshape(*error.shape, -1)
+    after = _measure_lengths(left)
     return VolumetricError(
         position_mm,
         error,
         np.sqrt(np.einsum("nip,pq,niq->ni", J, covariance, J, optimize=True)),
         np.quantile(np.linalg.norm(left, axis=1), np.linspace(0.0, 1.0, _QUANTILES)),
-        _state_before(error, left),
-        _state_after(left),
+        _make_spread(
+            _measure_lengths(error[:, :, None])[:, 0],
+            _measure_lengths(error[:, :, None] + left),
+        ),
+        _make_spread(after.mean(axis=1), after),
     )
 
 
-def make_grid(model: MachineModel, points: int) -> Float64[np.ndarray, "n a"]:
-    """Return a grid over the travel, ends included, X slowest."""
-    turns = bool(model.machine.rotary_axes)
+def make_grid(machine: Machine, linear: int, rotary: int) -> Float64[np.ndarray, "n a"]:
+    """Return a grid over the travel, ends included, X slowest.
+
+    linear, rotary : points of an axis
+    """
     travel = [
-        np.linspace(axis.low, axis.high, _count_points(axis, points, turns=turns))
-        for axis in model.machine.axes
+        np.linspace(a.low, a.high, linear if isinstance(a, LinearAxis) else rotary)
+        for a in machine.axes
     ]
     return np.stack([g.ravel() for g in np.meshgrid(*travel, indexing="ij")], axis=1)
-
-
-def add_rotary_axes(
-    machine: Machine, linear_mm: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n a"]:
-    """Return positions of all axes, the rotary ones at their zero or nearest to it."""
-    rest = [float(np.clip(0.0, a.low, a.high)) for a in machine.rotary_axes]
-    return np.hstack([linear_mm, np.tile(rest, (len(linear_mm), 1))])
-
-
-def _count_points(axis: Axis, points: int, *, turns: bool) -> int:
-    """Return the points of an axis; few where five axes span the grid."""
-    if not turns:
-        return points
-    return _FEW if isinstance(axis, LinearAxis) else _FEWEST
 
 
 def _draw_parameters(
@@ -115,19 +107,6 @@ def _draw_parameters(
     return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
 
 
-def _state_before(
-    error: Float64[np.ndarray, "n 3"], left: Float64[np.ndarray, "n 3 d"]
-) -> Spread:
-    value = _measure_lengths(error[:, :, None])[:, 0]
-    uncertainty = _measure_lengths(error[:, :, None] + left).std(axis=1)
-    return _make_spread(value, uncertainty)
-
-
-def _state_after(left: Float64[np.ndarray, "n 3 d"]) -> Spread:
-    drawn = _measure_lengths(left)
-    return _make_spread(drawn.mean(axis=1), drawn.std(axis=1))
-
-
 def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray, "3 d"]:
     length = np.linalg.norm(error, axis=1)
     return np.stack(
@@ -136,9 +115,6 @@ def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray,
 
 
 def _make_spread(
-    value: Float64[np.ndarray, "3"], uncertainty: Float64[np.ndarray, "3"]
+    value: Float64[np.ndarray, "3"], drawn: Float64[np.ndarray, "3 d"]
 ) -> Spread:
-    mean, p95, largest = (
-        Figure(float(v), float(u)) for v, u in zip(value, uncertainty, strict=True)
-    )
-    return Spread(mean, p95, largest)
+    return Spread(*map(Figure, value.tolist(), drawn.std(axis=1).tolist()))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.files.reference_file import encode_reference
+from app.files.recorded_files import encode_reference
 from app.files.run import DirectMeasurement
 from app.kinematics.symbols import is_turn, list_error_motions
 

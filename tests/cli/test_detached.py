@@ -38,7 +38,7 @@ def bundle_of(content, path, folder, *, override=1.0, wait_s=4.0):
     recording = synthetic.record(content, program, 5)
     write_bundle_files(folder, recording, csv=True)
     (folder / "truth.json").unlink()
-    (folder / "path.csv").write_bytes(encode_commanded(path, machine))
+    (folder / "path.csv").write_bytes(encode_commanded(path))
     return recording.truth
 
 

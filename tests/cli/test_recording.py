@@ -38,7 +38,7 @@ def files(bench, tmp_path):
     machine = machine_from_json(bench.machine)
     path = default_path(machine, 15_000.0, lines=8)
     (tmp_path / "machine.json").write_text(json.dumps(bench.machine))
-    (tmp_path / "path.csv").write_bytes(encode_commanded(path, machine))
+    (tmp_path / "path.csv").write_bytes(encode_commanded(path))
     (tmp_path / "path.h").write_text(write_program(path, machine, "heidenhain"))
     options = ", ".join(
         f"{key} = {json.dumps(v)}" for key, v in bench.tracker_options.items()

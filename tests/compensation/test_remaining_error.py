@@ -15,7 +15,7 @@ from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.screw_cyclic import ScrewCyclicFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
-from app.results.direction_tables import compute_half_differences
+from app.results.error_tables import compute_half_differences
 from simulators.scenario import load_machine
 
 MACHINE = machine_from_json(load_machine("demo"), file="machine.json")

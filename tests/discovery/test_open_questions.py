@@ -27,9 +27,8 @@ from app.motion.paths import check_travel
 from app.planning.discrimination_lines import DiscriminationDesign
 from app.reporting.discovery_report import describe_ask, render_discovery_report
 from app.reporting.templating import render_part
-from app.results.discovery_json import discovery_json
-from app.results.discrimination_json import ask_json
-from app.results.model_file import next_model
+from app.results.discovery_json import ask_json, discovery_json
+from app.results.model_file import build_next_model
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.effect import HiddenEffect
@@ -186,7 +185,7 @@ def test_every_run_is_shown_where_it_disagrees(moved):
     assert worst == sorted(worst, reverse=True)
     every = [s["rms_um"] for run in both["runs"] for s in run["where"]]
     assert worst[0] == max(every)
-    model = next_model(done.both, None)
+    model = build_next_model(done.both, None)
     page = render_discovery_report(done.both, model, None, "ask/path.csv")
     assert page.count("Run 2: ") == 2
     assert page.count("Root mean square on every line") == 2
@@ -231,7 +230,7 @@ def test_a_measuring_job_takes_the_lines_as_they_are_stated(moved):
     driven = [[row.x_mm, row.y_mm, row.z_mm] for row in order.path]
     assert driven == done.asked.path.position.tolist()
     machine = done.first.aligned[0].run.machine
-    written = encode_commanded(done.asked.path, machine)
+    written = encode_commanded(done.asked.path)
     np.testing.assert_array_equal(
         decode_path(written, machine).feed_mm_min, done.asked.path.feed_mm_min
     )

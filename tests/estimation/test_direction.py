@@ -10,7 +10,7 @@ from app.estimation.batch import estimate
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.backlash import make_half_shape, make_half_width
 from app.kinematics.machine import LinearAxis
-from app.results.direction_tables import compute_half_differences
+from app.results.error_tables import compute_half_differences
 
 HALF_MM = 0.003
 

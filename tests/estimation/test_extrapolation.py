@@ -13,7 +13,7 @@ from app.estimation.extrapolation import (
 from app.files.bundle import read_bundle
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.results.error_tables import error_tables
+from app.results.error_tables import build_error_tables
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
@@ -70,8 +70,8 @@ def true_theta(model, truth):
 def held(found, true):
     """Tell of every extrapolated table value whether its 95 % interval holds truth."""
     parts = (found.covariance, found.measured)
-    mine = error_tables(found.model, found.theta, *parts).tables
-    exact = error_tables(found.model, true, *parts).tables
+    mine = build_error_tables(found.model, found.theta, *parts).tables
+    exact = build_error_tables(found.model, true, *parts).tables
     hits = []
     for table, truth in zip(mine, exact, strict=True):
         # Where the gauge of the tables fixes a value there is nothing to hold.

@@ -18,7 +18,7 @@ from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.identifiable import build_identifiable_model
 from app.planning.default_path import default_path
-from app.results.error_tables import error_tables
+from app.results.error_tables import build_error_tables
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic
 from simulators.scenario import load_machine
@@ -130,11 +130,13 @@ def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
     live.finish()
     last = live.estimate()
     assert early.volumetric_sigma_mm > 10 * last.volumetric_sigma_mm
-    tables = error_tables(last.model, last.theta, last.covariance)
+    tables = build_error_tables(last.model, last.theta, last.covariance)
     off = [
         (tables.table(table.symbol).value - table.value)
         / np.maximum(table.uncertainty, 0.05)
-        for table in error_tables(batch.model, batch.theta, batch.covariance).tables
+        for table in build_error_tables(
+            batch.model, batch.theta, batch.covariance
+        ).tables
     ]
     assert np.abs(np.concatenate(off)).max() < 1.5
     assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 0.4

@@ -19,8 +19,8 @@ from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
 from app.planning.forecast import forecast
 from app.planning.plan import PlanRequest, make_plan
-from app.reporting.plan_files import plan_document
 from app.reporting.plan_report import render_plan_report
+from app.results.plan_document import plan_document
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.elastic_sag import ElasticSag

@@ -13,7 +13,7 @@ from app.estimation.batch import Estimate, Observability, Residuals, RunEstimate
 from app.estimation.extrapolation import full_travel
 from app.estimation.noise import NoiseModel
 from app.files.result_file import CalibrationResult
-from app.files.run_summary import RunSummary
+from app.files.run import RunSummary
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.numerics.rigid import RigidTransform

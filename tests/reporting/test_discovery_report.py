@@ -5,7 +5,9 @@ import re
 
 import pytest
 
-from app.reporting.discovery_files import discover_runs, write_discovery
+from app.reporting.discovery_files import write_discovery
+from app.reporting.discovery_report import render_discovery_report
+from app.results.discovery import ASK, discover_runs
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 
@@ -18,7 +20,7 @@ def knocked(record):
 
 @pytest.fixture(scope="module")
 def page(knocked):
-    return knocked.report_html
+    return render_discovery_report(knocked.found, knocked.model, knocked.asked, ASK)
 
 
 def text_of(page: str) -> str:

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 
-from app.results.error_tables_csv import error_tables_csv
+from app.results.error_table_files import error_tables_csv
 
 
 @pytest.fixture

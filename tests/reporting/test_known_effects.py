@@ -27,7 +27,7 @@ from app.kinematics.model import MachineModel
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.analysis_files import render_analysis
 from app.results.analysis import analyse
-from app.results.model_file import next_model
+from app.results.model_file import build_next_model
 from app.results.prediction import predict
 from app.results.result_json import result_json
 from simulators import paths, synthetic
@@ -244,7 +244,7 @@ def test_what_discovery_finds_in_one_run_serves_the_next(hidden, run_of, told, j
         drift = TableDrift((0.02, 0.0, 0.01))
         setting = Setting(machine_seed=machine, hidden=(hidden, drift))
         found = discover([run_of(driven(9, 60, setting))])
-        earlier = taken(next_model(found, None).content)
+        earlier = taken(build_next_model(found, None).content)
         return stated(told(hidden, machine).run, model=earlier)
 
     def rms_um(results):

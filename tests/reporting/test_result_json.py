@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from app.errors import BundleError
+from app.files.covariance_file import pack_symmetric
 from app.files.machine_file import machine_from_json
 from app.files.model_file import model_to_json
-from app.files.packing import pack_symmetric
 from app.files.result_file import result_from_json
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.tracker_pose import TrackerPose
-from app.results.error_tables import result_tables
+from app.results.error_tables import restore_error_tables
 from app.results.findings import state_findings
 from app.results.prediction import predict
 from app.results.result_json import result_json
@@ -132,7 +132,7 @@ def test_parameters_come_back_whatever_basis_the_gauge_had(estimate, content):
 
 
 def test_tables_of_a_read_result_are_those_that_were_written(found, content):
-    read = result_tables(result_from_json(content))
+    read = restore_error_tables(result_from_json(content))
     for before, after in zip(found.tables.tables, read.tables, strict=True):
         assert after.symbol == before.symbol
         assert after.value == pytest.approx(before.value, abs=1e-9)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from app.results.prediction import predict
-from app.results.volumetric_error import volumetric_error
+from app.results.volumetric_error import compute_volumetric_error
 
 
 @pytest.fixture
 def seen(estimate):
-    return volumetric_error(estimate.model, estimate.theta, estimate.covariance)
+    return compute_volumetric_error(estimate.model, estimate.theta, estimate.covariance)
 
 
 def test_the_grid_spans_the_travel(estimate, seen):
@@ -44,7 +44,7 @@ def test_after_is_what_the_stated_uncertainty_leaves(seen):
 
 
 def test_a_certain_estimate_leaves_nothing(estimate):
-    certain = volumetric_error(
+    certain = compute_volumetric_error(
         estimate.model, estimate.theta, np.zeros_like(estimate.covariance)
     )
     assert certain.after.largest.value_um == 0.0
@@ -52,6 +52,8 @@ def test_a_certain_estimate_leaves_nothing(estimate):
 
 
 def test_half_the_uncertainty_leaves_half(estimate, seen):
-    halved = volumetric_error(estimate.model, estimate.theta, estimate.covariance / 4)
+    halved = compute_volumetric_error(
+        estimate.model, estimate.theta, estimate.covariance / 4
+    )
     assert halved.after.mean.value_um == pytest.approx(seen.after.mean.value_um / 2)
     assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)

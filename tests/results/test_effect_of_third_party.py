@@ -15,10 +15,11 @@ from app.files.result_file import result_from_json
 from app.kinematics.effects.conformance import CHECKS, example_conditions
 from app.planning.plan import PlanRequest, make_plan
 from app.reporting.analysis_files import render_analysis
-from app.reporting.discovery_files import discover_runs
-from app.reporting.plan_files import plan_document
+from app.reporting.discovery_report import render_discovery_report
 from app.reporting.plan_report import render_plan_report
 from app.results.analysis import analyse
+from app.results.discovery import ASK, discover_runs
+from app.results.plan_document import plan_document
 from app.web.catalogues import catalogue
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.synthetic import Setting
@@ -84,7 +85,10 @@ def test_it_is_discovered_with_its_own_keys_and_words(discovered):
     assert effect["name"] == NAME
     assert {key: effect[key] for key in KEYS} == KEYS
     assert effect["cause"].startswith("A beam bends")
-    assert TITLE in discovered.report_html
+    report = render_discovery_report(
+        discovered.found, discovered.model, discovered.asked, ASK
+    )
+    assert TITLE in report
 
 
 def test_its_keys_survive_the_model_file(installed, model):

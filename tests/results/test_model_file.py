@@ -12,7 +12,7 @@ from app.errors import BundleError
 from app.estimation.prior_model import PriorModel
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.catalogue_effect import CatalogueEffect
-from app.results.model_file import given_by, next_model
+from app.results.model_file import build_next_model, build_reference
 from app.results.prediction import predict
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.synthetic import Setting
@@ -34,7 +34,9 @@ def found(sagging):
 @pytest.fixture(scope="module")
 def content(found):
     # As it comes back from disk.
-    return json.loads(json.dumps(next_model(found, None).content, allow_nan=False))
+    return json.loads(
+        json.dumps(build_next_model(found, None).content, allow_nan=False)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,7 @@ def loaded(content) -> CalibrationResult:
 
 @pytest.fixture(scope="module")
 def again(sagging, loaded):
-    given = given_by(PriorModel(loaded, "model.json", "0"), sagging[0])
+    given = build_reference(PriorModel(loaded, "model.json", "0"), sagging[0])
     return discover([sagging[0]], given)
 
 
@@ -70,7 +72,7 @@ def test_the_effect_stands_with_parameters_covariance_and_evidence(content):
 
 
 def test_the_file_comes_back_as_the_model_that_was_written(found, loaded):
-    grown = next_model(found, None).extended
+    grown = build_next_model(found, None).extended
     (sag,) = (e for e in loaded.model.effects if isinstance(e, CatalogueEffect))
     names = [e.name for e in loaded.model.effects]
     assert names == [e.name for e in grown.model.effects]
@@ -108,7 +110,7 @@ def test_nothing_is_missing_from_the_model_that_has_it(again):
 
 def test_the_next_version_knows_its_parent(again, loaded):
     parent = PriorModel(loaded, "model.json", "digest")
-    content = next_model(again, parent).content
+    content = build_next_model(again, parent).content
     assert content["version"] == 3
     expected = {"version": 2, "source": "model.json", "sha256": "digest"}
     assert content["parent"] == expected
@@ -125,12 +127,12 @@ def test_a_model_that_lost_a_squareness_gets_it_back(sagging, loaded):
     theta = loaded.theta.copy()
     theta[square] -= 60e-6
     bent = replace(loaded, theta=theta)
-    found = discover([run], given_by(PriorModel(bent, "model.json", "0"), run))
+    found = discover([run], build_reference(PriorModel(bent, "model.json", "0"), run))
     (first, *_) = found.findings
     assert first.candidate.label == "squareness B0Z"
     said = first.parameters["value_urad"]
     assert abs(said.value - 60.0) < 3.0 * said.uncertainty + 3.0
-    grown = next_model(found, None).extended
+    grown = build_next_model(found, None).extended
     back = grown.theta[grown.model.slices["B0Z"]]
     assert back == pytest.approx(loaded.theta[square], abs=10e-6)
 
@@ -156,7 +158,7 @@ def test_an_effect_that_cannot_be_is_refused_with_its_place(content, change, pro
 def test_a_model_of_another_machine_is_refused(record, loaded):
     other, _ = record(3, rows=12, chain="w-X-b-Y-Z-t")
     with pytest.raises(BundleError, match=r"machine.kinematic_chain: w-b-X-Y-Z-t"):
-        given_by(PriorModel(loaded, "model.json", "0"), other)
+        build_reference(PriorModel(loaded, "model.json", "0"), other)
 
 
 def rigid(loaded):

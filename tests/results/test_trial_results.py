@@ -16,9 +16,8 @@ from app.reporting.analysis_files import render_analysis
 from app.reporting.measurement_sections import describe_trials
 from app.reporting.templating import render_part
 from app.results.analysis import analyse
-from app.results.error_tables import error_tables
-from app.results.trial_results import MAP, run_trials
-from app.results.trials_json import trials_json
+from app.results.error_tables import build_error_tables
+from app.results.trial_results import MAP, run_trials, trials_json
 
 PLAN = TrialPlan(seed=5, most_blocks=2)
 
@@ -47,7 +46,7 @@ def named(held, name):
 
 
 def test_every_table_and_squareness_is_held_where_it_is_stated(estimated, held):
-    stated = error_tables(estimated.model, estimated.theta, estimated.covariance)
+    stated = build_error_tables(estimated.model, estimated.theta, estimated.covariance)
     for table in stated.tables:
         quantity = named(held, table.symbol)
         np.testing.assert_array_equal(quantity.position[:, 0], table.position_mm)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.files.run import Run
-from app.files.run_summary import digest_run, summarize_run
+from app.files.run import Run, digest_run, summarize_run
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TemperatureSamples, TrackerSamples
 

@@ -1,0 +1,180 @@
+"""What was recorded, in a bundle: tracker stream, temperatures, direct measurements.
+
+A stream has no counter in a bundle. It is rebuilt from the clock: a pause of k sample
+intervals counts as k - 1 lost samples.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from app.errors import BundleError
+from app.files.run import DirectMeasurement
+from app.files.tables import Table, encode_csv, read_csv, read_parquet
+from drivers.interfaces.records import TemperatureSamples, TrackerSamples
+
+_POSITION = ("x_mm", "y_mm", "z_mm")
+_DEGC = "_degC"
+_SYMBOL = re.compile(r"^[A-Z][0-9A-Z][A-Z]$")
+_COLUMNS = ("error", "position_mm", "direction", "value", "unit")
+
+
+def decode_stream(data: bytes, *, file: str = "tracker.parquet") -> TrackerSamples:
+    """Return the samples of a stream; a name that ends in `.csv` is read as CSV."""
+    table = read_csv(data, file) if file.endswith(".csv") else read_parquet(data, file)
+    table.require("t_s", *_POSITION)
+    if not len(table):
+        remedy = "record the stream again"
+        raise BundleError("holds no samples", file=file, remedy=remedy)
+    status = _read_status(table)
+    position_mm = _read_positions(table, status)
+    repeats = _find_repeats(table.numbers("t_s"), position_mm)
+    time_s = _read_clock(table, repeats)[~repeats]
+    if (status != 0).all():
+        raise BundleError(
+            "holds no valid sample: no status is 0",
+            file=file,
+            column="status",
+            remedy="check that the beam was locked",
+        )
+    return TrackerSamples(
+        _rebuild_counter(time_s), time_s, position_mm[~repeats], status[~repeats]
+    )
+
+
+def encode_stream(samples: TrackerSamples) -> bytes:
+    """Return the `tracker.parquet` of samples."""
+    columns = dict(zip(_POSITION, samples.position_mm.T, strict=True))
+    table = pa.table(
+        {
+            "t_s": samples.device_time_s,
+            **{key: np.ascontiguousarray(value) for key, value in columns.items()},
+            "status": samples.status,
+        }
+    )
+    sink = io.BytesIO()
+    pq.write_table(table, sink)
+    return sink.getvalue()
+
+
+def decode_environment(
+    data: bytes, *, file: str = "environment.csv"
+) -> TemperatureSamples:
+    """Return the temperatures; columns that are none are left out."""
+    table = read_csv(data, file)
+    table.require("t_s")
+    sensors = [key for key in table.names if key.endswith(_DEGC) and key != _DEGC]
+    if not sensors:
+        raise BundleError(
+            "has no temperatures", file=file, remedy="columns are called <NAME>_degC"
+        )
+    table.require_rows("leave out the file")
+    celsius = np.stack([table.numbers(key) for key in sensors], axis=1)
+    names = tuple(key.removesuffix(_DEGC) for key in sensors)
+    return TemperatureSamples(names, _read_clock(table), celsius)
+
+
+def encode_environment(temperature: TemperatureSamples) -> bytes:
+    """Return the `environment.csv` of temperatures."""
+    named = zip(temperature.names, temperature.celsius.T, strict=True)
+    columns = {name + _DEGC: column for name, column in named}
+    return encode_csv({"t_s": temperature.time_s, **columns})
+
+
+def decode_reference(
+    data: bytes, *, file: str = "reference.csv"
+) -> tuple[DirectMeasurement, ...]:
+    """Return one measurement for each error, direction and unit, in order of rows."""
+    table = read_csv(data, file)
+    table.require(*_COLUMNS)
+    table.require_rows("leave out the file")
+    position, value = table.numbers("position_mm"), table.numbers("value")
+    words = (table.texts(name) for name in ("error", "direction", "unit"))
+    rows: dict[tuple[str, str, str], list[int]] = {}
+    for index, (error, direction, unit) in enumerate(zip(*words, strict=True)):
+        _check_row(table, index, error, direction, unit)
+        rows.setdefault((error, direction, unit), []).append(index)
+    return tuple(
+        DirectMeasurement(*key, position[at], value[at]) for key, at in rows.items()
+    )
+
+
+def encode_reference(reference: tuple[DirectMeasurement, ...]) -> bytes:
+    """Return the `reference.csv` of direct measurements."""
+    rows = [
+        (one.error, repr(float(position)), one.direction, repr(float(value)), one.unit)
+        for one in reference
+        for position, value in zip(one.position_mm, one.value, strict=True)
+    ]
+    return encode_csv(dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True)))
+
+
+def _read_clock(
+    table: Table, repeats: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Return the column `t_s`, which must increase from row to row but at repeats."""
+    time_s = table.numbers("t_s")
+    back = np.diff(time_s) <= 0
+    if repeats is not None:
+        back &= ~repeats[1:]
+    table.refuse(
+        np.append(False, back),
+        "t_s",
+        lambda k: f"does not increase: {time_s[k]:.6f} after {time_s[k - 1]:.6f}",
+        "rows stand in the order of time, each time once",
+    )
+    return time_s
+
+
+def _rebuild_counter(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+    step_s = np.diff(time_s)
+    if not step_s.size:
+        return np.zeros(1, np.int64)
+    steps = np.maximum(np.rint(step_s / np.median(step_s)), 1.0)
+    return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+
+
+def _find_repeats(
+    time_s: NDArray[np.float64], position_mm: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Tell which rows are the row before once more: a frame that came twice."""
+    repeats = np.zeros(len(time_s), bool)
+    same = np.diff(time_s) == 0
+    repeats[1:] = same & (np.diff(position_mm, axis=0) == 0).all(axis=1)
+    return repeats
+
+
+def _read_positions(table: Table, status: NDArray[np.int64]) -> NDArray[np.float64]:
+    position_mm = np.empty((len(table), 3))
+    for column, key in enumerate(_POSITION):
+        position_mm[:, column] = table.numbers(key, nan=True)
+        bad = np.isnan(position_mm[:, column]) & (status == 0)
+        remedy = "a sample without a position needs a status other than 0"
+        table.refuse(bad, key, lambda _: "is empty or NaN", remedy)
+    return position_mm
+
+
+def _read_status(table: Table) -> NDArray[np.int64]:
+    if "status" not in table.names:
+        return np.zeros(len(table), np.int64)
+    value = table.numbers("status")
+    odd = (value != np.rint(value)) | (np.abs(value) > 2**53)
+    table.refuse(odd, "status", lambda k: f"is {value[k]:g}, no whole number")
+    return value.astype(np.int64)
+
+
+def _check_row(table: Table, index: int, error: str, direction: str, unit: str) -> None:
+    if not _SYMBOL.match(error):
+        raise table.error(
+            f"is {error!r}", index, "error", "write a symbol of ISO 230-1, such as EXX"
+        )
+    if direction not in ("+", "-"):
+        raise table.error(f"is {direction!r}", index, "direction", "write + or -")
+    if unit not in ("um", "urad"):
+        raise table.error(f"is {unit!r}", index, "unit", "write um or urad")

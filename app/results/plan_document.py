@@ -1,0 +1,92 @@
+"""`plan.json` (schema `plan/1` of the file formats)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from app.files.machine_file import machine_to_json
+from app.kinematics.symbols import SQUARENESS, find_unit, is_location
+from app.planning.plan import Plan
+from app.results.updated_effects import predicted_effects_json
+
+SCHEMA = "plan/1"
+_PER_UNIT = {"um": 1e3, "urad": 1e6}
+
+
+def plan_document(planned: Plan) -> dict[str, Any]:
+    """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
+    request, found = planned.request, planned.forecast
+    target_um, model = request.target_um, request.model
+    return {
+        "schema": SCHEMA,
+        "machine": machine_to_json(planned.machine),
+        "mode": request.mode,
+        "rows": len(planned.commanded),
+        "duration_s": round(planned.duration_s, 3),
+        "corner_path": request.corner_path,
+        "perpendicular_only": request.perpendicular_only,
+        "feeds_mm_min": list(request.feeds_mm_min),
+        "model": model
+        and {
+            "source": model.source,
+            "version": model.version,
+            "sha256": model.sha256,
+        },
+        "tracker": {
+            "position_mm": [round(float(v), 3) for v in planned.station_mm],
+            "assumed": request.workspace.tracker_mm is None,
+        },
+        "predicted": {
+            **_state_both(planned.uncertainty_um),
+            "errors": _errors(planned),
+            "effects": predicted_effects_json(
+                found.known, found.model, found.covariance
+            ),
+            "servo_mismatch": {
+                axis: {"uncertainty_ms": 1e3 * sigma}
+                for axis, sigma in planned.lag_sigma_s.items()
+            },
+        },
+        "target": None
+        if target_um is None
+        else {**_state_both(target_um), "reached": planned.reached},
+        "curve": [
+            {
+                "row": row + 1,
+                "time_s": round(float(planned.time_s[row]), 3),
+                **_state_both(1e3 * sigma),
+            }
+            for row, sigma in zip(found.row, found.sigma_mm, strict=True)
+        ],
+        "unobservable": _list_unobservable(planned),
+    }
+
+
+def _list_unobservable(planned: Plan) -> list[str]:
+    """Return what the plan cannot tell, in words."""
+    said = list(planned.forecast.unobservable)
+    turning = [axis.name for axis in planned.machine.rotary_axes]
+    if planned.request.mode == "otf" and turning:
+        axes = ", ".join(turning)
+        said.append(
+            f"{axes}: rotary axes stand still on this path; their errors show between "
+            "standstills (--mode standstill)"
+        )
+    return said
+
+
+def _state_both(standard_um: float) -> dict[str, float]:
+    """Return a volumetric uncertainty as files state it: k = 1, and k = 2."""
+    return {
+        "volumetric_uncertainty_um": standard_um,
+        "expanded_volumetric_uncertainty_um": 2.0 * standard_um,
+    }
+
+
+def _errors(planned: Plan) -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = {}
+    for symbol, sigma in planned.forecast.motion_sigmas().items():
+        single = symbol in SQUARENESS or is_location(symbol)
+        kind = find_unit(symbol) if single or symbol.startswith("E") else "um"
+        found[symbol] = {f"uncertainty_{kind}": sigma * _PER_UNIT[kind]}
+    return found
