@@ -206,13 +206,13 @@ class WorkerProcess:
         on_progress : passed to the function if given; what it raises is logged
         """
         self._is_busy = True
-        answer = None
         try:
             answer = self._wait_for_answer(function, on_progress)
+        except BaseException:
+            self.kill()
+            raise
         finally:
             self._is_busy = False
-            if answer is None:
-                self.kill()
         if answer.error is not None:
             raise answer.error
         return answer.value

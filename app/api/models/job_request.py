@@ -180,7 +180,7 @@ class JobRequest(RequestBody):
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],
-            rows=rows and [r.model_dump(exclude_none=True) for r in rows],
+            rows=[r.model_dump(exclude_none=True) for r in rows] if rows else None,
             monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
             plan_request=self._order(),
             **{name: getattr(self, name) for name in same},
