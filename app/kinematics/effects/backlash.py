@@ -31,7 +31,7 @@ from app.kinematics.effects.catalogue import (
     Family,
     Quantity,
     Scan,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.error_motion import (
     find_arm,
@@ -118,26 +118,22 @@ class BacklashFamily(Family):
     keys = {"axis": AXIS}
     # Coming from below, the axis stops short by half the width.
     stated = {"width_um": -2e3}
-    words = {
-        "en": Words(
-            title="Backlash",
-            cause="Play or wind-up in screw, nut, thrust bearing or rack.",
-            looks_like="An axis stops short by the same width whenever it comes from "
-            "the other side: lines lie apart by direction of travel.",
-            remedy="Enter the width as the axis' backlash compensation; check nut "
-            "preload and thrust bearing, or measure with a scale.",
-        ),
-        "de": Words(
-            title="Umkehrspiel",
-            cause="Spiel oder Verdrillung in Spindel, Mutter, Axiallager oder "
-            "Zahnstange.",
-            looks_like="Eine Achse bleibt immer um dieselbe Breite zurück, wenn sie "
-            "von der anderen Seite kommt: Die Geraden liegen je nach Fahrtrichtung "
-            "auseinander.",
-            remedy="Die Breite als Losekompensation der Achse eintragen; Vorspannung "
-            "der Mutter und Axiallager prüfen oder mit einem Maßstab messen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Backlash
+        cause = Play or wind-up in screw, nut, thrust bearing or rack.
+        looks_like = An axis stops short by the same width whenever it comes from the
+            other side: lines lie apart by direction of travel.
+        remedy = Enter the width as the axis' backlash compensation; check nut preload
+            and thrust bearing, or measure with a scale.
+        [de]
+        title = Umkehrspiel
+        cause = Spiel oder Verdrillung in Spindel, Mutter, Axiallager oder Zahnstange.
+        looks_like = Eine Achse bleibt immer um dieselbe Breite zurück, wenn sie von der
+            anderen Seite kommt: Die Geraden liegen je nach Fahrtrichtung auseinander.
+        remedy = Die Breite als Losekompensation der Achse eintragen; Vorspannung der
+            Mutter und Axiallager prüfen oder mit einem Maßstab messen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis."""
@@ -198,27 +194,25 @@ class LateralBacklashFamily(Family):
     is_smooth = False
     makes = TurningOver
     keys = {"axis": replace(AXIS, phrase=""), "motion": MOTION}
-    words = {
-        "en": Words(
-            title="Lateral backlash",
-            cause="A carriage has play in its guide, or is pushed aside by a nut or "
-            "chain that is off centre: it tilts or shifts as it turns back.",
-            looks_like="A straightness or an angle has two values at each place, one "
-            "for each direction of approach.",
-            remedy="Check guide clearance, gibs and preload; approach from one side, "
-            "or enter tables of both directions.",
-        ),
-        "de": Words(
-            title="Seitliches Umkehrspiel",
-            cause="Ein Schlitten hat Spiel in seiner Führung oder wird von einer "
-            "außermittigen Mutter oder Kette zur Seite gedrückt: Er kippt oder "
-            "versetzt sich beim Umkehren.",
-            looks_like="Eine Geradheit oder ein Winkel hat an jedem Ort zwei Werte, "
-            "einen je Anfahrrichtung.",
-            remedy="Führungsspiel, Keilleisten und Vorspannung prüfen; von einer "
-            "Seite anfahren oder Tabellen beider Richtungen eintragen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Lateral backlash
+        cause = A carriage has play in its guide, or is pushed aside by a nut or chain
+            that is off centre: it tilts or shifts as it turns back.
+        looks_like = A straightness or an angle has two values at each place, one for
+            each direction of approach.
+        remedy = Check guide clearance, gibs and preload; approach from one side, or
+            enter tables of both directions.
+        [de]
+        title = Seitliches Umkehrspiel
+        cause = Ein Schlitten hat Spiel in seiner Führung oder wird von einer
+            außermittigen Mutter oder Kette zur Seite gedrückt: Er kippt oder versetzt
+            sich beim Umkehren.
+        looks_like = Eine Geradheit oder ein Winkel hat an jedem Ort zwei Werte, einen
+            je Anfahrrichtung.
+        remedy = Führungsspiel, Keilleisten und Vorspannung prüfen; von einer Seite
+            anfahren oder Tabellen beider Richtungen eintragen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each error motion but positioning."""

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from configparser import ConfigParser
 from dataclasses import dataclass, replace
 from functools import cache
+from textwrap import dedent
 from typing import ClassVar
 
 import numpy as np
@@ -36,6 +38,17 @@ class Words:
     cause: str
     looks_like: str
     remedy: str
+
+
+def read_words(text: str) -> dict[str, Words]:
+    """Return words by language from text with a section a language, as in INI files."""
+    parser = ConfigParser(interpolation=None)
+    parser.read_string(dedent(text))
+    return {
+        language: Words(**{what: " ".join(said.split()) for what, said in part.items()})
+        for language, part in parser.items()
+        if part
+    }
 
 
 @dataclass(frozen=True, slots=True)

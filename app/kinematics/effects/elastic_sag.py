@@ -18,12 +18,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import (
-    USUAL_MM,
-    Candidate,
-    Family,
-    Words,
-)
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Family, read_words
 from app.kinematics.effects.keys import AXIS, DIRECTION
 from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import LINEAR
@@ -66,26 +61,24 @@ class ElasticSagFamily(Family):
     makes = ElasticSag
     keys = {"axis": AXIS, "by": _UNDER, "direction": DIRECTION}
     stated = {"amplitude_um": 1e3}
-    words = {
-        "en": Words(
-            title="Sag of a guide",
-            cause="A guide or cross beam bends under the carriage that travels on it, "
-            "or under what hangs from it.",
-            looks_like="The straightness or positioning of one axis depends on where "
-            "another stands: tables of single axes cannot show it.",
-            remedy="Use the controller's cross-axis (sag) compensation for the pair; "
-            "check counterbalance and levelling.",
-        ),
-        "de": Words(
-            title="Durchbiegung einer Führung",
-            cause="Eine Führung oder ein Querbalken biegt sich unter dem Schlitten, "
-            "der darauf fährt, oder unter dem, was daran hängt.",
-            looks_like="Geradheit oder Positionierung einer Achse hängt davon ab, wo "
-            "eine andere steht: Tabellen einzelner Achsen können das nicht zeigen.",
-            remedy="Die Durchhangkompensation der Steuerung für dieses Achspaar "
-            "nutzen; Gewichtsausgleich und Nivellierung prüfen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Sag of a guide
+        cause = A guide or cross beam bends under the carriage that travels on it, or
+            under what hangs from it.
+        looks_like = The straightness or positioning of one axis depends on where
+            another stands: tables of single axes cannot show it.
+        remedy = Use the controller's cross-axis (sag) compensation for the pair; check
+            counterbalance and levelling.
+        [de]
+        title = Durchbiegung einer Führung
+        cause = Eine Führung oder ein Querbalken biegt sich unter dem Schlitten, der
+            darauf fährt, oder unter dem, was daran hängt.
+        looks_like = Geradheit oder Positionierung einer Achse hängt davon ab, wo eine
+            andere steht: Tabellen einzelner Achsen können das nicht zeigen.
+        remedy = Die Durchhangkompensation der Steuerung für dieses Achspaar nutzen;
+            Gewichtsausgleich und Nivellierung prüfen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each ordered pair and direction."""

@@ -23,7 +23,7 @@ from app.kinematics.effects.catalogue import (
     CandidateEstimate,
     Family,
     Quantity,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.keys import DIRECTION, PLANE
 from app.kinematics.machine import LinearAxis
@@ -82,24 +82,21 @@ class PlaneErrorFamily(Family):
         "a displacement along {direction} of {rms_um:.2g} µm (root mean square) that "
         "depends on {plane[0]} and {plane[1]} together"
     )
-    words = {
-        "en": Words(
-            title="Error of two axes at once",
-            cause="Structure that gives way under moving loads in a way no single "
-            "beam explains.",
-            looks_like="An error that depends on where two axes stand at once.",
-            remedy="Compensate with a grid of the plane or volume instead of single "
-            "axes.",
-        ),
-        "de": Words(
-            title="Fehler zweier Achsen zugleich",
-            cause="Ein Aufbau, der unter bewegten Lasten so nachgibt, wie es kein "
-            "einzelner Balken erklärt.",
-            looks_like="Ein Fehler, der davon abhängt, wo zwei Achsen zugleich stehen.",
-            remedy="Statt einzelner Achsen mit einem Gitter der Ebene oder des Raums "
-            "kompensieren.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Error of two axes at once
+        cause = Structure that gives way under moving loads in a way no single beam
+            explains.
+        looks_like = An error that depends on where two axes stand at once.
+        remedy = Compensate with a grid of the plane or volume instead of single axes.
+        [de]
+        title = Fehler zweier Achsen zugleich
+        cause = Ein Aufbau, der unter bewegten Lasten so nachgibt, wie es kein einzelner
+            Balken erklärt.
+        looks_like = Ein Fehler, der davon abhängt, wo zwei Achsen zugleich stehen.
+        remedy = Statt einzelner Achsen mit einem Gitter der Ebene oder des Raums
+            kompensieren.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each pair of axes and direction."""

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Role, columns_along
-from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, Words
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, read_words
 from app.kinematics.effects.keys import AXIS, DIRECTION
 from app.kinematics.effects.sinusoid import (
     Sinusoid,
@@ -60,21 +60,19 @@ class PositionWaveFamily(SinusoidFamily):
         "a wave along {axis} in the direction of {direction} with a period of "
         "{period_mm:.3g} mm and an amplitude of {amplitude_um:.2g} µm"
     )
-    words = {
-        "en": Words(
-            title="Wave along an axis",
-            cause="A guide, chain or rolling element that repeats with travel.",
-            looks_like="The straightness of an axis waves with a steady period.",
-            remedy="Check guide and rolling elements; compensate straightness finely.",
-        ),
-        "de": Words(
-            title="Welle entlang einer Achse",
-            cause="Eine Führung, eine Kette oder ein Wälzkörper, der sich mit dem Weg "
-            "wiederholt.",
-            looks_like="Die Geradheit der Achse schwankt mit fester Periode.",
-            remedy="Führung und Wälzkörper prüfen; Geradheit fein kompensieren.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Wave along an axis
+        cause = A guide, chain or rolling element that repeats with travel.
+        looks_like = The straightness of an axis waves with a steady period.
+        remedy = Check guide and rolling elements; compensate straightness finely.
+        [de]
+        title = Welle entlang einer Achse
+        cause = Eine Führung, eine Kette oder ein Wälzkörper, der sich mit dem Weg
+            wiederholt.
+        looks_like = Die Geradheit der Achse schwankt mit fester Periode.
+        remedy = Führung und Wälzkörper prüfen; Geradheit fein kompensieren.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each axis and direction across it."""

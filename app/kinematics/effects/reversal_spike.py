@@ -15,7 +15,7 @@ from app.kinematics.effects.catalogue import (
     Candidate,
     Family,
     Scan,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION
@@ -57,26 +57,24 @@ class ReversalSpikeFamily(Family):
     makes = ReversalSpike
     keys = {"axis": AXIS, "direction": DIRECTION}
     stated = {"amplitude_um": 1e3}
-    words = {
-        "en": Words(
-            title="Spike at reversal",
-            cause="Friction holds an axis back for a moment when it reverses, or its "
-            "guide tilts before it settles.",
-            looks_like="A peak just after each reversal that fades within some "
-            "millimetres of travel; on circles, a spike at the change of quadrant.",
-            remedy="Tune the controller's friction (quadrant error) compensation; "
-            "check lubrication and the preload of guides and nut.",
-        ),
-        "de": Words(
-            title="Umkehrspitze",
-            cause="Reibung hält eine Achse beim Umkehren einen Augenblick fest, oder "
-            "ihre Führung kippt, bevor sie sich setzt.",
-            looks_like="Eine Spitze kurz nach jeder Umkehr, die nach einigen "
-            "Millimetern Weg abklingt; auf Kreisen eine Spitze am Quadrantenübergang.",
-            remedy="Die Reibungskompensation (Quadrantenfehler) der Steuerung "
-            "einstellen; Schmierung und Vorspannung von Führungen und Mutter prüfen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Spike at reversal
+        cause = Friction holds an axis back for a moment when it reverses, or its guide
+            tilts before it settles.
+        looks_like = A peak just after each reversal that fades within some millimetres
+            of travel; on circles, a spike at the change of quadrant.
+        remedy = Tune the controller's friction (quadrant error) compensation; check
+            lubrication and the preload of guides and nut.
+        [de]
+        title = Umkehrspitze
+        cause = Reibung hält eine Achse beim Umkehren einen Augenblick fest, oder ihre
+            Führung kippt, bevor sie sich setzt.
+        looks_like = Eine Spitze kurz nach jeder Umkehr, die nach einigen Millimetern
+            Weg abklingt; auf Kreisen eine Spitze am Quadrantenübergang.
+        remedy = Die Reibungskompensation (Quadrantenfehler) der Steuerung einstellen;
+            Schmierung und Vorspannung von Führungen und Mutter prüfen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each axis that reverses, and direction."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, Words
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, read_words
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS
 from app.kinematics.effects.sinusoid import (
@@ -57,25 +57,23 @@ class ScrewCyclicFamily(SinusoidFamily):
     numbers = ("lead_mm",)
     makes = ScrewCyclic
     keys = {"axis": AXIS}
-    words = {
-        "en": Words(
-            title="Cyclic error of screw or scale",
-            cause="A ball screw, its bearing or a scale that errs alike every turn.",
-            looks_like="A wave along one axis, the same at every feed, with the "
-            "period of the screw's lead or of the scale's pitch.",
-            remedy="Enter a cyclic compensation for the axis; look at the screw's "
-            "thrust bearing and coupling, or at the scale's head.",
-        ),
-        "de": Words(
-            title="Zyklischer Fehler von Spindel oder Maßstab",
-            cause="Eine Kugelgewindespindel, ihr Lager oder ein Maßstab, der bei "
-            "jeder Umdrehung gleich irrt.",
-            looks_like="Eine Welle entlang einer Achse, bei jedem Vorschub gleich, "
-            "mit der Steigung der Spindel oder der Teilung des Maßstabs als Periode.",
-            remedy="Für die Achse eine zyklische Kompensation eintragen; Axiallager "
-            "und Kupplung der Spindel oder den Abtastkopf des Maßstabs ansehen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Cyclic error of screw or scale
+        cause = A ball screw, its bearing or a scale that errs alike every turn.
+        looks_like = A wave along one axis, the same at every feed, with the period of
+            the screw's lead or of the scale's pitch.
+        remedy = Enter a cyclic compensation for the axis; look at the screw's thrust
+            bearing and coupling, or at the scale's head.
+        [de]
+        title = Zyklischer Fehler von Spindel oder Maßstab
+        cause = Eine Kugelgewindespindel, ihr Lager oder ein Maßstab, der bei jeder
+            Umdrehung gleich irrt.
+        looks_like = Eine Welle entlang einer Achse, bei jedem Vorschub gleich, mit der
+            Steigung der Spindel oder der Teilung des Maßstabs als Periode.
+        remedy = Für die Achse eine zyklische Kompensation eintragen; Axiallager und
+            Kupplung der Spindel oder den Abtastkopf des Maßstabs ansehen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis."""

@@ -10,11 +10,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import (
-    Candidate,
-    Family,
-    Words,
-)
+from app.kinematics.effects.catalogue import Candidate, Family, read_words
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS
 from app.kinematics.machine import LinearAxis
@@ -48,28 +44,25 @@ class ServoMismatchFamily(Family):
     makes = ServoMismatch
     keys = {"axis": AXIS}
     stated = {"lag_ms": 1e3}
-    words = {
-        "en": Words(
-            title="Servo mismatch",
-            cause="The position loops of the axes are not matched: one has another "
-            "gain or feed-forward.",
-            looks_like="Lines of several axes are displaced sideways in proportion to "
-            "that axis' speed, to the other side on the way back; nothing at "
-            "standstill.",
-            remedy="Match the servo gains (kv) and feed-forward of the axes; run a "
-            "circular test to confirm.",
-        ),
-        "de": Words(
-            title="Ungleiche Lageregler",
-            cause="Die Lageregler der Achsen sind nicht abgeglichen: Einer hat eine "
-            "andere Verstärkung oder Vorsteuerung.",
-            looks_like="Geraden mehrerer Achsen sind im Verhältnis zur "
-            "Geschwindigkeit dieser Achse zur Seite versetzt, auf dem Rückweg zur "
-            "anderen; im Stillstand nichts.",
-            remedy="Verstärkung (Kv) und Vorsteuerung der Achsen abgleichen; mit "
-            "einem Kreisformtest bestätigen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Servo mismatch
+        cause = The position loops of the axes are not matched: one has another gain or
+            feed-forward.
+        looks_like = Lines of several axes are displaced sideways in proportion to that
+            axis' speed, to the other side on the way back; nothing at standstill.
+        remedy = Match the servo gains (kv) and feed-forward of the axes; run a circular
+            test to confirm.
+        [de]
+        title = Ungleiche Lageregler
+        cause = Die Lageregler der Achsen sind nicht abgeglichen: Einer hat eine andere
+            Verstärkung oder Vorsteuerung.
+        looks_like = Geraden mehrerer Achsen sind im Verhältnis zur Geschwindigkeit
+            dieser Achse zur Seite versetzt, auf dem Rückweg zur anderen; im Stillstand
+            nichts.
+        remedy = Verstärkung (Kv) und Vorsteuerung der Achsen abgleichen; mit einem
+            Kreisformtest bestätigen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis; none where nothing is measured in motion."""

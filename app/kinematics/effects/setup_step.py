@@ -17,7 +17,7 @@ from app.kinematics.effects.catalogue import (
     Family,
     Quantity,
     Scan,
-    Words,
+    read_words,
 )
 
 _STEP_S = 2.0
@@ -48,23 +48,21 @@ class SetupStepFamily(Family):
     is_smooth = False
     happens_once = True
     value_name = "t_s"
-    words = {
-        "en": Words(
-            title="Step of the set-up",
-            cause="Tracker, its stand, the target's nest or the workpiece was knocked "
-            "or slipped.",
-            looks_like="From one moment on all lines are shifted by the same amount.",
-            remedy="Measure again; until then, use the data with the step taken out.",
-        ),
-        "de": Words(
-            title="Sprung des Aufbaus",
-            cause="Tracker, sein Stativ, die Aufnahme des Reflektors oder das "
-            "Werkstück wurde angestoßen oder ist verrutscht.",
-            looks_like="Von einem Zeitpunkt an sind alle Geraden um denselben Betrag "
-            "verschoben.",
-            remedy="Noch einmal messen; bis dahin die Daten ohne den Sprung verwenden.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Step of the set-up
+        cause = Tracker, its stand, the target's nest or the workpiece was knocked or
+            slipped.
+        looks_like = From one moment on all lines are shifted by the same amount.
+        remedy = Measure again; until then, use the data with the step taken out.
+        [de]
+        title = Sprung des Aufbaus
+        cause = Tracker, sein Stativ, die Aufnahme des Reflektors oder das Werkstück
+            wurde angestoßen oder ist verrutscht.
+        looks_like = Von einem Zeitpunkt an sind alle Geraden um denselben Betrag
+            verschoben.
+        remedy = Noch einmal messen; bis dahin die Daten ohne den Sprung verwenden.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the step in the middle of the run."""

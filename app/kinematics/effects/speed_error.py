@@ -16,7 +16,7 @@ from app.kinematics.effects.catalogue import (
     CandidateEstimate,
     Family,
     Quantity,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION
@@ -60,26 +60,24 @@ class SpeedErrorFamily(Family):
         "a displacement along {direction} that depends on how fast {axis} moves, "
         "whichever way: {amplitude_um:.2g} µm at {fastest_mm_s:.3g} mm/s"
     )
-    words = {
-        "en": Words(
-            title="Error that depends on speed",
-            cause="A slide that floats up on its oil, or a drive that pulls it aside, "
-            "the more the faster it goes.",
-            looks_like="Lines lie apart by the speed of an axis, alike on the way "
-            "there and back.",
-            remedy="Measure at the feed that parts are finished at; check way oil and "
-            "the preload of the guide.",
-        ),
-        "de": Words(
-            title="Fehler, der von der Geschwindigkeit abhängt",
-            cause="Ein Schlitten, der auf seinem Öl aufschwimmt, oder ein Antrieb, "
-            "der ihn zur Seite zieht, je schneller, desto mehr.",
-            looks_like="Die Geraden liegen je nach Geschwindigkeit einer Achse "
-            "auseinander, auf Hin- und Rückweg gleich.",
-            remedy="Mit dem Vorschub messen, mit dem Teile geschlichtet werden; "
-            "Bettbahnöl und Vorspannung der Führung prüfen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Error that depends on speed
+        cause = A slide that floats up on its oil, or a drive that pulls it aside, the
+            more the faster it goes.
+        looks_like = Lines lie apart by the speed of an axis, alike on the way there and
+            back.
+        remedy = Measure at the feed that parts are finished at; check way oil and the
+            preload of the guide.
+        [de]
+        title = Fehler, der von der Geschwindigkeit abhängt
+        cause = Ein Schlitten, der auf seinem Öl aufschwimmt, oder ein Antrieb, der ihn
+            zur Seite zieht, je schneller, desto mehr.
+        looks_like = Die Geraden liegen je nach Geschwindigkeit einer Achse auseinander,
+            auf Hin- und Rückweg gleich.
+        remedy = Mit dem Vorschub messen, mit dem Teile geschlichtet werden; Bettbahnöl
+            und Vorspannung der Führung prüfen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each axis and direction."""

@@ -14,7 +14,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue import Candidate, Family, Words
+from app.kinematics.effects.catalogue import Candidate, Family, read_words
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.effects.keys import SYMBOL
 
@@ -58,28 +58,25 @@ class SquarenessFamily(Family):
     makes = Squareness
     keys = {"symbol": SYMBOL}
     stated = {"value_urad": 1e6}
-    words = {
-        "en": Words(
-            title="Squareness",
-            cause="Two axes are not square to each other: as assembled, after a "
-            "crash, or because the machine was levelled anew.",
-            looks_like="Lines across the plane of the two axes lean in proportion to "
-            "the travel of one of them; face diagonals differ in length.",
-            remedy="Enter the angle as squareness compensation; check levelling and "
-            "the joint between the two axes.",
-        ),
-        "de": Words(
-            title="Rechtwinkligkeit",
-            cause="Zwei Achsen stehen nicht rechtwinklig zueinander: seit der "
-            "Montage, nach einem Aufprall oder weil die Maschine neu nivelliert "
-            "wurde.",
-            looks_like="Geraden quer durch die Ebene der beiden Achsen neigen sich im "
-            "Verhältnis zum Weg der einen; die Diagonalen der Ebene sind verschieden "
-            "lang.",
-            remedy="Den Winkel als Rechtwinkligkeitskompensation eintragen; "
-            "Nivellierung und Verbindung der beiden Achsen prüfen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Squareness
+        cause = Two axes are not square to each other: as assembled, after a crash, or
+            because the machine was levelled anew.
+        looks_like = Lines across the plane of the two axes lean in proportion to the
+            travel of one of them; face diagonals differ in length.
+        remedy = Enter the angle as squareness compensation; check levelling and the
+            joint between the two axes.
+        [de]
+        title = Rechtwinkligkeit
+        cause = Zwei Achsen stehen nicht rechtwinklig zueinander: seit der Montage, nach
+            einem Aufprall oder weil die Maschine neu nivelliert wurde.
+        looks_like = Geraden quer durch die Ebene der beiden Achsen neigen sich im
+            Verhältnis zum Weg der einen; die Diagonalen der Ebene sind verschieden
+            lang.
+        remedy = Den Winkel als Rechtwinkligkeitskompensation eintragen; Nivellierung
+            und Verbindung der beiden Achsen prüfen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a pair of axes."""

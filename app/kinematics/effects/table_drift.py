@@ -10,12 +10,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.catalogue import (
-    USUAL_MM,
-    Candidate,
-    Family,
-    Words,
-)
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Family, read_words
 
 
 @dataclass(frozen=True)
@@ -38,26 +33,23 @@ class TableDriftFamily(Family):
     name = "table-drift"
     role = Role.MEASUREMENT
     stated = {f"rate_um_per_s[{axis}]": 1e3 for axis in "xyz"}
-    words = {
-        "en": Words(
-            title="Drift of tracker or table",
-            cause="The tracker's stand, the table or its clamping creeps, or the "
-            "tracker had not warmed up.",
-            looks_like="All lines shift evenly with time, whatever axis moves.",
-            remedy="Let the tracker warm up and settle, clamp its base, close the "
-            "path by measuring the first lines again.",
-        ),
-        "de": Words(
-            title="Drift von Tracker oder Tisch",
-            cause="Das Stativ des Trackers, der Tisch oder seine Spannung kriecht, "
-            "oder der Tracker war nicht warmgelaufen.",
-            looks_like="Alle Geraden verschieben sich gleichmäßig mit der Zeit, "
-            "gleich welche Achse fährt.",
-            remedy="Den Tracker warmlaufen und sich setzen lassen, seinen Fuß "
-            "festspannen, die Bahn schließen und dazu die ersten Geraden noch einmal "
-            "messen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Drift of tracker or table
+        cause = The tracker's stand, the table or its clamping creeps, or the tracker
+            had not warmed up.
+        looks_like = All lines shift evenly with time, whatever axis moves.
+        remedy = Let the tracker warm up and settle, clamp its base, close the path by
+            measuring the first lines again.
+        [de]
+        title = Drift von Tracker oder Tisch
+        cause = Das Stativ des Trackers, der Tisch oder seine Spannung kriecht, oder der
+            Tracker war nicht warmgelaufen.
+        looks_like = Alle Geraden verschieben sich gleichmäßig mit der Zeit, gleich
+            welche Achse fährt.
+        remedy = Den Tracker warmlaufen und sich setzen lassen, seinen Fuß festspannen,
+            die Bahn schließen und dazu die ersten Geraden noch einmal messen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the drift."""

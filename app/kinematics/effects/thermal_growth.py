@@ -16,7 +16,7 @@ from app.kinematics.effects.catalogue import (
     Family,
     Quantity,
     Scan,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.error_motion import find_arm, reference_position_mm
 from app.kinematics.effects.keys import AXIS
@@ -86,27 +86,25 @@ class ThermalGrowthFamily(Family):
     value_name = "tau_s"
     makes = ThermalGrowth
     keys = {"axis": AXIS}
-    words = {
-        "en": Words(
-            title="Thermal growth",
-            cause="Scale or screw of an axis warms during the measurement: by its own "
-            "work, by coolant, by the hall.",
-            looks_like="The positioning of one axis stretches from line to line, most "
-            "at its far end, following its temperature.",
-            remedy="Warm the machine up before measuring; enter the coefficient in "
-            "the controller's temperature compensation; fit a scale sensor.",
-        ),
-        "de": Words(
-            title="Wärmedehnung",
-            cause="Maßstab oder Spindel einer Achse erwärmt sich während der Messung: "
-            "durch eigene Arbeit, Kühlmittel oder die Halle.",
-            looks_like="Die Positionierung einer Achse dehnt sich von Gerade zu "
-            "Gerade, am meisten am fernen Ende, und folgt ihrer Temperatur.",
-            remedy="Die Maschine vor dem Messen warmfahren; den Koeffizienten in die "
-            "Temperaturkompensation der Steuerung eintragen; einen Fühler am Maßstab "
-            "anbringen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Thermal growth
+        cause = Scale or screw of an axis warms during the measurement: by its own work,
+            by coolant, by the hall.
+        looks_like = The positioning of one axis stretches from line to line, most at
+            its far end, following its temperature.
+        remedy = Warm the machine up before measuring; enter the coefficient in the
+            controller's temperature compensation; fit a scale sensor.
+        [de]
+        title = Wärmedehnung
+        cause = Maßstab oder Spindel einer Achse erwärmt sich während der Messung: durch
+            eigene Arbeit, Kühlmittel oder die Halle.
+        looks_like = Die Positionierung einer Achse dehnt sich von Gerade zu Gerade, am
+            meisten am fernen Ende, und folgt ihrer Temperatur.
+        remedy = Die Maschine vor dem Messen warmfahren; den Koeffizienten in die
+            Temperaturkompensation der Steuerung eintragen; einen Fühler am Maßstab
+            anbringen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis."""

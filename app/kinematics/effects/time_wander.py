@@ -16,7 +16,7 @@ from app.kinematics.effects.catalogue import (
     CandidateEstimate,
     Family,
     Quantity,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.keys import DIRECTION
 from app.kinematics.symbols import LINEAR
@@ -49,25 +49,22 @@ class TimeWanderFamily(Family):
     keys = {"direction": DIRECTION}
     covariates = ("t",)
     sentence = "a slow wander along {direction} of {rms_um:.2g} µm (root mean square)"
-    words = {
-        "en": Words(
-            title="Slow wander in time",
-            cause="Mount, table or air that wanders: sun, draught, a hall that cools.",
-            looks_like="All points shift slowly to and fro with time, whatever axis "
-            "moves.",
-            remedy="Let all settle, shield it from draught and sun, measure faster; "
-            "repeat lines to see it.",
-        ),
-        "de": Words(
-            title="Langsames Wandern mit der Zeit",
-            cause="Halterung, Tisch oder Luft wandert: Sonne, Zugluft, eine "
-            "abkühlende Halle.",
-            looks_like="Alle Punkte verschieben sich mit der Zeit langsam hin und "
-            "her, gleich welche Achse fährt.",
-            remedy="Alles zur Ruhe kommen lassen, vor Zugluft und Sonne schützen, "
-            "schneller messen; Geraden wiederholen, um es zu sehen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Slow wander in time
+        cause = Mount, table or air that wanders: sun, draught, a hall that cools.
+        looks_like = All points shift slowly to and fro with time, whatever axis moves.
+        remedy = Let all settle, shield it from draught and sun, measure faster; repeat
+            lines to see it.
+        [de]
+        title = Langsames Wandern mit der Zeit
+        cause = Halterung, Tisch oder Luft wandert: Sonne, Zugluft, eine abkühlende
+            Halle.
+        looks_like = Alle Punkte verschieben sich mit der Zeit langsam hin und her,
+            gleich welche Achse fährt.
+        remedy = Alles zur Ruhe kommen lassen, vor Zugluft und Sonne schützen, schneller
+            messen; Geraden wiederholen, um es zu sehen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction; the slower a wave, the higher it usually is."""

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Role, columns_along
-from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, Words
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, read_words
 from app.kinematics.effects.keys import DIRECTION
 from app.kinematics.effects.sinusoid import Sinusoid, SinusoidFamily, sine_and_cosine
 from app.kinematics.symbols import LINEAR
@@ -95,25 +95,23 @@ class TimeWaveFamily(SinusoidFamily):
         "a wave in time along {direction} with a period of {period_s:.3g} s and an "
         "amplitude of {amplitude_um:.2g} µm"
     )
-    words = {
-        "en": Words(
-            title="Wave in time",
-            cause="Something switches or breathes with a steady period: coolant, air "
-            "conditioning, a pump's pressure.",
-            looks_like="All points move to and fro with time, whatever axis moves.",
-            remedy="Find what runs with this period; measure with it off, or average "
-            "over whole periods.",
-        ),
-        "de": Words(
-            title="Welle in der Zeit",
-            cause="Etwas schaltet oder atmet mit fester Periode: Kühlmittel, "
-            "Klimaanlage, der Druck einer Pumpe.",
-            looks_like="Alle Punkte bewegen sich mit der Zeit hin und her, gleich "
-            "welche Achse fährt.",
-            remedy="Suchen, was mit dieser Periode läuft; ohne es messen oder über "
-            "ganze Perioden mitteln.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Wave in time
+        cause = Something switches or breathes with a steady period: coolant, air
+            conditioning, a pump's pressure.
+        looks_like = All points move to and fro with time, whatever axis moves.
+        remedy = Find what runs with this period; measure with it off, or average over
+            whole periods.
+        [de]
+        title = Welle in der Zeit
+        cause = Etwas schaltet oder atmet mit fester Periode: Kühlmittel, Klimaanlage,
+            der Druck einer Pumpe.
+        looks_like = Alle Punkte bewegen sich mit der Zeit hin und her, gleich welche
+            Achse fährt.
+        remedy = Suchen, was mit dieser Periode läuft; ohne es messen oder über ganze
+            Perioden mitteln.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""
@@ -136,25 +134,22 @@ class VibrationFamily(SinusoidFamily):
     value_name = "frequency_hz"
     scans_periods = False
     keys = {"direction": DIRECTION}
-    words = {
-        "en": Words(
-            title="Vibration",
-            cause="A pump, a fan, a drive or the floor shakes table, spindle or "
-            "tracker.",
-            looks_like="A wave in time of one frequency, the same whatever axis moves.",
-            remedy="Find what turns at this frequency and stop or isolate it; check "
-            "the tracker's stand.",
-        ),
-        "de": Words(
-            title="Schwingung",
-            cause="Eine Pumpe, ein Lüfter, ein Antrieb oder der Boden rüttelt an "
-            "Tisch, Spindel oder Tracker.",
-            looks_like="Eine Welle in der Zeit mit einer einzigen Frequenz, gleich "
-            "welche Achse fährt.",
-            remedy="Suchen, was sich mit dieser Frequenz dreht, und es anhalten oder "
-            "entkoppeln; das Stativ des Trackers prüfen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Vibration
+        cause = A pump, a fan, a drive or the floor shakes table, spindle or tracker.
+        looks_like = A wave in time of one frequency, the same whatever axis moves.
+        remedy = Find what turns at this frequency and stop or isolate it; check the
+            tracker's stand.
+        [de]
+        title = Schwingung
+        cause = Eine Pumpe, ein Lüfter, ein Antrieb oder der Boden rüttelt an Tisch,
+            Spindel oder Tracker.
+        looks_like = Eine Welle in der Zeit mit einer einzigen Frequenz, gleich welche
+            Achse fährt.
+        remedy = Suchen, was sich mit dieser Frequenz dreht, und es anhalten oder
+            entkoppeln; das Stativ des Trackers prüfen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""

@@ -15,7 +15,7 @@ from app.kinematics.effects.catalogue import (
     CandidateEstimate,
     Family,
     Quantity,
-    Words,
+    read_words,
 )
 from app.kinematics.effects.keys import choose_from
 from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
@@ -55,26 +55,24 @@ class TrackerEccentricityFamily(Family):
     name = "tracker-eccentricity"
     role = Role.MEASUREMENT
     keys = {"circle": choose_from("({})", CIRCLES)}
-    words = {
-        "en": Words(
-            title="Eccentric circle of the tracker",
-            cause="The encoder circle of the tracker sits off its axis, or was shaken.",
-            looks_like="Points are turned about the tracker by an angle that follows "
-            "a sine of the direction looked in, whatever axis moves.",
-            remedy="Run the tracker's own compensation (two-face and circle tests); "
-            "measure from a second place to separate it from the machine.",
-        ),
-        "de": Words(
-            title="Exzentrischer Teilkreis des Trackers",
-            cause="Der Teilkreis des Trackers sitzt neben seiner Achse oder hat einen "
-            "Stoß bekommen.",
-            looks_like="Die Punkte sind um den Tracker um einen Winkel gedreht, der "
-            "einem Sinus der Blickrichtung folgt, gleich welche Achse fährt.",
-            remedy="Die eigene Kompensation des Trackers durchführen (Zweilagen- und "
-            "Kreistest); von einem zweiten Standort messen, um es von der Maschine zu "
-            "trennen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Eccentric circle of the tracker
+        cause = The encoder circle of the tracker sits off its axis, or was shaken.
+        looks_like = Points are turned about the tracker by an angle that follows a sine
+            of the direction looked in, whatever axis moves.
+        remedy = Run the tracker's own compensation (two-face and circle tests); measure
+            from a second place to separate it from the machine.
+        [de]
+        title = Exzentrischer Teilkreis des Trackers
+        cause = Der Teilkreis des Trackers sitzt neben seiner Achse oder hat einen Stoß
+            bekommen.
+        looks_like = Die Punkte sind um den Tracker um einen Winkel gedreht, der einem
+            Sinus der Blickrichtung folgt, gleich welche Achse fährt.
+        remedy = Die eigene Kompensation des Trackers durchführen (Zweilagen- und
+            Kreistest); von einem zweiten Standort messen, um es von der Maschine zu
+            trennen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a circle."""

@@ -10,12 +10,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Role
-from app.kinematics.effects.catalogue import (
-    USUAL_MM,
-    Candidate,
-    Family,
-    Words,
-)
+from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Family, read_words
 
 
 @dataclass(frozen=True)
@@ -41,26 +36,24 @@ class TrackerRangeOffsetFamily(Family):
     name = "tracker-range-offset"
     role = Role.MEASUREMENT
     stated = {"offset_um": 1e3}
-    words = {
-        "en": Words(
-            title="Range offset of the tracker",
-            cause="The tracker's home distance, or the constant of the reflector in "
-            "use, is wrong.",
-            looks_like="All points lie too far from the tracker by the same amount: "
-            "the volume looks bent about it.",
-            remedy="Set the home distance again with the reflector in its nest; "
-            "choose the right reflector in the tracker's software.",
-        ),
-        "de": Words(
-            title="Distanzversatz des Trackers",
-            cause="Die Nulldistanz des Trackers oder die Konstante des verwendeten "
-            "Reflektors ist falsch.",
-            looks_like="Alle Punkte liegen um denselben Betrag zu weit vom Tracker: "
-            "Der Raum wirkt um ihn gebogen.",
-            remedy="Die Nulldistanz mit dem Reflektor in seiner Aufnahme neu setzen; "
-            "in der Software des Trackers den richtigen Reflektor wählen.",
-        ),
-    }
+    words = read_words("""
+        [en]
+        title = Range offset of the tracker
+        cause = The tracker's home distance, or the constant of the reflector in use, is
+            wrong.
+        looks_like = All points lie too far from the tracker by the same amount: the
+            volume looks bent about it.
+        remedy = Set the home distance again with the reflector in its nest; choose the
+            right reflector in the tracker's software.
+        [de]
+        title = Distanzversatz des Trackers
+        cause = Die Nulldistanz des Trackers oder die Konstante des verwendeten
+            Reflektors ist falsch.
+        looks_like = Alle Punkte liegen um denselben Betrag zu weit vom Tracker: Der
+            Raum wirkt um ihn gebogen.
+        remedy = Die Nulldistanz mit dem Reflektor in seiner Aufnahme neu setzen; in der
+            Software des Trackers den richtigen Reflektor wählen.
+        """)
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the offset."""
