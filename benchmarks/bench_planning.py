@@ -32,20 +32,19 @@ from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import Drive, drive_of
-from app.motion.paths import line_times_s
+from app.motion.motion_times import Drive, Legs, row_times_s
 from app.motion.workspace import Workspace
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
 from app.numerics.splines import natural_spline
 from app.planning.design_state import DesignState, inverse
 from app.planning.initial_design import choose_station, start_point_design
-from app.planning.leg_choice import LegChoice, SearchRegion
+from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from app.planning.next_configuration import (
     next_configuration,
     point_rows,
     search_space,
 )
-from app.planning.plan import PlanRequest, make_plan
+from app.planning.plan import PlanOrder, make_plan
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic
 from simulators.scenario import load_machine
@@ -85,13 +84,13 @@ def lines(seed: int) -> dict[str, Measured]:
     """Drive the corner path and plans of its time and of half of it."""
     machine = machine_of(seed)
     corners = corner_path(machine, FEED, DWELL_S)
-    took_min = float(line_times_s(corners).sum()) / 60.0
+    took_min = float(row_times_s(corners).sum()) / 60.0
     found = {"corners": driven(seed, corners, perpendicular_only=True)}
     for name, minutes, across in (
         ("same time", took_min, True),
         ("half the time", took_min / 2.0, False),
     ):
-        request = PlanRequest(
+        request = PlanOrder(
             minutes=minutes, feeds_mm_min=(FEED,), perpendicular_only=across
         )
         plan = make_plan(machine, request).commanded
@@ -111,15 +110,15 @@ def points_needed(seed: int, *, volumetric: bool) -> int:
     if not volumetric:
         design = replace(design, gram=gram_of_motions(design))
     # As good as no time to move: points count, not seconds.
-    drive = drive_of(machine, acceleration_mm_s2=1e7, dwell_s=1.0)
+    drive = replace(Drive.of(machine.axis_names, 1.0), acceleration_mm_s2=1e7)
     rng = np.random.default_rng(seed)
     low, high = np.array([[axis.low, axis.high] for axis in machine.axes]).T
     goal = np.median(
         [left(design, rng.uniform(low, high, (RANDOM + 1, 3)), drive) for _ in "abcde"]
     )
-    region = SearchRegion(low, high, lambda begin, end: (begin != end).any(axis=1))
-    choice = LegChoice(design, drive, region, (6e6,), rng)
-    stops = choice.stops(low, RANDOM * 1.01, rounds=0)
+    region = SearchRegion(low, high, lambda legs: (legs.step != 0.0).any(axis=1))
+    choice = LegChoice(design, drive, region, (6e6,), rng, SearchEffort(rounds=0))
+    stops = choice.stops(low, RANDOM * 1.01)
     counts = range(1, len(stops))
     return next(
         n for n in counts if left(design, stops.position[: n + 1], drive) <= goal
@@ -144,8 +143,10 @@ def gram_of_motions(design: DesignState) -> np.ndarray:
 
 def left(design: DesignState, position: np.ndarray, drive: Drive) -> float:
     """Return J after standstills at all positions but the first."""
-    told = design.information(position, np.full(len(position), FEED), drive)
-    return float(np.sum(inverse(design.precision + told) * design.gram))
+    told = design.information(
+        Legs.between(position, np.full(len(position), FEED)), drive
+    )
+    return design.add(told).integrated_variance
 
 
 def one_axis(seed: int) -> tuple[float, float, float]:
@@ -179,7 +180,7 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
         inverse(usual_precision_matrix(model)), compute_volumetric_gram(model)
     )
     axes, rows = search_space(model), point_rows(model)
-    for row in rows(axes.draws(10, seed=1)):
+    for row in rows(axes.draw(10, seed=1)):
         known = known.update(row, VARIANCE)
     ours_s, best = timed(lambda: next_configuration(known, rows, axes, VARIANCE), 3)
     ticks = [np.linspace(axis.low, axis.high, grid) for axis in machine.axes]
@@ -196,7 +197,7 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
 def ten_minutes(seed: int) -> float:
     """Return the seconds that a 10-minute path takes to plan."""
     machine = machine_of(seed)
-    seconds, _ = timed(lambda: make_plan(machine, PlanRequest(minutes=10.0)), 1)
+    seconds, _ = timed(lambda: make_plan(machine, PlanOrder(minutes=10.0)), 1)
     return seconds
 
 

@@ -30,7 +30,8 @@ from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig, MeasurementOrder
 from app.measurement.run_reading import open_run
 from app.motion.configurations import Commanded
-from app.motion.paths import check_travel, travel_time_s
+from app.motion.motion_times import travel_time_s
+from app.motion.travel import check_travel
 from app.planning.default_path import default_path
 from app.plugins import load
 from app.reporting.analysis_files import render_analysis, write_analysis

@@ -113,12 +113,12 @@ def plan(
     from app.estimation.prior_model import read_prior_model
     from app.files.machine_file import read_machine
     from app.files.workspace_file import read_workspace
-    from app.motion.paths import DEFAULT_FEED_MM_MIN
+    from app.motion.motion_times import DEFAULT_FEED_MM_MIN
     from app.motion.workspace import Workspace
-    from app.planning.plan import PlanRequest, make_plan
+    from app.planning.plan import PlanOrder, make_plan
     from app.reporting.plan_files import write_plan
 
-    request = PlanRequest(
+    request = PlanOrder(
         mode,
         minutes,
         target_um,

@@ -25,9 +25,8 @@ from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import USUAL_MM
-from app.motion.paths import DEFAULT_FEED_MM_MIN
-from app.planning.discrimination import POSE, Question
-from app.planning.discrimination_lines import DiscriminationDesign, LineChoice
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from app.planning.discrimination import POSE, DiscriminationDesign, LineChoice, Question
 from drivers.interfaces.records import Path
 
 _THIN = LEAST_EVIDENCE + 3.0

@@ -20,7 +20,7 @@ from drivers.interfaces.records import Path, TrackerSamples
 if TYPE_CHECKING:
     from app.estimation.live import LiveEstimator
     from app.planning.adaptive_plan import AdaptivePlanner, Part
-    from app.planning.plan import PlanRequest
+    from app.planning.plan import PlanOrder
 
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""
@@ -120,7 +120,7 @@ class _Supply:
     """What is commanded, and its further parts; `total` lines or points so far."""
 
     def __init__(
-        self, order: LiveOrder, request: PlanRequest, live: LiveEstimator
+        self, order: LiveOrder, request: PlanOrder, live: LiveEstimator
     ) -> None:
         self._order, self._request, self._live = order, request, live
         self._choice: AdaptivePlanner | None = None

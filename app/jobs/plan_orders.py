@@ -32,14 +32,15 @@ from app.jobs.plans import (
 )
 from app.kinematics.machine import Machine
 from app.measurement.progress import schedule_rows
-from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
-from app.motion.turning_points import moves_where_seen
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from app.motion.travel import check_travel
+from app.motion.workspace import moves_where_seen
 from app.progress import Progress
 from app.results.model_history import DISCOVERY, find_model_file
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.planning.plan import PlanRequest
+    from app.planning.plan import PlanOrder
 
 _PLAIN = ("mode", "minutes", "target_um", "dwell_s")
 _PLAIN += ("perpendicular_only", "corner_path", "seed")
@@ -84,16 +85,16 @@ def plan_measurement(
     }
 
 
-def plan_request(order: Json) -> PlanRequest:
+def plan_request(order: Json) -> PlanOrder:
     """Return the request that an order states."""
     from app.estimation.prior_model import read_prior_model
-    from app.planning.plan import PlanRequest
+    from app.planning.plan import PlanOrder
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):
         given["feeds_mm_min"] = tuple(order["feeds_mm_min"])
     file, model_id = order.get("model_file"), order.get("model_id") or ""
-    return PlanRequest(
+    return PlanOrder(
         **given,
         model=None if file is None else read_prior_model(file, model_id),
         workspace=workspace_from_json(order.get("workspace") or {}),

@@ -13,7 +13,8 @@ from app.files.commanded_file import name_columns
 from app.jobs.job import JobKind
 from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded, Configurations
-from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from app.motion.travel import check_travel
 from drivers.interfaces.records import Path
 
 MAX_ROWS = 4096

@@ -14,7 +14,7 @@ from app.jobs.plan_orders import (
     refuse_several_targets,
 )
 from app.jobs.plans import Row, plan_json, plan_motion
-from app.motion.paths import default_points
+from app.motion.default_points import default_points
 from app.numerics.adaptive_trials import TrialPlan
 from app.results.model_history import find_model_file
 

@@ -34,7 +34,7 @@ from app.jobs.plans import commanded_from_plan, plan_json
 from app.jobs.transitions import State, Verb
 from app.measurement.messages import MeasurementOrder
 from app.motion.configurations import Commanded
-from app.motion.paths import check_travel
+from app.motion.travel import check_travel
 from app.results.model_history import find_model_file
 from drivers.interfaces.errors import DeviceError
 

@@ -28,7 +28,7 @@ from app.measurement.messages import (
     StateChanged,
 )
 from app.motion.configurations import Commanded
-from app.motion.paths import check_travel
+from app.motion.travel import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.records import Identity
 

@@ -25,7 +25,7 @@ from app.measurement.recorder import Recorder
 from app.measurement.run_file import ClosedRun, RunHeader
 from app.measurement.timing import EngineSettings
 from app.motion.configurations import Commanded
-from app.motion.paths import check_travel
+from app.motion.travel import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import Identity, MotionState

@@ -20,7 +20,7 @@ from app.measurement.measurement_state import HoldReason
 from app.measurement.messages import MeasurementOrder, PartRequested
 from app.measurement.progress import schedule_rows
 from app.motion.configurations import Commanded, Configurations, append_part
-from app.motion.paths import check_travel
+from app.motion.travel import check_travel
 from drivers.interfaces.errors import ConnectionLost, DeviceTimeout
 from drivers.interfaces.records import MotionState, MotionStatus, Path
 

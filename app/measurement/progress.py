@@ -15,7 +15,7 @@ from app.measurement.messages import (
     ReportEvent,
 )
 from app.motion.configurations import Configurations
-from app.motion.paths import line_times_s
+from app.motion.motion_times import row_times_s
 from drivers.interfaces.records import Path, TrackerSamples
 
 _TRUST_S = 3.0  # before it the pace so far says little
@@ -58,13 +58,8 @@ class RowSchedule:
 
 def schedule_rows(commanded: Path | Configurations, feed_mm_min: float) -> RowSchedule:
     """Return the schedule of a path, or of points stepped through at a feed."""
-    if isinstance(commanded, Path):
-        return RowSchedule("lines", line_times_s(commanded))
-    n = len(commanded)
-    path = Path(
-        commanded.axes, commanded.position, np.full(n, feed_mm_min), commanded.dwell_s
-    )
-    return RowSchedule("points", line_times_s(path))
+    unit = "lines" if isinstance(commanded, Path) else "points"
+    return RowSchedule(unit, row_times_s(commanded, feed_mm_min))
 
 
 class ProgressEstimator:

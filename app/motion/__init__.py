@@ -8,14 +8,13 @@ driven from rest to rest with constant acceleration a up to the feed v, which ta
 l / v + v / a for a length l ≥ v² / a, else 2 √(l / a). The length is that of the linear
 axes; where none moves it is in deg, and so is the feed.
 
-    configurations     standstill points; what is commanded
+    configurations     standstill points; what is commanded, row by row
     travel             inside the axes' ends, with a margin
     workspace          keep-out boxes by slabs; range and sight of the tracker over the
                        triangle that the beam sweeps (Akenine-Möller 2001)
-    motion_times       how long motions take, which part of a line has constant feed
-    short_order        stops in an order of short moves (2-opt: Croes 1958)
-    paths              points without a plan, travel times and the travel check
-    turning_points     the same where there are rotary axes
+    motion_times       how long motions take, which part of a line has constant feed;
+                       stops in an order of short moves (2-opt: Croes 1958)
+    default_points     points without a plan
     corner_path        the path of sanders-2023, to compare with
     nc_programs        a plan as a control's program, and back
 

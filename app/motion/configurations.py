@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -33,6 +34,33 @@ Commanded = Path | Configurations
 _SAME = 1e-6  # mm or deg
 
 
+def select_rows(commanded: Commanded, rows: slice) -> Commanded:
+    """Return some rows of a path or of points."""
+    chosen = replace(
+        commanded,
+        position=commanded.position[rows],
+        dwell_s=commanded.dwell_s[rows],
+        target=commanded.target[rows],
+    )
+    if isinstance(chosen, Path):
+        return replace(chosen, feed_mm_min=chosen.feed_mm_min[rows])
+    return chosen
+
+
+def join_rows(blocks: Sequence[Commanded]) -> Commanded:
+    """Return paths, or points, one after another. They have the same axes."""
+    joined = replace(
+        blocks[0],
+        position=np.concatenate([block.position for block in blocks]),
+        dwell_s=np.concatenate([block.dwell_s for block in blocks]),
+        target=tuple(name for block in blocks for name in block.target),
+    )
+    if isinstance(joined, Path):
+        feeds = [block.feed_mm_min for block in blocks if isinstance(block, Path)]
+        return replace(joined, feed_mm_min=np.concatenate(feeds))
+    return joined
+
+
 def append_part(before: Commanded, part: Commanded) -> Commanded:
     """Return all rows: those before, then those that the part adds.
 
@@ -46,16 +74,5 @@ def append_part(before: Commanded, part: Commanded) -> Commanded:
                 "the first row of a part is where the machine stands: "
                 f"{before.position[-1].tolist()}, not {part.position[0].tolist()}"
             )
-        return Path(
-            before.axes,
-            np.vstack([before.position, part.position[1:]]),
-            np.concatenate([before.feed_mm_min, part.feed_mm_min[1:]]),
-            np.concatenate([before.dwell_s, part.dwell_s[1:]]),
-            before.target + part.target[1:],
-        )
-    return Configurations(
-        before.axes,
-        np.vstack([before.position, part.position]),
-        np.concatenate([before.dwell_s, part.dwell_s]),
-        before.target + part.target,
-    )
+        part = select_rows(part, slice(1, None))
+    return join_rows([before, part])

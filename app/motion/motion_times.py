@@ -1,16 +1,47 @@
-"""How long motions take, and which part of a line is driven at constant feed."""
+"""How long motions take, which part of a line has constant feed, a short order."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
-from app.kinematics.machine import LinearAxis, Machine
+from app.motion.configurations import Commanded
+from drivers.interfaces.records import Path
 
+DEFAULT_FEED_MM_MIN = 6000.0
+ACCELERATION_MM_S2 = 1000.0  # of a usual machine; times are predicted with it
 # What alignment leaves out at either end beside ramp and settling.
 _SETTLE_S = 0.02
+_LEAST_S = 1e-9  # a gain beyond rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Legs:
+    """Motions from stop to stop, straight in axis positions, mm and deg."""
+
+    begin: Float64[np.ndarray, "n a"]
+    end: Float64[np.ndarray, "n a"]
+    feed_mm_min: Float64[np.ndarray, " n"]
+
+    @classmethod
+    def between(
+        cls,
+        position: Float64[np.ndarray, "s a"],
+        feed_mm_min: Float64[np.ndarray, " s"],
+    ) -> Legs:
+        """Return the legs of stops in their order; the first feed is unused."""
+        return cls(position[:-1], position[1:], feed_mm_min[1:])
+
+    def __len__(self) -> int:
+        return len(self.begin)
+
+    @property
+    def step(self) -> Float64[np.ndarray, "n a"]:
+        """Way of each axis."""
+        return self.end - self.begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,61 +54,51 @@ class Drive:
     """
 
     linear: tuple[bool, ...]
-    acceleration_mm_s2: float
     dwell_s: float
+    acceleration_mm_s2: float = ACCELERATION_MM_S2
     least_mm: float = 0.0
     fastest_deg_min: float = np.inf
 
-    def length(
-        self, begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
-    ) -> Float64[np.ndarray, " n"]:
-        """Return the length of lines, mm; deg where rotary axes turn alone."""
-        step = end - begin
+    @classmethod
+    def of(cls, axes: Sequence[str], dwell_s: float) -> Drive:
+        """Return the drive of axes by their names."""
+        return cls(tuple(name in "XYZ" for name in axes), dwell_s)
+
+    def length(self, legs: Legs) -> Float64[np.ndarray, " n"]:
+        """Return the length of legs, mm; deg where rotary axes turn alone."""
         straight = np.asarray(self.linear)
-        linear = np.asarray(np.linalg.norm(step[:, straight], axis=1), np.float64)
-        turn = np.asarray(np.linalg.norm(step[:, ~straight], axis=1), np.float64)
+        linear = np.asarray(np.linalg.norm(legs.step[:, straight], axis=1), np.float64)
+        turn = np.asarray(np.linalg.norm(legs.step[:, ~straight], axis=1), np.float64)
         return np.where(linear > 0.0, linear, turn)
 
-    def driven_feed(
-        self,
-        begin: Float64[np.ndarray, "n a"],
-        end: Float64[np.ndarray, "n a"],
-        feed_mm_min: Float64[np.ndarray, " n"],
-    ) -> Float64[np.ndarray, " n"]:
+    def driven_feed(self, legs: Legs) -> Float64[np.ndarray, " n"]:
         """Return the feeds, lowered where a rotary axis would turn too fast."""
-        turn = np.abs(end - begin)[:, ~np.asarray(self.linear)].max(axis=1, initial=0.0)
+        turn = np.abs(legs.step)[:, ~np.asarray(self.linear)].max(axis=1, initial=0.0)
         least_min = np.maximum(turn / self.fastest_deg_min, 1e-12)
-        return np.minimum(feed_mm_min, self.length(begin, end) / least_min)
+        return np.minimum(legs.feed_mm_min, self.length(legs) / least_min)
 
-    def times_s(
-        self,
-        begin: Float64[np.ndarray, "n a"],
-        end: Float64[np.ndarray, "n a"],
-        feed_mm_min: Float64[np.ndarray, " n"],
-    ) -> Float64[np.ndarray, " n"]:
-        """Return the time of each line, exact stops and the dwell included."""
-        length, feed = (
-            self.length(begin, end),
-            self.driven_feed(begin, end, feed_mm_min),
-        )
-        return (
-            moving_s(length, np.maximum(feed, 1e-9), self.acceleration_mm_s2)
-            + self.dwell_s
-        )
+    def times_s(self, legs: Legs) -> Float64[np.ndarray, " n"]:
+        """Return the time of each leg from rest to rest, and the dwell.
+
+        One that is too short never reaches its feed.
+        """
+        length = self.length(legs)
+        speed = np.maximum(self.driven_feed(legs), 1e-9) / 60.0
+        ramp_s = speed / self.acceleration_mm_s2
+        short_s = 2.0 * np.sqrt(length / self.acceleration_mm_s2)
+        moving_s = np.where(length >= speed * ramp_s, length / speed + ramp_s, short_s)
+        return moving_s + self.dwell_s
 
     def steady(
-        self,
-        begin: Float64[np.ndarray, "n a"],
-        end: Float64[np.ndarray, "n a"],
-        feed_mm_min: Float64[np.ndarray, " n"],
+        self, legs: Legs
     ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
         """Return the share of each line lost at either end, and the time of the rest.
 
         Lost is the ramp and what alignment leaves out beside it; all of a line that is
         too short.
         """
-        length = np.maximum(self.length(begin, end), 1e-9)
-        speed = np.maximum(self.driven_feed(begin, end, feed_mm_min) / 60.0, 1e-9)
+        length = np.maximum(self.length(legs), 1e-9)
+        speed = np.maximum(self.driven_feed(legs) / 60.0, 1e-9)
         ramp_s = speed / self.acceleration_mm_s2
         # The ramp takes half its time at full speed; half of it again settles.
         lost = np.minimum(speed * (ramp_s + _SETTLE_S) / length, 0.5)
@@ -90,25 +111,58 @@ class Drive:
         return max(steady_mm, self.least_mm)
 
 
-def moving_s(
-    length: Float64[np.ndarray, " n"],
-    feed_mm_min: Float64[np.ndarray, " n"],
-    acceleration_mm_s2: float,
+def row_times_s(
+    commanded: Commanded, feed_mm_min: float = DEFAULT_FEED_MM_MIN
 ) -> Float64[np.ndarray, " n"]:
-    """Return the time of moves from rest to rest; too short ones never reach the feed.
+    """Return the time of each row: the line towards it, exact stops, and its dwell.
 
-    Lengths in mm, or in deg with the feed in deg/min.
+    The first row counts its dwell alone. The feed is that of the linear axes; where
+    none moves it is that of the rotary axes, in deg/min (formats.md), with the same
+    figure for their acceleration in deg/s².
+
+    feed_mm_min : between points; a path states its own
     """
-    speed = feed_mm_min / 60.0
-    ramp = speed / acceleration_mm_s2
-    return np.where(
-        length >= speed * ramp,
-        length / speed + ramp,
-        2.0 * np.sqrt(length / acceleration_mm_s2),
-    )
+    feed = np.full(len(commanded), feed_mm_min)
+    if isinstance(commanded, Path):
+        feed = commanded.feed_mm_min
+    legs = Legs.between(commanded.position, feed)
+    moving_s = Drive.of(commanded.axes, 0.0).times_s(legs)
+    return np.concatenate([[0.0], moving_s]) + commanded.dwell_s
 
 
-def drive_of(machine: Machine, *, acceleration_mm_s2: float, dwell_s: float) -> Drive:
-    """Return the drive of a machine's axes."""
-    linear = tuple(isinstance(axis, LinearAxis) for axis in machine.axes)
-    return Drive(linear, acceleration_mm_s2, dwell_s)
+def travel_time_s(path: Path) -> float:
+    """Return how long the path takes from its first row, dwells included."""
+    return float(row_times_s(path).sum())
+
+
+def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:
+    """Return the stops in an order from which turning any stretch round gains nothing.
+
+    The first one stays. The order as it is must be allowed. Croes (1958), the end
+    being free.
+
+    time_s : of the move between any two, symmetric; infinite where it is not allowed
+    """
+    order = np.arange(len(time_s))
+    while True:
+        gain, first, last = _find_best_reversal(time_s, order)
+        if gain < _LEAST_S:
+            return order
+        order[first : last + 1] = order[first : last + 1][::-1].copy()
+
+
+def _find_best_reversal(
+    time_s: Float64[np.ndarray, "n n"], order: Int64[np.ndarray, " n"]
+) -> tuple[float, int, int]:
+    """Return what turning the stretch first … last round gains, the best of all."""
+    between = time_s[np.ix_(order, order)]
+    n = len(order)
+    if n < 3:
+        return 0.0, 0, 0
+    step = np.append(np.diagonal(between, 1), 0.0)  # nothing follows the last stop
+    after = np.hstack([between[:, 1:], np.zeros((n, 1))])
+    # Before: i−1 → i … j → j+1; turned round: i−1 → j … i → j+1.
+    gain = step[:-1, None] + step[None, 1:] - between[:-1, 1:] - after[1:, 1:]
+    gain = np.triu(np.where(np.isfinite(gain), gain, -np.inf), 1)
+    i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    return float(gain[i, j]), int(i) + 1, int(j) + 1

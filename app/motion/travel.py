@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path
+from app.errors import OutOfTravel
+from app.kinematics.machine import Machine, RotaryAxis, position_unit
+from app.motion.configurations import Commanded
 
 # Rows are written with three or four decimals: a limit may be overrun by the rounding.
 ROUNDING = 1e-3
@@ -45,7 +45,7 @@ class Breach:
         )
 
 
-def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach | None:
+def first_breach(machine: Machine, commanded: Commanded) -> Breach | None:
     """Return the first row beyond the travel, or None. Every axis must be known."""
     axes = {axis.name: axis for axis in machine.axes}
     limits = [(axes[name].low, axes[name].high) for name in commanded.axes]
@@ -57,9 +57,8 @@ def first_breach(machine: Machine, commanded: Path | Configurations) -> Breach |
         return None
     row, column = (int(i) for i in np.argwhere(outside)[0])
     name = commanded.axes[column]
-    unit = "mm" if isinstance(axes[name], LinearAxis) else "deg"
     value = float(commanded.position[row, column])
-    return Breach(row, name, unit, value, *limits[column])
+    return Breach(row, name, position_unit(axes[name]), value, *limits[column])
 
 
 def inner_travel(
@@ -77,3 +76,28 @@ def inner_travel(
     margin = np.minimum(_MARGIN, _MARGIN_SHARE * (high - low))
     margin = np.where(is_round, 0.0, margin)
     return np.round(low + margin, DECIMALS), np.round(high - margin, DECIMALS)
+
+
+def check_travel(machine: Machine, commanded: Commanded) -> None:
+    """Raise OutOfTravel if a row lies beyond the travel or moves an unknown axis.
+
+    Rows are counted from 1. To be called before a plan reaches the machine.
+    """
+    for name in commanded.axes:
+        if name not in machine.axis_names:
+            raise OutOfTravel(
+                f"the plan moves axis {name}, which {machine.name} does not have; "
+                f"its axes are {', '.join(machine.axis_names)}"
+            )
+    if not np.isfinite(commanded.position).all():
+        row, column = np.argwhere(~np.isfinite(commanded.position))[0]
+        raise OutOfTravel(
+            f"row {row + 1}: {commanded.axes[column]} is not a finite number; "
+            "correct the row"
+        )
+    breach = first_breach(machine, commanded)
+    if breach is not None:
+        raise OutOfTravel(
+            f"row {breach.index + 1}: {breach}; "
+            "shorten the plan or correct the travel in the machine file"
+        )

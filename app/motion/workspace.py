@@ -15,9 +15,8 @@ from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
 from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from drivers.interfaces.records import Path
+from app.kinematics.machine import Machine, Target
+from app.motion.configurations import Commanded
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,7 @@ class Workspace:
             ok &= ~_triangle_touches(np.tile(tracker, (len(a), 1)), a, b, box)
         return ok
 
-    def refuse(self, machine: Machine, commanded: Path | Configurations) -> None:
+    def refuse(self, machine: Machine, commanded: Commanded) -> None:
         """Raise PlanningError if a motion of the plan breaks it; names row and reason.
 
         Rows are counted from 1; a single row is a place to stand at.
@@ -107,6 +106,28 @@ class Workspace:
             if _triangle_touches(tracker[None], p, q, box)[0]:
                 return f"goes behind {_name_box(box)}, out of the tracker's sight"
         return "is allowed"
+
+
+def moves_where_seen(machine: Machine, target: Target) -> bool:
+    """Tell whether a target moves where the tracker stands."""
+    from_base = machine.tracker.stands_on == "base"
+    if target.on == "workpiece":
+        return from_base and bool(machine.workpiece_side)
+    return bool(machine.tool_side) or not from_base
+
+
+def moving_targets(machine: Machine) -> tuple[Target, ...]:
+    """Return the targets that move where the tracker stands.
+
+    Raises PlanningError if there is none.
+    """
+    targets = tuple(t for t in machine.targets if moves_where_seen(machine, t))
+    if not targets:
+        raise PlanningError(
+            f"no target of {machine.name} moves where the tracker stands; "
+            "state one on the tool in machine.json"
+        )
+    return targets
 
 
 def _name_box(box: Box) -> str:

@@ -16,14 +16,13 @@ import numpy as np
 
 from app.errors import PlanningError
 from app.kinematics.machine import Machine, Target
-from app.motion.motion_times import Drive, drive_of
-from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
+from app.motion.configurations import join_rows
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
 from app.motion.travel import inner_travel
-from app.motion.turning_points import moving_targets
-from app.motion.workspace import Workspace
+from app.motion.workspace import Workspace, moving_targets
 from app.planning.initial_design import choose_station, start_line_design
 from app.planning.leg_choice import SearchEffort
-from app.planning.planner import Planner
+from app.planning.planner import Planner, PlanShare, plan_in_turn
 from drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
@@ -61,39 +60,41 @@ def default_path(
             f"feed {feed_mm_min:g} mm/min, dwell {dwell_s:g} s, {lines} lines: "
             "feed and lines must be above 0, the dwell not below"
         )
-    drive = _drive(machine, dwell_s)
     # Where stops were moved all axes would go on every line.
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
-    blocks: list[Path] = []
-    precision = start = None
-    for number, target in enumerate(targets):
-        count = _share(lines, number, len(targets))
-        if not count:
-            continue
-        planner = _planner(machine, target, drive, feed_mm_min)
-        if precision is not None:
-            known = replace(planner.design, precision=precision)
-            planner = replace(planner, design=known)
-        block = planner.plan(legs=count, start=start, seed=seed, effort=effort)
-        precision = planner.measured(block).design.precision
-        start = block.position[-1]
-        assert isinstance(block, Path)  # noqa: S101 (lines make a path)
-        blocks.append(replace(block, target=(target.name,) * len(block)))
-    path = _join_blocks(blocks)
-    return path if machine.rotary_axes else replace(path, target=())
+    counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
+    shares = [
+        PlanShare(_make_planner(machine, target, dwell_s, feed_mm_min), legs=count)
+        for target, count in zip(targets, counts, strict=True)
+        if count
+    ]
+    blocks = plan_in_turn(shares, seed=seed, effort=effort)
+    for block in blocks[1:]:
+        block.dwell_s[0] = _CHANGE_S
+    names = tuple(
+        share.planner.design.target.name
+        for share, block in zip(shares, blocks, strict=True)
+        for _ in range(len(block))
+    )
+    path = join_rows(blocks)
+    assert isinstance(path, Path)  # noqa: S101 (lines make a path)
+    return replace(
+        path,
+        feed_mm_min=np.round(path.feed_mm_min, 1),
+        target=names if machine.rotary_axes and any(names) else (),
+    )
 
 
-def _drive(machine: Machine, dwell_s: float) -> Drive:
-    drive = drive_of(machine, acceleration_mm_s2=ACCELERATION_MM_S2, dwell_s=dwell_s)
+def _make_planner(
+    machine: Machine, target: Target, dwell_s: float, feed_mm_min: float
+) -> Planner:
     low, high = inner_travel(machine)
     long_mm = _LONG * float(np.linalg.norm(high - low))
-    least_mm = _SHORTEST_MM if machine.rotary_axes else long_mm
-    return replace(drive, least_mm=least_mm, fastest_deg_min=FASTEST_DEG_MIN)
-
-
-def _planner(
-    machine: Machine, target: Target, drive: Drive, feed_mm_min: float
-) -> Planner:
+    drive = replace(
+        Drive.of(machine.axis_names, dwell_s),
+        least_mm=_SHORTEST_MM if machine.rotary_axes else long_mm,
+        fastest_deg_min=FASTEST_DEG_MIN,
+    )
     workspace = Workspace()
     design = start_line_design(
         machine,
@@ -101,22 +102,3 @@ def _planner(
         target=target.name if machine.rotary_axes else None,
     )
     return Planner(machine, design, workspace, drive, (feed_mm_min,))
-
-
-def _share(lines: int, number: int, targets: int) -> int:
-    """Return how many lines a target gets: as many as any other, as far as it goes."""
-    return lines * (number + 1) // targets - lines * number // targets
-
-
-def _join_blocks(blocks: list[Path]) -> Path:
-    """Return blocks in turn; the machine waits while the tracker changes target."""
-    for block in blocks[1:]:
-        block.dwell_s[0] = _CHANGE_S
-    names = tuple(name for block in blocks for name in block.target)
-    return Path(
-        blocks[0].axes,
-        np.concatenate([block.position for block in blocks]),
-        np.round(np.concatenate([block.feed_mm_min for block in blocks]), 1),
-        np.concatenate([block.dwell_s for block in blocks]),
-        names if any(names) else (),
-    )

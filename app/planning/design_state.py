@@ -1,11 +1,9 @@
-"""What is believed of a machine before the next leg, and what a leg would tell.
+"""What is known of a machine before the next leg, and what a leg would add.
 
 A leg is a motion from one stop to the next: a line that is measured on the way, or a
 move to a point that is measured at rest. The criterion is the integrated variance
 J = tr(G C) of the volumetric error over the travel (brunn-hanebeck-2005, eq. 34–36), C
-the covariance of the error motions, G the Gram matrix. Model, prior and noise come from
-the estimator, so that a plan is judged as its measurement will be; fewer knots do for
-choosing.
+the covariance of the error motions, G the Gram matrix.
 """
 
 from __future__ import annotations
@@ -19,15 +17,19 @@ from jaxtyping import Bool, Float64
 from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import Target
 from app.kinematics.model import MachineModel
-from app.motion.configurations import Configurations
-from app.motion.motion_times import Drive
+from app.motion.configurations import Commanded, Configurations
+from app.motion.motion_times import Drive, Legs
+from app.numerics.design_criteria import IntegratedVariance
 from app.numerics.scaled_cholesky import ScaledCholesky
-from drivers.interfaces.records import Path
+from app.planning.next_configuration import climb_from, search_space
+
+_LEAST_MOVE_MM = 1.0  # else standstills look like one
+_LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedNoise:
-    """Noise of the tracker, white and slow together, as if it were white.
+    """Noise of the tracker, white and correlated together, as if it were white.
 
     density_s : (2,) along and across the beam: variance of the mean over a second, in
         units of the stated variance of one sample
@@ -47,6 +49,7 @@ class DesignState(ABC):
     precision : (p, p) information so far, prior included
     gram : (p, p), θᵀ G θ is the mean square of the volumetric error, mm²
     station_mm : (3,) of the tracker, in the frame that it stands on
+    order_is_free : whether stops may change places; the approach alone depends on it
     """
 
     model: MachineModel
@@ -55,37 +58,17 @@ class DesignState(ABC):
     gram: Float64[np.ndarray, "p p"]
     station_mm: Float64[np.ndarray, "3"]
     noise: ExpectedNoise
+    order_is_free = False
 
     @abstractmethod
-    def rows(
-        self,
-        begin: Float64[np.ndarray, "n a"],
-        end: Float64[np.ndarray, "n a"],
-        feed_mm_min: Float64[np.ndarray, " n"],
-        drive: Drive,
-    ) -> Float64[np.ndarray, "n r p"]:
+    def rows(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "n r p"]:
         """Return rows H of each leg with HᵀH its information."""
-
-    @property
-    @abstractmethod
-    def order_is_free(self) -> bool:
-        """Whether stops may change places and still be told."""
-
-    def hold(
-        self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
-    ) -> Float64[np.ndarray, "n a"]:
-        """Return ends of legs from here, some axes of some left where they are."""
-        return ends
 
     @abstractmethod
     def fits(
-        self,
-        begin: Float64[np.ndarray, "n a"],
-        end: Float64[np.ndarray, "n a"],
-        feed_mm_min: float,
-        drive: Drive,
+        self, legs: Legs, feed_mm_min: float, drive: Drive
     ) -> Bool[np.ndarray, " n"]:
-        """Tell which legs are long enough to be recognised and measured."""
+        """Tell which legs are long enough to be recognised and measured at a feed."""
 
     @abstractmethod
     def commanded(
@@ -94,10 +77,15 @@ class DesignState(ABC):
         position: Float64[np.ndarray, "s a"],
         feed_mm_min: Float64[np.ndarray, " s"],
         drive: Drive,
-    ) -> Path | Configurations:
-        """Return the stops as what the machine is told."""
+    ) -> Commanded:
+        """Return the stops as what the machine is commanded."""
 
-    @abstractmethod
+    def hold(
+        self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return ends of legs from here, some axes of some left where they are."""
+        return ends
+
     def better_places(
         self,
         covariance: Float64[np.ndarray, "p p"],
@@ -108,19 +96,24 @@ class DesignState(ABC):
 
         covariance : of the parameters, the legs that meet in the stop left out
         """
+        return np.empty((0, len(here)))
 
-    def information(
-        self,
-        position: Float64[np.ndarray, "s a"],
-        feed_mm_min: Float64[np.ndarray, " s"],
-        drive: Drive,
-    ) -> Float64[np.ndarray, "p p"]:
-        """Return the information of all legs between stops."""
-        if len(position) < 2:
+    @property
+    def integrated_variance(self) -> float:
+        """J, mm² (brunn-hanebeck-2005, eq. 34)."""
+        return float(np.sum(inverse(self.precision) * self.gram))
+
+    def information(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "p p"]:
+        """Return the information of all legs."""
+        if not len(legs):
             return np.zeros_like(self.precision)
-        rows = self.rows(position[:-1], position[1:], feed_mm_min[1:], drive)
+        rows = self.rows(legs, drive)
         flat = rows.reshape(-1, rows.shape[2])
         return flat.T @ flat
+
+    def add(self, precision: Float64[np.ndarray, "p p"]) -> DesignState:
+        """Return the state that knows more."""
+        return replace(self, precision=self.precision + precision)
 
     def conditions(
         self, position: Float64[np.ndarray, "n a"], approach: Float64[np.ndarray, "n a"]
@@ -154,6 +147,69 @@ class DesignState(ABC):
             precision -= weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
         value, vector = np.linalg.eigh(precision)
         return np.sqrt(np.maximum(value, 0.0))[:, :, None] * np.swapaxes(vector, 1, 2)
+
+
+@dataclass(frozen=True)
+class PointDesignState(DesignState):
+    """What is known so far; a standstill measures a target's three coordinates."""
+
+    order_is_free = True
+
+    def rows(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "n r p"]:
+        """Return rows H of the standstill at each end, approached from the begin."""
+        at = self.conditions(legs.end, np.sign(legs.step))
+        return np.sqrt(drive.dwell_s) * (self.roots(at) @ self.model.jacobian(at))
+
+    def fits(
+        self, legs: Legs, feed_mm_min: float, drive: Drive
+    ) -> Bool[np.ndarray, " n"]:
+        """Tell which moves can be recognised.
+
+        Every rotary axis turns: a target on a table that does not would not move.
+        """
+        turning = self.model.machine.rotary_axes
+        if not turning:
+            return drive.length(legs) >= _LEAST_MOVE_MM
+        travel = np.array([axis.high - axis.low for axis in turning])
+        turn = np.abs(legs.step)[:, ~np.asarray(drive.linear)]
+        return np.all(turn >= np.minimum(_LEAST_TURN_DEG, 0.1 * travel), axis=1)
+
+    def commanded(
+        self,
+        axes: tuple[str, ...],
+        position: Float64[np.ndarray, "s a"],
+        feed_mm_min: Float64[np.ndarray, " s"],
+        drive: Drive,
+    ) -> Configurations:
+        """Return the stops as points."""
+        n = len(position)
+        names = (self.target.name,) * n if self.target.name else ()
+        return Configurations(axes, position, np.full(n, drive.dwell_s), names)
+
+    def better_places(
+        self,
+        covariance: Float64[np.ndarray, "p p"],
+        here: Float64[np.ndarray, " a"],
+        drive: Drive,
+    ) -> Float64[np.ndarray, "n a"]:
+        """Return the summit of the exact criterion above a stop, of straight axes.
+
+        There the noise is taken to be the same everywhere and in all directions, and
+        the direction of approach to be none, which leaves rows that are polynomials.
+        """
+        if self.model.machine.rotary_axes:
+            return np.empty((0, len(here)))
+
+        def rows(position: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "n r p"]:
+            return self.model.jacobian(
+                self.conditions(position, np.zeros_like(position))
+            )
+
+        root = self.roots(self.conditions(here[None], np.zeros((1, len(here)))))[0]
+        variance = 3.0 / (drive.dwell_s * float(np.sum(root**2)))
+        known = IntegratedVariance(covariance, self.gram)
+        top = climb_from(known, rows, search_space(self.model), variance, here)
+        return top.position[None]
 
 
 def inverse(matrix: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p p"]:

@@ -1,26 +1,53 @@
-"""How well lines not yet driven would decide between two hypotheses about a machine.
+"""The shortest lines that decide between competing hypotheses about a machine.
 
 Each hypothesis is a Gaussian over the machine's parameters, mean + root z with z
 standard normal. Data y of the lines have the log Bayes factor log p(y | a) −
 log p(y | b); its expectation under a is the divergence of both predictions and never
 below 0 (Kullback & Leibler 1951). The tracker's next place and the timing of each line
 are integrated out, as in the decision.
+
+Lines are chosen one after another, each from the end of the last one, by the log Bayes
+factor that they are expected to add per second (Box & Hill 1967): back, along an axis
+or across, at the feeds of the Runs and slower ones. They end when every question is
+expected to be decided.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
+from app.alignment.observations import Observations, add_surroundings
 from app.estimation.prior import diagonal_precision
 from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.machine import Machine
+from app.motion.motion_times import Drive, Legs, travel_time_s
+from app.motion.travel import DECIMALS, check_travel, inner_travel
+from app.numerics.rigid import RigidTransform
+from app.planning.planner import with_resting_axes
+from app.planning.predicted_cells import predict_cells
+from drivers.interfaces.records import Path
 
+DECIDED = 12.0  # expected log Bayes factor: few fall short of 5
+MOST_LINES = 9
+_FEWEST_LINES = 4  # determine the tracker's new place well
+_DWELL_S = 0.35
+_SLOWER = (1.0, 0.4, 0.15)  # of the highest feed of the Runs
+_RANDOM_ENDS = 10
+_LEAST_MOTION = 30.0  # mm; less may be lost on the way, so the axis rests instead
+_SPREAD_MM = 40.0  # of the stops off one line: how they are recognised
+_UNKNOWN_POSE = {"mm": 1.0, "rad": 1e-3}
+# The first lines decide nothing while the tracker's place is open. What they will
+# decide once it is known guides their choice.
+_KNOWN_POSE, _GUIDANCE = {"mm": 0.02, "rad": 2e-5}, 0.2
 _POSE = TrackerPose((0.0, 0.0, 0.0)).parameters
 POSE = len(_POSE)
+
+_Columns = tuple[Int64[np.ndarray, " k"], int]
+"""Where root and mean of a hypothesis are in the normal equations."""
 
 
 @dataclass(frozen=True)
@@ -57,29 +84,200 @@ class Question:
         absorbed = np.linalg.solve(normal[begin:, begin:] + known, cross)
         rest = normal[:begin, :begin] - cross.T @ absorbed
         middle = self.ranks[0]
-        one = _Columns(np.arange(middle), begin - 2)
-        other = _Columns(np.arange(middle, begin - 2), begin - 1)
+        one = np.arange(middle), begin - 2
+        other = np.arange(middle, begin - 2), begin - 1
         return min(_divergence(rest, one, other), _divergence(rest, other, one))
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """Where root and mean of a hypothesis are in the normal equations."""
+class DiscriminationDesign:
+    """Lines to drive, and the questions that they are to decide.
 
-    root: Int64[np.ndarray, " k"]
-    mean: int
+    expected : log Bayes factor that the lines are expected to bring to each question
+    """
+
+    questions: tuple[Question, ...]
+    path: Path
+    expected: tuple[float, ...]
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(self.path) - 1
+
+    @property
+    def duration_s(self) -> float:
+        """Time that they take."""
+        return travel_time_s(self.path)
+
+    @property
+    def decides(self) -> bool:
+        """Whether every question is expected to be decided."""
+        return min(self.expected) >= DECIDED
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """Lines so far.
+
+    position, feed_mm_min : stops, and the feed towards each
+    normal : normal equations of each question; merit : what the choice maximises
+    """
+
+    position: Float64[np.ndarray, "s a"]
+    feed_mm_min: Float64[np.ndarray, " s"]
+    normal: tuple[Float64[np.ndarray, "q q"], ...]
+    expected: tuple[float, ...]
+    merit: float = 0.0
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(self.position) - 1
+
+    @property
+    def is_recognisable(self) -> bool:
+        """Whether its stops differ enough to be matched, and to locate the tracker."""
+        if self.lines < _FEWEST_LINES:
+            return False
+        off = self.position - self.position.mean(axis=0)
+        spread = np.linalg.svd(off, compute_uv=False)
+        apart = float(np.linalg.norm(self.position[-1] - self.position[0]))
+        return float(spread[1]) > _SPREAD_MM and apart > _SPREAD_MM
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether every question is expected to be decided."""
+        return self.is_recognisable and min(self.expected) >= DECIDED
+
+
+@dataclass(frozen=True)
+class LineChoice:
+    """Chooses lines for questions about a machine.
+
+    pose : of the tracker; run : number of the Run that the lines will be
+    feed_mm_min : the highest of the Runs so far
+    """
+
+    machine: Machine
+    pose: RigidTransform
+    run: int
+    questions: Sequence[Question]
+    feed_mm_min: float
+    rng: np.random.Generator
+
+    @property
+    def drive(self) -> Drive:
+        """How the machine moves."""
+        return Drive.of(self.machine.axis_names, _DWELL_S)
+
+    def choose(self) -> DiscriminationDesign:
+        """Return the lines and what each question expects of them."""
+        low, _ = self._travel()
+        nothing = tuple(np.zeros((q.size, q.size)) for q in self.questions)
+        draft = _Draft(
+            low[None], np.array([self.feed_mm_min]), nothing, (0.0,) * len(nothing)
+        )
+        while draft.lines < MOST_LINES and not draft.is_enough:
+            draft = self._extend(draft)
+        path = self._path(draft.position, draft.feed_mm_min)
+        check_travel(self.machine, path)
+        return DiscriminationDesign(tuple(self.questions), path, draft.expected)
+
+    def _extend(self, draft: _Draft) -> _Draft:
+        """Return the draft with the further line that promises most per second."""
+        drafts = [self._add_line(draft, end, feed) for end, feed in self._ends(draft)]
+        usable = [d for d in drafts if d.is_recognisable or d.lines < _FEWEST_LINES]
+        return max(usable or drafts, key=lambda d: self._merit_per_s(draft, d))
+
+    def _merit_per_s(self, before: _Draft, after: _Draft) -> float:
+        line = Legs.between(after.position[-2:], after.feed_mm_min[-2:])
+        return (after.merit - before.merit) / float(self.drive.times_s(line)[0])
+
+    def _add_line(
+        self, draft: _Draft, end: Float64[np.ndarray, " a"], feed: float
+    ) -> _Draft:
+        position = np.vstack([draft.position, end])
+        feeds = np.append(draft.feed_mm_min, feed)
+        line = self._predict_last_line(self._path(position, feeds))
+        normal = tuple(
+            s + q.measure(line)
+            for q, s in zip(self.questions, draft.normal, strict=True)
+        )
+        expected = self._expect(normal, _UNKNOWN_POSE)
+        guidance = self._expect(normal, _KNOWN_POSE)
+        merit = sum(min(e, DECIDED) for e in expected)
+        merit += _GUIDANCE * sum(min(e, DECIDED) for e in guidance)
+        return _Draft(position, feeds, normal, expected, merit)
+
+    def _expect(
+        self,
+        normal: Sequence[Float64[np.ndarray, "q q"]],
+        pose_sigma: Mapping[str, float],
+    ) -> tuple[float, ...]:
+        pairs = zip(self.questions, normal, strict=True)
+        return tuple(q.expect_log_bayes(s, pose_sigma) for q, s in pairs)
+
+    def _ends(self, draft: _Draft) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
+        """Yield ends of the next line and feeds: back, along an axis, anywhere."""
+        low, high = self._travel()
+        here = draft.position[-1]
+        share = self.rng.random((_RANDOM_ENDS, len(low)))
+        pinned = self.rng.random(share.shape) < 0.5
+        share[pinned] = np.rint(share[pinned])
+        one = np.eye(len(low))
+        inside = low + self.rng.random(len(low)) * (high - low)
+        along = [here + one * (place - here) for place in (low, high, inside)]
+        ends = np.vstack([low + share * (high - low), draft.position[-2:-1], *along])
+        away = np.abs(ends - here) >= _LEAST_MOTION
+        for end in np.where(away, np.round(ends, DECIMALS), here):
+            for slower in _SLOWER:
+                feed = round(slower * self.feed_mm_min, 1)
+                line = Legs(here[None], end[None], np.array([feed]))
+                if self.drive.length(line)[0] >= self.drive.shortest_mm(feed):
+                    yield end, feed
+
+    def _travel(self) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
+        """Return the travel of the straight axes less a margin."""
+        machine = self.machine
+        low, high = inner_travel(machine)
+        count = len(machine.linear_axes)
+        return low[:count], high[:count]
+
+    def _path(
+        self, linear: Float64[np.ndarray, "s a"], feed: Float64[np.ndarray, " s"]
+    ) -> Path:
+        machine = self.machine
+        position = with_resting_axes(machine, linear)
+        name = machine.target().name
+        return Path(
+            machine.axis_names,
+            position,
+            feed,
+            np.full(len(linear), _DWELL_S),
+            (name,) * len(linear) if name else (),
+        )
+
+    def _predict_last_line(self, path: Path) -> Observations:
+        """Return the observations that the last line of a path would give."""
+        station_mm = self.pose.invert().apply(np.zeros((1, 3)))[0]
+        seen = predict_cells(self.machine, path, station_mm)
+        seen = seen.select(np.flatnonzero(seen.row == len(path) - 1))
+        seen = replace(
+            seen, tracker_mm=self.pose.apply(seen.at.point_mm), pose=self.pose
+        )
+        return add_surroundings(seen, path, None, self.run)
 
 
 def _divergence(
     normal: Float64[np.ndarray, "q q"], truth: _Columns, other: _Columns
 ) -> float:
     """Return E[log p(y | truth) − log p(y | other)] under the truth."""
-    return _expect_log_likelihood(normal, truth, truth) - _expect_log_likelihood(
-        normal, truth, other
-    )
+    own, others = (_expect_log(normal, truth, model) for model in (truth, other))
+    return own - others
 
 
-def _expect_log_likelihood(
+def _expect_log(
     normal: Float64[np.ndarray, "q q"], truth: _Columns, model: _Columns
 ) -> float:
     """Return E[log p(y | model)] under the truth, up to a constant of all models.
@@ -87,7 +285,7 @@ def _expect_log_likelihood(
     With y less the model's mean d + n, and its root's information S,
     log p = −½ |y − mean|² + ½ rᵀ (I + S)⁻¹ r − ½ log det (I + S).
     """
-    z, w, mean, own = truth.root, model.root, truth.mean, model.mean
+    (z, mean), (w, own) = truth, model
     off = normal[mean, mean] - 2.0 * normal[mean, own] + normal[own, own]
     misfit = float(off) + float(np.trace(normal[np.ix_(z, z)]))
     S = normal[np.ix_(w, w)]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +27,16 @@ from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine, Target, remove_rotary_axes
 from app.kinematics.model import MachineModel
 from app.motion.corner_path import corner_path
-from app.motion.paths import DEFAULT_FEED_MM_MIN
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState, ExpectedNoise, inverse
+from app.planning.design_state import (
+    DesignState,
+    ExpectedNoise,
+    PointDesignState,
+    inverse,
+)
 from app.planning.forecast import guess_prior_precision
 from app.planning.line_design_state import LineDesignState
-from app.planning.point_design_state import PointDesignState
 from app.planning.predicted_cells import (
     EXPECTED_NOISE,
     assume_stations_mm,
@@ -63,15 +66,6 @@ def predict_lag_sigmas_s(design: DesignState) -> dict[str, float]:
     return {axis: float(v) for axis, v in zip(lags, sigma, strict=True)}
 
 
-class _DesignFields(TypedDict):
-    model: MachineModel
-    target: Target
-    precision: NDArray[np.float64]
-    gram: NDArray[np.float64]
-    station_mm: NDArray[np.float64]
-    noise: ExpectedNoise
-
-
 def choose_station(machine: Machine, workspace: Workspace) -> NDArray[np.float64]:
     """Return where the tracker stands: as stated, or a usual place."""
     if workspace.tracker_mm is not None:
@@ -89,7 +83,7 @@ def start_line_design(
     dynamic: bool = False,
     noise: NoiseModel = EXPECTED_NOISE,
     prior_precision: Mapping[str, float] | None = None,
-) -> LineDesignState:
+) -> DesignState:
     """Return what is believed before the first line of a machine.
 
     target : that is measured while all axes move; if left out, the first one while the
@@ -109,10 +103,17 @@ def start_line_design(
         noise = replace(noise, along_sigma_mm=np.inf)
     known = known or KnownEffects()
     lags = tuple(_lags(part, known)) if dynamic else ()
-    believed = _start_design(
-        part, offsets, one, station_mm, noise, prior_precision, known, lags
+    return _start_design(
+        LineDesignState,
+        part,
+        offsets,
+        one,
+        station_mm,
+        noise,
+        prior_precision,
+        known,
+        lags,
     )
-    return LineDesignState(**believed)
 
 
 def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
@@ -130,21 +131,26 @@ def start_point_design(
     known: KnownEffects | None = None,
     noise: NoiseModel = EXPECTED_NOISE,
     prior_precision: Mapping[str, float] | None = None,
-) -> PointDesignState:
+) -> DesignState:
     """Return what is believed before the first standstill of a target.
 
     known : effects that an earlier measurement has told, to be told apart as well
     """
     offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
-    one, known = machine.target(target), known or KnownEffects()
-    return PointDesignState(
-        **_start_design(
-            machine, offsets, one, station_mm, noise, prior_precision, known
-        )
+    return _start_design(
+        PointDesignState,
+        machine,
+        offsets,
+        machine.target(target),
+        station_mm,
+        noise,
+        prior_precision,
+        known or KnownEffects(),
     )
 
 
 def _start_design(
+    kind: type[DesignState],
     machine: Machine,
     offsets_mm: NDArray[np.float64],
     target: Target,
@@ -153,7 +159,7 @@ def _start_design(
     prior_precision: Mapping[str, float] | None,
     known: KnownEffects,
     lags: tuple[ServoMismatch, ...] = (),
-) -> _DesignFields:
+) -> DesignState:
     motions, _ = build_identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = add_half_widths(known.extend(motions))
     model = motions.with_effects(*lags, _pose_of(machine))
@@ -165,7 +171,7 @@ def _start_design(
     prior[known.locate(motions), known.locate(motions)] += known.precision_matrix()
     gram = np.zeros((model.size, model.size))
     gram[:size, :size] = compute_volumetric_gram(motions) + _motion_gram(motions, known)
-    return _DesignFields(
+    return kind(
         model=model,
         target=target,
         precision=block_diag(prior, np.eye(len(lags)) / _ANY_LAG_S**2, pose),

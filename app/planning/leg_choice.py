@@ -16,16 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
-from app.motion.motion_times import Drive
-from app.motion.short_order import find_short_order
+from app.motion.motion_times import Drive, Legs, find_short_order
 from app.motion.travel import DECIMALS
 from app.numerics.design_criteria import IntegratedVariance
 from app.planning.design_state import DesignState, inverse
-
-Allowed = Callable[
-    [Float64[np.ndarray, "n a"], Float64[np.ndarray, "n a"]], Bool[np.ndarray, " n"]
-]
-"""Tells of legs, begin and end, whether the machine may drive them."""
 
 _MOVES = 24  # places that are judged for each stop, half of them near it
 _NEAR = 0.15  # of the travel
@@ -39,11 +33,11 @@ class SearchRegion:
 
     low: Float64[np.ndarray, " a"]
     high: Float64[np.ndarray, " a"]
-    allowed: Allowed
+    allowed: Callable[[Legs], Bool[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, slots=True)
-class StopSequence:
+class Stops:
     """Stops in their order.
 
     position : (s, a); feed_mm_min : (s,) towards each, the first unused
@@ -55,9 +49,14 @@ class StopSequence:
     def __len__(self) -> int:
         return len(self.position)
 
-    def select(self, of: slice) -> StopSequence:
+    @property
+    def legs(self) -> Legs:
+        """The motions between them."""
+        return Legs.between(self.position, self.feed_mm_min)
+
+    def select(self, of: slice) -> Stops:
         """Return some of the stops."""
-        return StopSequence(self.position[of], self.feed_mm_min[of])
+        return Stops(self.position[of], self.feed_mm_min[of])
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,14 +90,14 @@ class LegChoice:
         start: Float64[np.ndarray, " a"],
         budget_s: float,
         legs: int | None = None,
-    ) -> StopSequence:
+    ) -> Stops:
         """Return stops whose legs take no longer than the budget.
 
         legs : at most
 
         Raises PlanningError if not even one allowed leg fits in.
         """
-        first = StopSequence(start[None], np.array([self.feeds_mm_min[0]]))
+        first = Stops(start[None], np.array([self.feeds_mm_min[0]]))
         stops = self._fill(first, budget_s, legs)
         if len(stops) < 2:
             raise PlanningError(
@@ -114,22 +113,20 @@ class LegChoice:
                 break
         return stops
 
-    def _fill(
-        self, stops: StopSequence, budget_s: float, legs: int | None
-    ) -> StopSequence:
+    def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
         """Return the stops with more of them while time is left, or with fewer."""
-        times = self._leg_times_s(stops)
+        times = self.drive.times_s(stops.legs)
         fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
         stops = stops.select(slice(fits + 1))
         left_s = budget_s - float(times[:fits].sum())
-        precision = self.design.precision + self._information(stops)
+        precision = self.design.precision + self._inform(stops)
         while legs is None or len(stops) <= legs:
             feed = self.feeds_mm_min[len(stops) % len(self.feeds_mm_min)]
             best = self._choose_next(precision, stops.position[-1], feed, left_s)
             if best is None:
                 return stops
             end, rows, time_s = best
-            stops = StopSequence(
+            stops = Stops(
                 np.vstack([stops.position, end]), np.append(stops.feed_mm_min, feed)
             )
             precision = precision + rows.T @ rows
@@ -145,21 +142,20 @@ class LegChoice:
     ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, "r p"], float] | None:
         """Return the end whose leg gains most a second, its rows and its time."""
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
-        begin = np.tile(here, (len(ends), 1))
-        feed = np.full(len(ends), feed_mm_min)
-        times = self.drive.times_s(begin, ends, feed)
-        ok = (times <= left_s) & self.region.allowed(begin, ends)
+        legs = _join_legs(here, ends, feed_mm_min)
+        times = self.drive.times_s(legs)
+        ok = (times <= left_s) & self.region.allowed(legs)
         if not ok.any():
             return None
-        begin, ends, feed, times = begin[ok], ends[ok], feed[ok], times[ok]
-        rows = self.design.rows(begin, ends, feed, self.drive)
+        ends, times = ends[ok], times[ok]
+        rows = self.design.rows(_join_legs(here, ends, feed_mm_min), self.drive)
         known = IntegratedVariance(inverse(precision), self.design.gram)
         best = int(np.argmax(known.compute_drops(rows) / times))
         return ends[best], rows[best], float(times[best])
 
-    def _exchange(self, stops: StopSequence) -> tuple[StopSequence, float]:
+    def _exchange(self, stops: Stops) -> tuple[Stops, float]:
         """Move each stop but the first to where J · T is least; tell the gain."""
-        total = self.design.precision + self._information(stops)
+        total = self.design.precision + self._inform(stops)
         before = cost = self._cost(stops)
         for k in range(1, len(stops)):
             stops, total, cost = self._exchange_stop(stops, k, total, cost)
@@ -167,21 +163,26 @@ class LegChoice:
 
     def _exchange_stop(
         self,
-        stops: StopSequence,
+        stops: Stops,
         k: int,
         total: Float64[np.ndarray, "p p"],
         cost: float,
-    ) -> tuple[StopSequence, Float64[np.ndarray, "p p"], float]:
+    ) -> tuple[Stops, Float64[np.ndarray, "p p"], float]:
         """Return the stops with one moved, their information, and J · T."""
         old = stops.select(slice(k - 1, k + 2))
-        others = total - self._information(old)
-        rest_s = float(self._leg_times_s(stops).sum() - self._leg_times_s(old).sum())
+        others = total - self._inform(old)
+        rest_s = self._duration_s(stops) - self._duration_s(old)
         C = inverse(others)
         places = self._places_for(stops.position[k], C)
-        places = places[self._check_joins(stops, k, places)]
+        meeting = self._list_legs(stops, k, places)
+        places = places[np.all([self.region.allowed(legs) for legs in meeting], axis=0)]
         if not len(places):
             return stops, total, cost
-        rows, times = self._legs_that_meet(stops, k, places)
+        meeting = self._list_legs(stops, k, places)
+        rows = np.concatenate(
+            [self.design.rows(m, self.drive) for m in meeting], axis=1
+        )
+        times = np.sum([self.drive.times_s(legs) for legs in meeting], axis=0)
         known = IntegratedVariance(C, self.design.gram)
         left = known.integrated_variance - known.compute_drops(rows)
         costs = left * (rest_s + times)
@@ -191,49 +192,30 @@ class LegChoice:
         position = stops.position.copy()
         position[k] = places[best]
         total = others + rows[best].T @ rows[best]
-        return StopSequence(position, stops.feed_mm_min), total, float(costs[best])
+        return Stops(position, stops.feed_mm_min), total, float(costs[best])
 
-    def _reorder(self, stops: StopSequence) -> StopSequence:
+    def _reorder(self, stops: Stops) -> Stops:
         """Return the stops in an order of short moves, unless they tell less so."""
         n = len(stops)
-        begin, end = np.repeat(stops.position, n, 0), np.tile(stops.position, (n, 1))
-        feed = np.full(n * n, stops.feed_mm_min.mean())
-        times = self.drive.times_s(begin, end, feed)
-        times = np.where(self.region.allowed(begin, end), times, np.inf)
+        legs = Legs(
+            np.repeat(stops.position, n, 0),
+            np.tile(stops.position, (n, 1)),
+            np.full(n * n, stops.feed_mm_min.mean()),
+        )
+        times = self.drive.times_s(legs)
+        times = np.where(self.region.allowed(legs), times, np.inf)
         order = find_short_order(times.reshape(n, n))
-        found = StopSequence(stops.position[order], stops.feed_mm_min)
+        found = Stops(stops.position[order], stops.feed_mm_min)
         return min(stops, found, key=self._cost)
 
-    def _legs_that_meet(
-        self, stops: StopSequence, k: int, places: Float64[np.ndarray, "n a"]
-    ) -> tuple[Float64[np.ndarray, "n r p"], Float64[np.ndarray, " n"]]:
-        """Return rows and times of the legs that meet in a stop, for places of it."""
-        rows: list[Float64[np.ndarray, "n r p"]] = []
-        times = np.zeros(len(places))
-        for begin, end, feed in self._list_legs(stops, k, places):
-            rows.append(self.design.rows(begin, end, feed, self.drive))
-            times += self.drive.times_s(begin, end, feed)
-        return np.concatenate(rows, axis=1), times
-
-    def _check_joins(
-        self, stops: StopSequence, k: int, places: Float64[np.ndarray, "n a"]
-    ) -> Bool[np.ndarray, " n"]:
-        """Tell which places can take the part of a stop."""
-        ok = np.ones(len(places), bool)
-        for begin, end, _ in self._list_legs(stops, k, places):
-            ok &= self.region.allowed(begin, end)
-        return ok
-
     def _list_legs(
-        self, stops: StopSequence, k: int, places: Float64[np.ndarray, "n a"]
-    ) -> list[tuple[Float64[np.ndarray, "n a"], ...]]:
-        """Return begins, ends and feeds of the legs before and after a stop."""
-        n, feed = len(places), stops.feed_mm_min
-        before = np.tile(stops.position[k - 1], (n, 1))
-        found = [(before, places, np.full(n, feed[k]))]
+        self, stops: Stops, k: int, places: Float64[np.ndarray, "n a"]
+    ) -> list[Legs]:
+        """Return the legs before a stop, and those after it, for places of it."""
+        position, feed = stops.position, stops.feed_mm_min
+        found = [_join_legs(position[k - 1], places, feed[k])]
         if k + 1 < len(stops):
-            after = np.tile(stops.position[k + 1], (n, 1))
-            found.append((places, after, np.full(n, feed[k + 1])))
+            found.append(_join_legs(places, position[k + 1], feed[k + 1]))
         return found
 
     def _draw_places(self, count: int) -> Float64[np.ndarray, "n a"]:
@@ -254,15 +236,21 @@ class LegChoice:
         known = np.round(np.clip(np.vstack([here + step, better]), low, high), DECIMALS)
         return np.vstack([here[None], known, self._draw_places(_MOVES // 2)])
 
-    def _cost(self, stops: StopSequence) -> float:
+    def _cost(self, stops: Stops) -> float:
         """Return J · T."""
-        total = self.design.precision + self._information(stops)
-        J = float(np.sum(inverse(total) * self.design.gram))
-        return J * float(self._leg_times_s(stops).sum())
+        known = self.design.add(self._inform(stops))
+        return known.integrated_variance * self._duration_s(stops)
 
-    def _information(self, stops: StopSequence) -> Float64[np.ndarray, "p p"]:
-        return self.design.information(stops.position, stops.feed_mm_min, self.drive)
+    def _inform(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
+        return self.design.information(stops.legs, self.drive)
 
-    def _leg_times_s(self, stops: StopSequence) -> Float64[np.ndarray, " l"]:
-        position = stops.position
-        return self.drive.times_s(position[:-1], position[1:], stops.feed_mm_min[1:])
+    def _duration_s(self, stops: Stops) -> float:
+        return float(self.drive.times_s(stops.legs).sum())
+
+
+def _join_legs(
+    begin: Float64[np.ndarray, "*n a"], end: Float64[np.ndarray, "*n a"], feed: float
+) -> Legs:
+    """Return legs from one place to each of several, or from each to one."""
+    begin, end = np.broadcast_arrays(begin, end)
+    return Legs(begin, end, np.full(len(begin), feed))

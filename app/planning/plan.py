@@ -6,7 +6,7 @@ unknown, by the model, prior and noise that the estimate will be made with.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,11 @@ from app.errors import PlanningError
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
 from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded, join_rows
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import Drive, drive_of
-from app.motion.paths import ACCELERATION_MM_S2, DEFAULT_FEED_MM_MIN
-from app.motion.turning_points import moves_where_seen
-from app.motion.workspace import Workspace
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive, row_times_s
+from app.motion.workspace import Workspace, moves_where_seen, moving_targets
+from app.planning.design_state import DesignState
 from app.planning.forecast import Forecast, forecast
 from app.planning.initial_design import (
     choose_station,
@@ -28,9 +27,8 @@ from app.planning.initial_design import (
     start_line_design,
     start_point_design,
 )
-from app.planning.planner import Planner
+from app.planning.planner import Planner, PlanShare, plan_in_turn
 from app.progress import Progress, ignore_progress
-from drivers.interfaces.records import Path
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
@@ -41,7 +39,7 @@ _CLOSE = 0.93  # a plan that would be shorter by less is not tried
 
 
 @dataclass(frozen=True, slots=True)
-class PlanRequest:
+class PlanOrder:
     """What is asked of a plan.
 
     mode : `otf` or `standstill`
@@ -62,11 +60,24 @@ class PlanRequest:
     seed: int = 0
     model: PriorModel | None = None
 
+    @property
+    def is_on_the_fly(self) -> bool:
+        """Whether lines are measured, not points."""
+        return self.mode == "otf"
+
     def known(self, machine: Machine) -> KnownEffects:
         """Return what the model knows of a machine's effects. Raises BundleError."""
-        return (
-            KnownEffects() if self.model is None else self.model.select_effects(machine)
-        )
+        model = self.model
+        return KnownEffects() if model is None else model.select_effects(machine)
+
+    def moving(self, machine: Machine) -> Machine:
+        """Return the machine without its rotary axes on the fly: there they stand."""
+        return remove_rotary_axes(machine) if self.is_on_the_fly else machine
+
+    def drive(self, machine: Machine) -> Drive:
+        """Return how the machine moves."""
+        usual_s = LINE_DWELL_S if self.is_on_the_fly else POINT_DWELL_S
+        return Drive.of(self.moving(machine).axis_names, self.dwell_s or usual_s)
 
     def refuse_nonsense(self) -> None:
         """Raise PlanningError for numbers that no plan can follow."""
@@ -97,8 +108,8 @@ class Plan:
     """
 
     machine: Machine
-    request: PlanRequest
-    commanded: Path | Configurations
+    order: PlanOrder
+    commanded: Commanded
     station_mm: NDArray[np.float64]
     time_s: NDArray[np.float64]
     forecast: Forecast
@@ -117,12 +128,12 @@ class Plan:
     @property
     def reached(self) -> bool | None:
         """Whether the target is reached, None without a target."""
-        target_um = self.request.target_um
+        target_um = self.order.target_um
         return None if target_um is None else self.uncertainty_um <= target_um
 
 
 def make_plan(
-    machine: Machine, request: PlanRequest, *, on_progress: Progress = ignore_progress
+    machine: Machine, order: PlanOrder, *, on_progress: Progress = ignore_progress
 ) -> Plan:
     """Return the plan that was asked for.
 
@@ -132,17 +143,17 @@ def make_plan(
     Raises PlanningError if nothing can be planned; it names the reason. BundleError if
     the model is of another machine.
     """
-    request.refuse_nonsense()
+    order.refuse_nonsense()
     on_progress(0.0, "planning")
-    station_mm = choose_station(machine, request.workspace)
-    attempt = _PlanAttempt(machine, request, request.known(machine), station_mm)
-    if request.corner_path:
+    station_mm = choose_station(machine, order.workspace)
+    attempt = _PlanAttempt(machine, order, order.known(machine), station_mm)
+    if order.corner_path:
         return attempt.plan_corners()
-    minutes = request.minutes
-    if request.target_um is None:
-        return attempt.plan_within(60.0 * (minutes or DEFAULT_MINUTES[request.mode]))
+    minutes = order.minutes
+    if order.target_um is None:
+        return attempt.plan_within(60.0 * (minutes or DEFAULT_MINUTES[order.mode]))
     longest_s = 60.0 * minutes if minutes else LONGEST_S
-    return _plan_for_target(attempt, request.target_um, longest_s, on_progress)
+    return _plan_for_target(attempt, order.target_um, longest_s, on_progress)
 
 
 def _plan_for_target(
@@ -179,127 +190,69 @@ def _plan_for_target(
 @dataclass(frozen=True)
 class _PlanAttempt:
     machine: Machine
-    request: PlanRequest
+    order: PlanOrder
     known: KnownEffects
     station_mm: NDArray[np.float64]
 
-    @property
-    def drive(self) -> Drive:
-        usual = LINE_DWELL_S if self.request.mode == "otf" else POINT_DWELL_S
-        dwell_s = self.request.dwell_s or usual
-        return drive_of(
-            self._moving, acceleration_mm_s2=ACCELERATION_MM_S2, dwell_s=dwell_s
-        )
-
-    @property
-    def _moving(self) -> Machine:
-        """The machine without its rotary axes on the fly: there they stand."""
-        on_the_fly = self.request.mode == "otf"
-        return remove_rotary_axes(self.machine) if on_the_fly else self.machine
-
     def plan_within(self, budget_s: float) -> Plan:
-        if self.request.mode == "otf":
-            return self._evaluate(self._lines(budget_s))
-        return self._evaluate(self._points(budget_s))
+        choose = self._lines if self.order.is_on_the_fly else self._points
+        return self._evaluate(choose(budget_s))
 
     def plan_corners(self) -> Plan:
-        feed_mm_min = self.request.feeds_mm_min[0]
-        path = corner_path(self.machine, feed_mm_min, self.drive.dwell_s)
-        self.request.workspace.refuse(self.machine, path)
+        dwell_s = self.order.drive(self.machine).dwell_s
+        path = corner_path(self.machine, self.order.feeds_mm_min[0], dwell_s)
+        self.order.workspace.refuse(self.machine, path)
         return self._evaluate(path)
 
-    def _lines(self, budget_s: float) -> Path | Configurations:
-        target = self.machine.target()
-        if not moves_where_seen(self._moving, target):
+    def _lines(self, budget_s: float) -> Commanded:
+        moving = self.order.moving(self.machine)
+        if not moves_where_seen(moving, self.machine.target()):
             raise PlanningError(
                 f"the first target of {self.machine.name} does not move while the "
                 "rotary axes stand; state one on the tool first, or use mode standstill"
             )
-        return self._line_planner().plan(budget_s, seed=self.request.seed)
+        return self._line_planner().plan(budget_s, seed=self.order.seed)
 
     def _line_planner(self) -> Planner:
-        request = self.request
         design = start_line_design(
             self.machine,
             self.station_mm,
             known=self.known,
-            perpendicular_only=request.perpendicular_only,
-            dynamic=len(request.feeds_mm_min) > 1,
+            perpendicular_only=self.order.perpendicular_only,
+            dynamic=len(self.order.feeds_mm_min) > 1,
         )
-        return Planner(
-            self.machine, design, request.workspace, self.drive, request.feeds_mm_min
-        )
+        return self._make_planner(design, self.order.feeds_mm_min)
 
-    def _points(self, budget_s: float) -> Path | Configurations:
+    def _points(self, budget_s: float) -> Commanded:
         """Return a block of points for each target that moves, one after another."""
-        request = self.request
-        names = [t.name for t in self.machine.targets if self._moves(t.name)]
-        if not names:
-            raise PlanningError(
-                f"no target of {self.machine.name} moves where the tracker stands; "
-                "state one on the tool in machine.json"
-            )
-        blocks: list[Path | Configurations] = []
-        precision, start = None, None
-        for name in names:
+        targets = moving_targets(self.machine)
+        shares: list[PlanShare] = []
+        for target in targets:
             design = start_point_design(
-                self.machine, self.station_mm, name, known=self.known
+                self.machine, self.station_mm, target.name, known=self.known
             )
-            if precision is not None:
-                design = replace(design, precision=precision)
-            planner = Planner(
-                self.machine, design, request.workspace, self.drive, (self._feed,)
-            )
-            block = planner.plan(budget_s / len(names), start=start, seed=request.seed)
-            precision = planner.measured(block).design.precision
-            start = block.position[-1]
-            blocks.append(block)
-        return _join_blocks(blocks)
+            planner = self._make_planner(design, self.order.feeds_mm_min[:1])
+            shares.append(PlanShare(planner, budget_s / len(targets)))
+        return join_rows(plan_in_turn(shares, seed=self.order.seed))
 
-    def _moves(self, target: str) -> bool:
-        return moves_where_seen(self.machine, self.machine.target(target))
+    def _make_planner(self, design: DesignState, feeds: tuple[float, ...]) -> Planner:
+        order = self.order
+        drive = order.drive(self.machine)
+        return Planner(self.machine, design, order.workspace, drive, feeds)
 
-    @property
-    def _feed(self) -> float:
-        return self.request.feeds_mm_min[0]
-
-    def _evaluate(self, commanded: Path | Configurations) -> Plan:
-        found = forecast(
-            self._moving,
+    def _evaluate(self, commanded: Commanded) -> Plan:
+        order = self.order
+        prediction = forecast(
+            order.moving(self.machine),
             commanded,
             self.station_mm,
             known=self.known,
-            perpendicular_only=self.request.perpendicular_only,
+            perpendicular_only=order.perpendicular_only,
         )
+        lags: dict[str, float] = {}
+        if order.is_on_the_fly and len(order.feeds_mm_min) > 1:
+            lags = predict_lag_sigmas_s(self._line_planner().update(commanded).design)
+        time_s = np.cumsum(row_times_s(commanded, order.feeds_mm_min[0]))
         return Plan(
-            self.machine,
-            self.request,
-            commanded,
-            self.station_mm,
-            self._times_s(commanded),
-            found,
-            self._lags(commanded),
+            self.machine, order, commanded, self.station_mm, time_s, prediction, lags
         )
-
-    def _lags(self, commanded: Path | Configurations) -> dict[str, float]:
-        if self.request.mode != "otf" or len(self.request.feeds_mm_min) == 1:
-            return {}
-        return predict_lag_sigmas_s(self._line_planner().measured(commanded).design)
-
-    def _times_s(self, commanded: Path | Configurations) -> NDArray[np.float64]:
-        feed = np.full(len(commanded), self._feed)
-        if isinstance(commanded, Path):
-            feed = commanded.feed_mm_min
-        position = commanded.position[:, : len(self._moving.axes)]
-        drive = replace(self.drive, dwell_s=0.0)
-        moving = drive.times_s(position[:-1], position[1:], feed[1:])
-        return np.cumsum(np.concatenate([[0.0], moving]) + commanded.dwell_s)
-
-
-def _join_blocks(blocks: list[Path | Configurations]) -> Configurations:
-    return Configurations(
-        blocks[0].axes,
-        np.concatenate([b.position for b in blocks]),
-        np.concatenate([b.dwell_s for b in blocks]),
-        tuple(name for b in blocks for name in b.target),
-    )

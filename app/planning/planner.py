@@ -1,12 +1,13 @@
 """Plans measurements: within a time, in what is allowed, from where the machine is.
 
-A planner is a value. After some of its legs are measured, `measured` returns one that
+A planner is a value. After some of its legs are measured, `update` returns one that
 knows them; after the noise, the prior or the model turned out otherwise, `replace` its
 design; then plan again from the present position.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -15,10 +16,9 @@ from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
 from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
-from app.motion.motion_times import Drive
-from app.motion.paths import check_travel
-from app.motion.travel import DECIMALS, inner_travel
+from app.motion.configurations import Commanded
+from app.motion.motion_times import Drive, Legs
+from app.motion.travel import DECIMALS, check_travel, inner_travel
 from app.motion.workspace import Workspace
 from app.planning.design_state import DesignState
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
@@ -51,7 +51,7 @@ class Planner:
         start: Float64[np.ndarray, " a"] | None = None,
         seed: int = 0,
         effort: SearchEffort | None = None,
-    ) -> Path | Configurations:
+    ) -> Commanded:
         """Return what tells most of all that takes no longer than the budget.
 
         A path for a design of lines, points for one of standstills. It starts and
@@ -64,7 +64,7 @@ class Planner:
         """
         rng = np.random.default_rng(seed)
         region = self._region()
-        if not self._apart(np.stack([region.low, region.high])):
+        if not self._is_apart(np.stack([region.low, region.high])):
             raise PlanningError(self._hindrance())
         begin = self._first_stop(region, rng) if start is None else start
         choice = LegChoice(
@@ -77,7 +77,7 @@ class Planner:
         )
         budget_s -= self.drive.dwell_s
         stops = choice.stops(begin, budget_s, legs)
-        while len(stops) > 2 and not self._apart(stops.position[[0, -1]]):
+        while len(stops) > 2 and not self._is_apart(stops.position[[0, -1]]):
             stops = stops.select(slice(len(stops) - 1))  # it came back to its beginning
         plan = self.design.commanded(
             self.machine.axis_names,
@@ -88,27 +88,29 @@ class Planner:
         self.check(plan)
         return plan
 
-    def measured(self, done: Path | Configurations) -> Planner:
+    def update(self, done: Commanded) -> Planner:
         """Return the planner that knows these legs to be measured.
 
         done : rows of a plan that follow each other, from where the first leg began
         """
-        position = done.position[:, : len(self.design.model.machine.axes)]
         feed = np.full(len(done), self.feeds_mm_min[0])
         if isinstance(done, Path):
             feed = done.feed_mm_min
-        told = self.design.information(position, feed, self.drive)
-        known = replace(self.design, precision=self.design.precision + told)
+        columns = len(self.design.model.machine.axes)
+        legs = Legs.between(done.position[:, :columns], feed)
+        known = self.design.add(self.design.information(legs, self.drive))
         return replace(self, design=known)
 
-    def check(self, plan: Path | Configurations) -> None:
+    def check(self, plan: Commanded) -> None:
         """Raise PlanningError if a plan leaves the travel or breaks the workspace."""
         check_travel(self.machine, plan)
         self.workspace.refuse(self.machine, plan)
 
-    def _apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
+    def _is_apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
         feed, drive = max(self.feeds_mm_min), replace(self.drive, least_mm=0.0)
-        return bool(self.design.fits(ends[:1], ends[1:], feed, drive)[0])
+        return bool(
+            self.design.fits(Legs.between(ends, np.full(2, feed)), feed, drive)[0]
+        )
 
     def _hindrance(self) -> str:
         """Return why not even the diagonal of the travel can be measured."""
@@ -126,11 +128,9 @@ class Planner:
         machine, feed = self.design.model.machine, max(self.feeds_mm_min)
         low, high = inner_travel(machine)
 
-        def allowed(
-            begin: Float64[np.ndarray, "n a"], end: Float64[np.ndarray, "n a"]
-        ) -> Bool[np.ndarray, " n"]:
-            fits = self.design.fits(begin, end, feed, self.drive)
-            return fits & self.workspace.allowed(machine, begin, end)
+        def allowed(legs: Legs) -> Bool[np.ndarray, " n"]:
+            fits = self.design.fits(legs, feed, self.drive)
+            return fits & self.workspace.allowed(machine, legs.begin, legs.end)
 
         return SearchRegion(low, high, allowed)
 
@@ -149,6 +149,38 @@ class Planner:
                 "sight of the tracker; correct the workspace"
             )
         return places[int(np.argmax(free))]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanShare:
+    """What one of several planners has: a time, or a number of legs."""
+
+    planner: Planner
+    budget_s: float = np.inf
+    legs: int | None = None
+
+
+def plan_in_turn(
+    shares: Sequence[PlanShare], *, seed: int, effort: SearchEffort | None = None
+) -> list[Commanded]:
+    """Return the plans of planners of one model, each from where the last one ends.
+
+    Each knows what those before it measure.
+    """
+    blocks: list[Commanded] = []
+    precision = start = None
+    for share in shares:
+        planner = share.planner
+        if precision is not None:
+            known = replace(planner.design, precision=precision)
+            planner = replace(planner, design=known)
+        block = planner.plan(
+            share.budget_s, legs=share.legs, start=start, seed=seed, effort=effort
+        )
+        precision = planner.update(block).design.precision
+        start = block.position[-1]
+        blocks.append(block)
+    return blocks
 
 
 def with_resting_axes(

@@ -23,8 +23,8 @@ from app.estimation.normal_equations import compute_information
 from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
-from app.motion.configurations import Configurations
-from app.motion.paths import ACCELERATION_MM_S2, line_times_s
+from app.motion.configurations import Commanded, Configurations
+from app.motion.motion_times import ACCELERATION_MM_S2, Drive, Legs, row_times_s
 from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path
 
@@ -53,7 +53,7 @@ class _Stretch:
 
 def predict_cells(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     station_mm: Float64[np.ndarray, "3"],
 ) -> Observations:
     """Return the cells of a measurement with the tracker at a place.
@@ -64,7 +64,8 @@ def predict_cells(
 
     Raises PlanningError if nothing moves and nothing dwells.
     """
-    parts = list(_stretches(commanded))
+    is_path = isinstance(commanded, Path)
+    parts = list(_lines(commanded) if is_path else _dwells(commanded))
     if not parts:
         raise PlanningError(
             "no line has a length and no point a dwell; nothing would be measured"
@@ -97,22 +98,12 @@ def predict_information(
     return compute_information(seen, linearise(seen, model, seen.pose, noise))
 
 
-def _stretches(commanded: Path | Configurations) -> Iterator[_Stretch]:
-    if isinstance(commanded, Path):
-        yield from _lines(commanded)
-    else:
-        yield from _dwells(commanded)
-
-
 def _lines(path: Path) -> Iterator[_Stretch]:
     """Yield the part of each line that is driven at constant feed."""
-    took_s = line_times_s(path)
-    begin_s = np.cumsum(took_s) - took_s
-    linear = np.array([name in "XYZ" for name in path.axes])
-    step = np.diff(path.position, axis=0)
-    straight = np.asarray(np.linalg.norm(step[:, linear], axis=1), np.float64)
-    turn = np.asarray(np.linalg.norm(step[:, ~linear], axis=1), np.float64)
-    length = np.where(straight > 0.0, straight, turn)
+    row_s = row_times_s(path)
+    begin_s = np.cumsum(row_s) - row_s
+    legs = Legs.between(path.position, path.feed_mm_min)
+    length = Drive.of(path.axes, 0.0).length(legs)
     speed = path.feed_mm_min[1:] / 60.0
     steady = np.maximum(length - speed**2 / ACCELERATION_MM_S2, _STEADY * length)
     cell = np.maximum(_CELL_MM, steady.clip(0.0).sum() / _MOST_CELLS)
@@ -136,7 +127,7 @@ def _dwells(points: Configurations) -> Iterator[_Stretch]:
 
 
 def _conditions(
-    machine: Machine, commanded: Path | Configurations, parts: list[_Stretch]
+    machine: Machine, commanded: Commanded, parts: list[_Stretch]
 ) -> Conditions:
     sizes = [len(p.share) for p in parts]
     row = np.repeat([p.row for p in parts], sizes)
@@ -152,11 +143,7 @@ def _conditions(
     at = make_standstill(
         machine, begin + share[:, None] * step, offsets_mm(machine, names, len(row))
     ).view_from(machine.tracker.stands_on, on_workpiece(machine, names, len(row)))
-    ahead, behind = (
-        replace(at, position_mm=at.position_mm + sign * _AHEAD * step).point_mm
-        for sign in (1.0, -1.0)
-    )
-    velocity = (ahead - behind) * (rate / (2.0 * _AHEAD))[:, None]
+    velocity = find_slopes_mm(at, step) * rate[:, None]
     goes = np.linalg.norm(velocity, axis=1) > 0.0
     line = np.where(goes, row, -1)
     lag = np.where(goes, time_s - middle, 0.0)
@@ -168,6 +155,17 @@ def _conditions(
         velocity_mm_s=velocity,
         approach=approach_signs(position)[row],
     )
+
+
+def find_slopes_mm(
+    at: Conditions, step: Float64[np.ndarray, "n a"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Return how the target's place changes with the share of a step of the axes."""
+    behind, ahead = (
+        replace(at, position_mm=at.position_mm + sign * _AHEAD * step).point_mm
+        for sign in (-1.0, 1.0)
+    )
+    return (ahead - behind) / (2.0 * _AHEAD)
 
 
 def assume_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:

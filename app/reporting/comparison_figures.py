@@ -7,7 +7,7 @@ from jaxtyping import Float64
 from markupsafe import Markup
 
 from app.kinematics.machine import Axis
-from app.motion.paths import unit_corners
+from app.motion.default_points import unit_corners
 from app.reporting.axis_panels import LEFT, SIGN, TOP, draw_panels
 from app.reporting.chart import Frame, Scale
 from app.reporting.svg import (

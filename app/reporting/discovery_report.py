@@ -13,8 +13,7 @@ from datetime import datetime
 from app.discovery.discover import Discovery
 from app.discovery.findings import Finding
 from app.discovery.residual_location import RunResidual, Segment
-from app.planning.discrimination import Question
-from app.planning.discrimination_lines import DECIDED, DiscriminationDesign
+from app.planning.discrimination import DECIDED, DiscriminationDesign, Question
 from app.reporting.discovery_figures import (
     draw_along_run,
     draw_by_line,

@@ -10,7 +10,7 @@ from app.discovery.discover import Discovery, discover
 from app.discovery.open_questions import design_discrimination
 from app.estimation.prior_model import PriorModel
 from app.files.run import Run
-from app.planning.discrimination_lines import DiscriminationDesign
+from app.planning.discrimination import DiscriminationDesign
 from app.progress import Progress, ignore_progress, scale_progress
 from app.results.discovery_json import ask_json, discovery_json
 from app.results.model_file import NextModel, build_next_model, build_reference

@@ -14,8 +14,7 @@ from app.discovery.residual_location import RunResidual, Segment
 from app.files.commanded_file import list_columns
 from app.kinematics.effects.catalogue import Candidate, Family, find_family
 from app.kinematics.symbols import is_turn
-from app.planning.discrimination import Question
-from app.planning.discrimination_lines import DECIDED, DiscriminationDesign
+from app.planning.discrimination import DECIDED, DiscriminationDesign, Question
 from app.results.updated_effects import parameters_json
 
 SCHEMA = "discovery/1"

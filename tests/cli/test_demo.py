@@ -11,7 +11,7 @@ from app.cli.demo import compare_with_truth, plan_path
 from app.errors import PlanningError
 from app.files.bundle import read_bundle
 from app.files.machine_file import machine_from_json
-from app.motion.paths import travel_time_s
+from app.motion.motion_times import travel_time_s
 from simulators.scenario import load_machine
 
 FAST = ["--speed", "4", "--feed", "15000"]

@@ -23,8 +23,8 @@ from app.estimation.baseline import ReferenceModel
 from app.files.commanded_file import decode_path, encode_commanded
 from app.files.run import Run
 from app.kinematics.model import MachineModel
-from app.motion.paths import check_travel
-from app.planning.discrimination_lines import DiscriminationDesign
+from app.motion.travel import check_travel
+from app.planning.discrimination import DiscriminationDesign
 from app.reporting.discovery_report import describe_ask, render_discovery_report
 from app.reporting.templating import render_part
 from app.results.discovery_json import ask_json, discovery_json

@@ -24,7 +24,7 @@ from app.jobs.transitions import State
 from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig
 from app.measurement.run_reading import open_run
-from app.motion.paths import check_travel
+from app.motion.travel import check_travel
 from simulators.bench import Bench
 
 SPEED = 10.0

@@ -133,7 +133,7 @@ def there_and_back(order: MeasurementOrder, times: int) -> MeasurementOrder:
 
 
 @pytest.fixture
-def find_short_order(order) -> MeasurementOrder:
+def short_order(order) -> MeasurementOrder:
     """Almost two seconds of motion, there and back again."""
     return there_and_back(order, 4)
 
@@ -213,8 +213,8 @@ def test_axis_positions_are_recorded_slowly(begin, order):
     assert np.ptp(axes.position_mm[:, 0]) == pytest.approx(110.0, abs=1.0)
 
 
-def test_progress_counts_lines_and_foresees_the_end(begin, find_short_order, journal):
-    begin(find_short_order).ended()
+def test_progress_counts_lines_and_foresees_the_end(begin, short_order, journal):
+    begin(short_order).ended()
     progress = journal.of(MeasurementProgress)
     assert [p.done for p in progress] == sorted(p.done for p in progress)
     last = progress[-1]
@@ -228,8 +228,8 @@ def test_progress_counts_lines_and_foresees_the_end(begin, find_short_order, jou
     assert half_way.remaining_s < 6.0
 
 
-def test_live_points_are_a_tenth_of_a_second_apart(begin, find_short_order, journal):
-    begin(find_short_order).ended()
+def test_live_points_are_a_tenth_of_a_second_apart(begin, short_order, journal):
+    begin(short_order).ended()
     live = journal.of(LivePoints)
     points = sum(len(body.tracker_mm) for body in live)
     device_s = live[-1].device_time_s - 100.0
@@ -239,9 +239,9 @@ def test_live_points_are_a_tenth_of_a_second_apart(begin, find_short_order, jour
 
 
 def test_the_watchdog_is_fed_at_every_look_while_the_machine_moves(
-    begin, find_short_order, motion
+    begin, short_order, motion
 ):
-    begin(find_short_order).ended()
+    begin(short_order).ended()
     assert motion.looks > 10
     assert motion.beats == motion.looks
 

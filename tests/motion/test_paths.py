@@ -16,7 +16,9 @@ from app.kinematics.machine import (
     TrackerNoise,
 )
 from app.motion.configurations import Configurations
-from app.motion.paths import check_travel, default_points, line_times_s, travel_time_s
+from app.motion.default_points import default_points
+from app.motion.motion_times import row_times_s, travel_time_s
+from app.motion.travel import check_travel
 from drivers.interfaces.records import Path
 
 
@@ -91,7 +93,7 @@ def test_travel_time_counts_lines_stops_and_dwells():
     path = replace(path, dwell_s=np.array([1.0, 2.0, 3.0]))
     # 100 mm at 100 mm/s and 1000 mm/s²: 1.0 s and 0.1 s for the two ramps.
     assert travel_time_s(path) == pytest.approx(6.0 + 2.2)
-    np.testing.assert_allclose(line_times_s(path), [1.0, 3.1, 4.1])
+    np.testing.assert_allclose(row_times_s(path), [1.0, 3.1, 4.1])
 
 
 def test_a_line_too_short_for_its_feed_takes_its_two_ramps():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.motion_times import drive_of
+from app.motion.motion_times import Drive
 from app.motion.workspace import Workspace
 from app.planning.design_state import DesignState
 from app.planning.initial_design import start_line_design, start_point_design
@@ -44,7 +44,7 @@ def planner() -> Callable[..., Planner]:
             machine,
             design_of(machine, kind, perpendicular_only),
             workspace or Workspace(),
-            drive_of(part, acceleration_mm_s2=1000.0, dwell_s=dwell_s),
+            Drive.of(part.axis_names, dwell_s),
             feeds,
         )
 

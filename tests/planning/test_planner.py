@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import drive_of
-from app.motion.paths import line_times_s
+from app.motion.motion_times import Drive, Legs, row_times_s
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace
 from app.planning.default_path import default_path
@@ -20,7 +19,7 @@ from drivers.interfaces.records import Path
 
 def left_mm(planner, plan):
     """Volumetric uncertainty that a plan leaves, by the planner's own criterion."""
-    design = planner.measured(plan).design
+    design = planner.update(plan).design
     return float(np.sum(inverse(design.precision) * design.gram)) ** 0.5
 
 
@@ -35,7 +34,7 @@ def points(planner, mill):
 
 
 def test_a_path_takes_no_longer_than_its_budget_and_nearly_all_of_it(lines):
-    assert 75.0 < line_times_s(lines).sum() <= 90.0
+    assert 75.0 < row_times_s(lines).sum() <= 90.0
 
 
 def test_a_path_starts_and_ends_at_different_places(lines, planner, mill):
@@ -45,9 +44,7 @@ def test_a_path_starts_and_ends_at_different_places(lines, planner, mill):
 
 def test_every_line_is_long_enough_for_a_steady_feed(lines, planner, mill):
     made = planner(mill)
-    lost, seconds = made.drive.steady(
-        lines.position[:-1], lines.position[1:], lines.feed_mm_min[1:]
-    )
+    lost, seconds = made.drive.steady(Legs.between(lines.position, lines.feed_mm_min))
     assert lost.max() <= 0.25
     assert seconds.min() > 0.2
 
@@ -63,14 +60,14 @@ def test_the_default_path_leaves_little_more_than_a_plan_of_the_same_time(
 ):
     usual = default_path(mill, 6000.0)
     made = planner(mill)
-    best = made.plan(float(line_times_s(usual).sum()))
+    best = made.plan(float(row_times_s(usual).sum()))
     assert left_mm(made, usual) < 1.1 * left_mm(made, best)
 
 
 def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
     made = planner(mill)
     low, high = inner_travel(mill)
-    region = SearchRegion(low, high, lambda begin, end: np.ones(len(begin), bool))
+    region = SearchRegion(low, high, lambda legs: np.ones(len(legs), bool))
 
     def left(rounds):
         choice = LegChoice(
@@ -82,7 +79,7 @@ def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
             SearchEffort(rounds=rounds),
         )
         stops = choice.stops(low, 60.0)
-        told = made.design.information(stops.position, stops.feed_mm_min, made.drive)
+        told = made.design.information(stops.legs, made.drive)
         C = inverse(made.design.precision + told)
         return float(np.sum(C * made.design.gram)) ** 0.5
 
@@ -92,7 +89,7 @@ def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
 def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mill):
     made = planner(mill, perpendicular_only=True)
     corners = corner_path(mill, 6000.0, 0.4)
-    planned = made.plan(float(line_times_s(corners).sum()))
+    planned = made.plan(float(row_times_s(corners).sum()))
     assert left_mm(made, planned) <= 0.55 * left_mm(made, corners)
 
 
@@ -109,11 +106,11 @@ def test_several_feeds_have_their_share_of_the_lines(planner, mill):
 
 def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
     design = start_line_design(mill, np.array([250.0, -900.0, 100.0]), dynamic=True)
-    drive = drive_of(mill, acceleration_mm_s2=1000.0, dwell_s=0.4)
+    drive = Drive.of(mill.axis_names, 0.4)
 
     def known(*feeds):
         made = Planner(mill, design, Workspace(), drive, feeds)
-        lags = predict_lag_sigmas_s(made.measured(made.plan(120.0)).design)
+        lags = predict_lag_sigmas_s(made.update(made.plan(120.0)).design)
         return np.mean(list(lags.values()))
 
     assert known(3000.0, 6000.0, 12_000.0) < 0.95 * known(6000.0)
@@ -122,14 +119,14 @@ def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
 def test_after_some_lines_the_rest_is_planned_from_where_the_machine_is(planner, mill):
     made = planner(mill)
     first = made.plan(45.0)
-    known = made.measured(first)
+    known = made.update(first)
     rest = known.plan(45.0, start=first.position[-1], seed=1)
     assert rest.position[0].tolist() == first.position[-1].tolist()
     again = Path(rest.axes, first.position, first.feed_mm_min, first.dwell_s)
     assert left_mm(known, rest) < 1.02 * left_mm(known, again)
 
 
-def test_a_louder_tracker_is_planned_for_with_a_new_outlook(planner, mill):
+def test_a_louder_tracker_is_planned_for_with_a_new_design(planner, mill):
     made = planner(mill)
     noise = made.design.noise
     louder = replace(noise, density_s=tuple(9.0 * d for d in noise.density_s))
@@ -140,8 +137,8 @@ def test_a_louder_tracker_is_planned_for_with_a_new_outlook(planner, mill):
 
 def test_points_take_no_longer_than_their_budget_moves_included(points, planner, mill):
     drive = planner(mill, "points").drive
-    feed = np.full(len(points) - 1, 6000.0)
-    moves = drive.times_s(points.position[:-1], points.position[1:], feed)
+    feed = np.full(len(points), 6000.0)
+    moves = drive.times_s(Legs.between(points.position, feed))
     assert 50.0 < moves.sum() + drive.dwell_s <= 60.0
 
 
@@ -168,7 +165,7 @@ def test_an_approach_from_one_side_tells_less(points, planner, mill, rng):
     part = np.r_[tuple(design.model.slices[name] for name in motions)]
 
     def variances(begin):
-        rows = design.rows(begin, at, np.full(len(at), 6000.0), made.drive)
+        rows = design.rows(Legs(begin, at, np.full(len(at), 6000.0)), made.drive)
         flat = rows.reshape(-1, rows.shape[2])
         C = inverse(design.precision + flat.T @ flat)
         return np.diag(C)[part]

@@ -18,7 +18,7 @@ from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel
 from app.planning.forecast import forecast
-from app.planning.plan import PlanRequest, make_plan
+from app.planning.plan import PlanOrder, make_plan
 from app.reporting.plan_report import render_plan_report
 from app.results.plan_document import plan_document
 from simulators import synthetic
@@ -59,9 +59,7 @@ def planned(model):
     return {
         knows: make_plan(
             MACHINE,
-            PlanRequest(
-                minutes=0.8, feeds_mm_min=FEEDS, model=model if knows else None
-            ),
+            PlanOrder(minutes=0.8, feeds_mm_min=FEEDS, model=model if knows else None),
         )
         for knows in (True, False)
     }
@@ -118,12 +116,12 @@ def test_the_plan_states_the_effects_before_and_after(planned):
 def test_a_model_of_another_machine_is_refused(model):
     other = machine_from_json(load_machine("demo"), file="machine.json")
     with pytest.raises(BundleError, match=r"model.json: machine.axes: X 0 to 220"):
-        make_plan(other, PlanRequest(minutes=0.5, model=model))
+        make_plan(other, PlanOrder(minutes=0.5, model=model))
 
 
 @pytest.mark.parametrize("mode", ["otf", "standstill"])
 def test_points_and_lines_are_planned_for_it(model, mode):
-    plan = make_plan(MACHINE, PlanRequest(mode, minutes=0.4, model=model))
+    plan = make_plan(MACHINE, PlanOrder(mode, minutes=0.4, model=model))
     (lost, *_) = plan_document(plan)["predicted"]["effects"]
     before, after = lost["known_before"]["width_um"], lost["parameters"]["width_um"]
     assert after["uncertainty"] < before["uncertainty"]

@@ -13,7 +13,7 @@ from app import plugins
 from app.estimation.prior_model import PriorModel
 from app.files.result_file import result_from_json
 from app.kinematics.effects.conformance import CHECKS, example_conditions
-from app.planning.plan import PlanRequest, make_plan
+from app.planning.plan import PlanOrder, make_plan
 from app.reporting.analysis_files import render_analysis
 from app.reporting.discovery_report import render_discovery_report
 from app.reporting.plan_report import render_plan_report
@@ -105,7 +105,7 @@ def test_an_analysis_estimates_it_and_its_report_names_it(installed, run, model)
 
 
 def test_a_plan_tells_it_apart_and_names_it(installed, run, model):
-    plan = make_plan(run.machine, PlanRequest(minutes=1.0, model=model))
+    plan = make_plan(run.machine, PlanOrder(minutes=1.0, model=model))
     document = plan_document(plan)
     (effect,) = document["predicted"]["effects"]
     assert {key: effect[key] for key in KEYS} == KEYS

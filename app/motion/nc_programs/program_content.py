@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.machine import Machine, position_unit
+from app.motion.motion_times import ACCELERATION_MM_S2, travel_time_s
 from app.motion.nc_programs.programmed_motion import compute_checksum
-from app.motion.paths import ACCELERATION_MM_S2, travel_time_s
 from drivers.interfaces.records import Path
 
 _COLUMNS = 60  # of a header line; every control's screen shows as many

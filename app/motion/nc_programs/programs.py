@@ -7,6 +7,7 @@ import numpy as np
 from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine, position_unit
 from app.motion.configurations import Configurations
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from app.motion.nc_programs.dialect import Dialect
 from app.motion.nc_programs.program_content import (
     LARGEST_FEED,
@@ -17,7 +18,7 @@ from app.motion.nc_programs.program_content import (
     write_header,
 )
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion, compute_checksum
-from app.motion.paths import DEFAULT_FEED_MM_MIN, check_travel
+from app.motion.travel import check_travel
 from app.plugins import installed, load
 from drivers.interfaces.records import Path
 

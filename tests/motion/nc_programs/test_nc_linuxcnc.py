@@ -9,8 +9,8 @@ import subprocess
 import numpy as np
 import pytest
 
+from app.motion.default_points import default_points
 from app.motion.nc_programs.programs import write_program
-from app.motion.paths import default_points
 from app.planning.default_path import default_path
 
 pytestmark = pytest.mark.skipif(

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from app import plugins
 from app.errors import BadInput, OutOfTravel, PlanningError
 from app.motion.configurations import Configurations
+from app.motion.default_points import default_points
 from app.motion.nc_programs.fanuc import Fanuc
 from app.motion.nc_programs.linuxcnc import LinuxCnc
 from app.motion.nc_programs.programmed_motion import compute_checksum
@@ -24,7 +25,6 @@ from app.motion.nc_programs.programs import (
     read_program,
     write_program,
 )
-from app.motion.paths import default_points
 from app.planning.default_path import default_path
 from drivers.interfaces.records import Path
 

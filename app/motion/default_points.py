@@ -1,0 +1,90 @@
+"""Standstill points when nobody has planned better ones.
+
+They need no estimator and no time: the service makes them while it answers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.errors import PlanningError
+from app.kinematics.machine import Machine
+from app.motion.configurations import Configurations
+from app.motion.motion_times import find_short_order
+from app.motion.travel import DECIMALS, inner_travel
+from app.motion.workspace import moving_targets
+
+DEFAULT_POINTS = 60  # some four minutes on a small mill
+POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
+_LEAST_TURN_DEG = 10.0  # or a tenth of the travel
+
+
+def default_points(
+    machine: Machine,
+    *,
+    count: int | None = None,
+    dwell_s: float = 1.0,
+    seed: int = 0,
+) -> Configurations:
+    """Return standstill points: the eight corners, the rest spread evenly inside.
+
+    They stand in an order of short moves. The same seed gives the same points. Where
+    there are rotary axes, the points are spread over all axes and over the targets.
+
+    count : 60 where it is left out, 180 with rotary axes
+    """
+    turning = bool(machine.rotary_axes)
+    count = count or (POINTS_WITH_ROTARY_AXES if turning else DEFAULT_POINTS)
+    if count < 8 or dwell_s <= 0:
+        raise PlanningError(
+            f"{count} points, dwell {dwell_s:g} s: 8 points or more, a dwell above 0"
+        )
+    rng, target = np.random.default_rng(seed), ()
+    if turning:
+        position = _turn_all_axes(machine, count, rng)
+        names = [t.name for t in moving_targets(machine)]
+        if any(names):
+            target = tuple(names[k * len(names) // count] for k in range(count))
+    else:
+        position = _spread(machine, count, rng)
+    return Configurations(machine.axis_names, position, np.full(count, dwell_s), target)
+
+
+def _spread(
+    machine: Machine, count: int, rng: np.random.Generator
+) -> Float64[np.ndarray, "n a"]:
+    """Return corners, then a Latin hypercube: a point in each slice of each axis."""
+    low, high = inner_travel(machine)
+    corners = unit_corners()
+    inside = count - 8
+    slices = np.stack([rng.permutation(inside) for _ in range(3)], axis=1)
+    unit = np.vstack([corners, (slices + rng.random((inside, 3))) / max(inside, 1)])
+    points = np.round(low + unit * (high - low), DECIMALS)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    return points[find_short_order(apart)]
+
+
+def _turn_all_axes(
+    machine: Machine, count: int, rng: np.random.Generator
+) -> Float64[np.ndarray, "n a"]:
+    """Return random points inside the travel.
+
+    From one to the next every rotary axis turns, so that a target on the table moves
+    and its standstills are told apart.
+    """
+    low, high = inner_travel(machine)
+    travel = min(axis.high - axis.low for axis in machine.rotary_axes)
+    least_turn_deg = min(_LEAST_TURN_DEG, 0.1 * travel)
+    places = [rng.uniform(low, high)]
+    while len(places) < count:
+        place = rng.uniform(low, high)
+        turn = np.abs(place - places[-1])[len(machine.linear_axes) :]
+        if turn.min() > least_turn_deg:
+            places.append(place)
+    return np.round(places, DECIMALS)
+
+
+def unit_corners() -> Float64[np.ndarray, "8 3"]:
+    """Return the corners of the unit cube."""
+    return np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], float)
