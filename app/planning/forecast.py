@@ -28,12 +28,11 @@ from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded
 from app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
-from drivers.interfaces.records import Path
 
-_CURVE = 24  # places along the plan at which the uncertainty is told
-# Of the tracker, before enough lines tell it: a millimetre, a milliradian.
+_CURVE = 24  # places along the plan at which the uncertainty is stated
+# Of the tracker, before enough lines locate it: a millimetre, a milliradian.
 _POSE = {"mm": 1.0, "rad": 1e-3}
 # Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
 # ones, in the median of their error motions.
@@ -46,11 +45,11 @@ class Forecast:
     """The uncertainty after a plan, and on the way.
 
     covariance : (p, p) of the model's parameters
-    known : effects in the model that an earlier measurement has told, as they were
+    known : effects in the model, as an earlier measurement has left them
     volumetric_sigma_mm : root mean square over the travel of the standard uncertainty
         of the volumetric error vector, its rigid motion left out
     row, sigma_mm : (k,) the same once the plan's row is reached, in its order
-    unobservable : what the plan cannot tell, in words
+    unobservable : what the plan cannot show, in words
     """
 
     model: MachineModel
@@ -83,7 +82,7 @@ class Forecast:
 
 def forecast(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     station_mm: Float64[np.ndarray, "3"],
     *,
     known: KnownEffects | None = None,
@@ -97,8 +96,8 @@ def forecast(
     known : effects beside the error motions, before the plan
     prior_precision : by the effect's name; usual ones where left out
     """
-    seen = predict_cells(machine, commanded, station_mm)
-    offsets = np.unique(seen.at.offset_mm, axis=0)
+    cells = predict_cells(machine, commanded, station_mm)
+    offsets = np.unique(cells.at.offset_mm, axis=0)
     known = known or KnownEffects()
     model = known.extend(build_identifiable_model(machine, offsets)[0])
     if perpendicular_only:
@@ -107,21 +106,21 @@ def forecast(
         model, prior_precision or guess_prior_precision(model)
     )
     prior[known.locate(model), known.locate(model)] += known.precision_matrix()
-    judge = _Criterion(model, prior, compute_volumetric_gram(model))
-    about = linearise(seen, model, seen.pose, noise)
+    gram = compute_volumetric_gram(model)
+    about = linearise(cells, model, cells.pose, noise)
     sums = RecursiveEstimator.start(about)
     rows: list[int] = []
     sigmas: list[float] = []
     covariance = np.zeros((model.size, model.size))
-    ends = np.flatnonzero(np.diff(seen.row, append=seen.row[-1] + 1)) + 1
+    ends = np.flatnonzero(np.diff(cells.row, append=cells.row[-1] + 1)) + 1
     some = np.linspace(0, len(ends) - 1, _CURVE).round().astype(np.int64)
-    told = [0, *ends[np.unique(some)].tolist()]
-    for first, last in pairwise(told):
-        sums = sums.add(seen.select(np.arange(first, last)))
-        covariance, sigma = judge.of(sums)
-        rows.append(int(seen.row[last - 1]))
-        sigmas.append(sigma)
-    observed = assess_observability(machine, [RunInput(seen, seen.pose, noise)])
+    for first, last in pairwise([0, *ends[np.unique(some)].tolist()]):
+        sums = sums.add(cells.select(np.arange(first, last)))
+        covariance = _compute_covariance(sums, prior)
+        mean_square = float(np.sum(gram * covariance))
+        rows.append(int(cells.row[last - 1]))
+        sigmas.append(max(mean_square, 0.0) ** 0.5)
+    observed = assess_observability(machine, [RunInput(cells, cells.pose, noise)])
     return Forecast(
         model,
         known,
@@ -139,17 +138,11 @@ def guess_prior_precision(model: MachineModel) -> dict[str, float]:
     return {name: _SMOOTHER * precision for name, precision in found.items()}
 
 
-@dataclass(frozen=True)
-class _Criterion:
-    model: MachineModel
-    prior: Float64[np.ndarray, "p p"]
-    gram: Float64[np.ndarray, "p p"]
-
-    def of(self, sums: RecursiveEstimator) -> tuple[Float64[np.ndarray, "p p"], float]:
-        """Return the covariance after the cells so far, and the volumetric sigma."""
-        data, size = sums.information(), self.model.size
-        pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
-        prior = block_diag(self.prior, pose)
-        covariance = compute_posterior(data, prior).covariance[:size, :size]
-        square = float(np.sum(self.gram * covariance))
-        return covariance, float(np.sqrt(max(square, 0.0)))
+def _compute_covariance(
+    sums: RecursiveEstimator, prior: Float64[np.ndarray, "p p"]
+) -> Float64[np.ndarray, "p p"]:
+    """Return the covariance of the model's parameters after the cells so far."""
+    size = len(prior)
+    pose = diagonal_precision(sums.linearisation.pose_parameters, _POSE)
+    posterior = compute_posterior(sums.information(), block_diag(prior, pose))
+    return posterior.covariance[:size, :size]

@@ -37,20 +37,19 @@ from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded
 from app.planning.predicted_cells import (
     assume_stations_mm,
     predict_cells,
     predict_information,
 )
 from app.planning.remedies import Remedy, append_line, find_best_line
-from drivers.interfaces.records import Path
 
 GOOD, USABLE = 0.25, 1.0
 _SHAPES = 5  # intervals of the knots, for shapes that a person can picture
 _INTERVALS = 2 * _SHAPES  # what is finer the prior bridges
 _NAMED = 3  # weakest motions
-# What any measurement tells of the tracker's pose: 1 mm, 10 mrad. Less drowns in
+# What any measurement shows of the tracker's pose: 1 mm, 10 mrad. Less drowns in
 # rounding where a set-up tells hardly anything.
 _ROUGH_POSE = {"mm": 1.0, "rad": 1e-2}
 
@@ -104,19 +103,23 @@ class SetUp:
     """
 
     machine: Machine
-    commanded: Path | Configurations
+    commanded: Commanded
     station_mm: Float64[np.ndarray, "3"]
+
+    def predict(self) -> Observations:
+        """Return the cells that it would give."""
+        return predict_cells(self.machine, self.commanded, self.station_mm)
 
 
 @dataclass(frozen=True, slots=True)
 class _Evaluation:
     """Set-ups, solved as far as that goes before anything has been measured.
 
-    told : (p, p) information on the machine, whatever the tracker's poses
+    information : (p, p) on the machine, whatever the tracker's poses
     """
 
     set_ups: tuple[SetUp, ...]
-    told: Float64[np.ndarray, "p p"]
+    information: Float64[np.ndarray, "p p"]
     covariance: Float64[np.ndarray, "p p"]
     sigma_mm: float
     sample_sigma_mm: float
@@ -128,26 +131,28 @@ class _Evaluation:
 
 @dataclass(frozen=True, slots=True)
 class _Criterion:
-    """What set-ups are judged by: gram is of the model's θ."""
+    """The criterion of set-ups; gram is of the model's θ."""
 
     model: MachineModel
     gram: Float64[np.ndarray, "p p"]
     perpendicular_only: bool
 
     def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
-        seen = [predict_cells(s.machine, s.commanded, s.station_mm) for s in set_ups]
-        told = np.sum([self._marginalise_pose(one) for one in seen], axis=0)
-        nothing = Information.of_matrix(told)
+        cells = [one.predict() for one in set_ups]
+        information = np.sum([self._marginalise_pose(one) for one in cells], axis=0)
+        prior = usual_precision_matrix(self.model)
         covariance = compute_posterior(
-            nothing, usual_precision_matrix(self.model)
+            Information.of_matrix(information), prior
         ).covariance
         sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
-        return _Evaluation(set_ups, told, covariance, sigma, _sample_sigma_mm(seen))
+        return _Evaluation(
+            set_ups, information, covariance, sigma, _sample_sigma_mm(cells)
+        )
 
-    def _marginalise_pose(self, seen: Observations) -> Float64[np.ndarray, "p p"]:
+    def _marginalise_pose(self, cells: Observations) -> Float64[np.ndarray, "p p"]:
         """Return what one Run tells of the machine whatever the tracker's pose."""
         matrix = predict_information(
-            seen, self.model, perpendicular_only=self.perpendicular_only
+            cells, self.model, perpendicular_only=self.perpendicular_only
         ).matrix
         p, pose = self.model.size, TrackerPose((0.0, 0.0, 0.0)).parameters
         own = matrix[p:, p:] + diagonal_precision(pose, _ROUGH_POSE)
@@ -157,7 +162,7 @@ class _Criterion:
 
 def grade(
     machine: Machine,
-    commanded: Path | Configurations,
+    commanded: Commanded,
     *,
     station_mm: Float64[np.ndarray, "3"] | None = None,
     perpendicular_only: bool = False,
@@ -173,8 +178,8 @@ def grade(
     stations = (
         assume_stations_mm(machine) if station_mm is None else station_mm[None, :]
     )
-    tried = [(SetUp(machine, commanded, station),) for station in stations]
-    found = _grade_stations(machine, tried, perpendicular_only)
+    candidates = [(SetUp(machine, commanded, station),) for station in stations]
+    found = _grade_stations(machine, candidates, perpendicular_only)
     return replace(found, assumed=station_mm is None)
 
 
@@ -189,19 +194,20 @@ def grade_together(
 
 
 def _grade_stations(
-    machine: Machine, tried: list[tuple[SetUp, ...]], perpendicular_only: bool
+    machine: Machine, candidates: list[tuple[SetUp, ...]], perpendicular_only: bool
 ) -> Grade:
-    offsets_mm = np.concatenate(
-        [
-            predict_cells(one.machine, one.commanded, one.station_mm).at.offset_mm
-            for one in tried[0]
-        ]
+    offsets_mm = np.concatenate([one.predict().at.offset_mm for one in candidates[0]])
+    model, confounded = build_identifiable_model(
+        machine, offsets_mm, intervals=_INTERVALS
     )
-    model, merged = build_identifiable_model(machine, offsets_mm, intervals=_INTERVALS)
-    judge = _Criterion(model, compute_volumetric_gram(model), perpendicular_only)
-    every = [judge.evaluate(set_ups) for set_ups in tried]
+    criterion = _Criterion(model, compute_volumetric_gram(model), perpendicular_only)
+    every = [criterion.evaluate(set_ups) for set_ups in candidates]
     worst = max(every, key=lambda one: one.number)
-    weakest = _find_weakest(worst, judge)
+    weakest, improved = _find_weakest(worst, criterion), None
+    if remedy := weakest[0].remedy:  # a line more, at the end of the last Run
+        *others, last = worst.set_ups
+        longer = replace(last, commanded=append_line(last.commanded, remedy))
+        improved = criterion.evaluate((*others, longer)).number
     coarse, refined = _coarser(model)
     return Grade(
         worst.number,
@@ -211,24 +217,15 @@ def _grade_stations(
         worst.set_ups[-1].station_mm,
         False,
         min(one.number for one in every),
-        _improve(worst, weakest[0].remedy, judge),
+        improved,
         weakest,
         find_poorly_observable(
-            refined.T @ worst.told @ refined, coarse, refined.T @ judge.gram @ refined
+            refined.T @ worst.information @ refined,
+            coarse,
+            refined.T @ criterion.gram @ refined,
         ),
-        describe_confounded(machine, offsets_mm, merged, model, worst.covariance),
+        describe_confounded(machine, offsets_mm, confounded, model, worst.covariance),
     )
-
-
-def _improve(
-    worst: _Evaluation, remedy: Remedy | None, judge: _Criterion
-) -> float | None:
-    """Return the number with a line more, at the end of the last Run."""
-    if remedy is None:
-        return None
-    *others, last = worst.set_ups
-    longer = replace(last, commanded=append_line(last.commanded, remedy))
-    return judge.evaluate((*others, longer)).number
 
 
 def verdict(number: float) -> str:
@@ -238,10 +235,10 @@ def verdict(number: float) -> str:
     return "usable" if number <= USABLE else "poor"
 
 
-def _sample_sigma_mm(seen: Sequence[Observations]) -> float:
+def _sample_sigma_mm(cells: Sequence[Observations]) -> float:
     """Return the standard deviation of one sample as a vector, at usual distance."""
-    distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in seen])
-    tracker = seen[0].at.machine.tracker
+    distance = np.concatenate([np.linalg.norm(s.tracker_mm, axis=1) for s in cells])
+    tracker = cells[0].at.machine.tracker
     along, across = tracker.sigma_mm(distance[:, None].mean(axis=0))[0]
     return float(np.sqrt(along**2 + 2.0 * across**2))
 
@@ -267,8 +264,8 @@ def _coarser(
     return coarse, refined
 
 
-def _find_weakest(one: _Evaluation, judge: _Criterion) -> tuple[WeakMotion, ...]:
-    model, gram = judge.model, judge.gram
+def _find_weakest(one: _Evaluation, criterion: _Criterion) -> tuple[WeakMotion, ...]:
+    model, gram = criterion.model, criterion.gram
     share = {
         m.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
         for m in model.error_motions
@@ -277,11 +274,10 @@ def _find_weakest(one: _Evaluation, judge: _Criterion) -> tuple[WeakMotion, ...]
     names = sorted(share, key=lambda name: -share[name])[:_NAMED]
     if one.number <= GOOD:
         return tuple(WeakMotion(name, share[name], None) for name in names)
-    last = one.set_ups[-1]
-    seen = predict_cells(last.machine, last.commanded, last.station_mm)
+    cells = one.set_ups[-1].predict()
     return tuple(
         WeakMotion(
-            name, share[name], find_best_line(name, seen, model, one.covariance, gram)
+            name, share[name], find_best_line(name, cells, model, one.covariance, gram)
         )
         for name in names
     )

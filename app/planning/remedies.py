@@ -18,7 +18,7 @@ from app.alignment.observations import Observations
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.model import MachineModel
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded, join_rows, select_rows
 from app.motion.travel import inner_travel
 from app.numerics.design_criteria import IntegratedVariance
 from app.planning.predicted_cells import EXPECTED_NOISE
@@ -26,7 +26,7 @@ from drivers.interfaces.records import Path
 
 _POINTS = 12  # cells of a line, or points on it
 _SAMPLES = 100  # in the mean of a cell
-_SHORT = ("low", "middle", "high")
+_PLACES = {"low": "low end", "middle": "middle", "high": "high end"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,27 +62,20 @@ def find_best_line(
     ]
 
 
-def append_line(
-    commanded: Path | Configurations, line: Remedy
-) -> Path | Configurations:
+def append_line(commanded: Commanded, line: Remedy) -> Commanded:
     """Return what is commanded with a line at its end, or with points on it."""
     is_path = isinstance(commanded, Path)
     share = np.array([0.0, 1.0]) if is_path else np.linspace(0.0, 1.0, _POINTS)
-    added = line.begin + share[:, None] * (line.end - line.begin)
-    position = np.vstack([commanded.position, added])
-    more = len(added)
-    dwell_s = np.append(commanded.dwell_s, np.full(more, commanded.dwell_s.max()))
-    target = commanded.target and (*commanded.target, *commanded.target[-1:] * more)
-    if isinstance(commanded, Configurations):
-        return replace(commanded, position=position, dwell_s=dwell_s, target=target)
-    feed = np.append(commanded.feed_mm_min, np.full(more, commanded.feed_mm_min[-1]))
-    return replace(
-        commanded,
-        position=position,
-        feed_mm_min=feed,
-        dwell_s=dwell_s,
-        target=target,
+    more, last = len(share), select_rows(commanded, slice(-1, None))
+    added = replace(
+        last,
+        position=line.begin + share[:, None] * (line.end - line.begin),
+        dwell_s=np.full(more, commanded.dwell_s.max()),
+        target=last.target * more,
     )
+    if isinstance(added, Path):
+        added = replace(added, feed_mm_min=np.repeat(added.feed_mm_min, more))
+    return join_rows([commanded, added])
 
 
 def _lines(machine: Machine) -> Iterator[Remedy]:
@@ -93,30 +86,22 @@ def _lines(machine: Machine) -> Iterator[Remedy]:
     at = {"low": low, "middle": middle, "high": high}
     for column, axis in enumerate(machine.axes):
         others = [k for k in range(linear) if k != column]
-        for places in itertools.product(_SHORT, repeat=len(others)):
+        for places in itertools.product(_PLACES, repeat=len(others)):
             begin = np.concatenate([middle[:linear], rest])
             for k, place in zip(others, places, strict=True):
                 begin[k] = at[place][k]
             end = begin.copy()
             begin[column], end[column] = low[column], high[column]
-            where = _describe_place(machine, others, places)
+            where = " and ".join(
+                f"the {_PLACES[place]} of {machine.axes[k].name}"
+                for k, place in zip(others, places, strict=True)
+            )
             yield Remedy(f"a line along {axis.name} at {where}", begin, end)
     for corner in itertools.product((0, 1), repeat=max(linear - 1, 0)):
         side = np.array([0, *corner])
         begin = np.concatenate([np.where(side, high[:linear], low[:linear]), rest])
         end = np.concatenate([np.where(side, low[:linear], high[:linear]), rest])
         yield Remedy(_diagonal(machine, begin, end), begin, end)
-
-
-def _describe_place(
-    machine: Machine, columns: list[int], places: tuple[str, ...]
-) -> str:
-    ends = {"low": "the low end of {}", "middle": "the middle of {}"}
-    words = [
-        ends.get(place, "the high end of {}").format(machine.axes[k].name)
-        for k, place in zip(columns, places, strict=True)
-    ]
-    return " and ".join(words)
 
 
 def _diagonal(
