@@ -76,7 +76,7 @@ def plan_measurement(
         machine,
         planned.commanded,
         tracker_mm=planned.station_mm.tolist(),
-        perpendicular_only=planned.request.perpendicular_only,
+        perpendicular_only=planned.order.perpendicular_only,
     )
     return {
         **plan_json(planned.commanded),

@@ -32,7 +32,7 @@ def write_plan(
     commanded, machine = planned.commanded, planned.machine
     rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
     files = {rows: encode_commanded(commanded)}
-    feed = planned.request.feeds_mm_min[0]
+    feed = planned.order.feeds_mm_min[0]
     for control in controls or list_dialects():
         text = write_program(commanded, machine, control, feed_mm_min=feed)
         files[f"{control}/{name_file(text, control)}"] = text.encode()

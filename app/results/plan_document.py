@@ -15,17 +15,17 @@ _PER_UNIT = {"um": 1e3, "urad": 1e6}
 
 def plan_document(planned: Plan) -> dict[str, Any]:
     """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
-    request, found = planned.request, planned.forecast
-    target_um, model = request.target_um, request.model
+    order, found = planned.order, planned.forecast
+    target_um, model = order.target_um, order.model
     return {
         "schema": SCHEMA,
         "machine": machine_to_json(planned.machine),
-        "mode": request.mode,
+        "mode": order.mode,
         "rows": len(planned.commanded),
         "duration_s": round(planned.duration_s, 3),
-        "corner_path": request.corner_path,
-        "perpendicular_only": request.perpendicular_only,
-        "feeds_mm_min": list(request.feeds_mm_min),
+        "corner_path": order.corner_path,
+        "perpendicular_only": order.perpendicular_only,
+        "feeds_mm_min": list(order.feeds_mm_min),
         "model": model
         and {
             "source": model.source,
@@ -34,7 +34,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         },
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.station_mm],
-            "assumed": request.workspace.tracker_mm is None,
+            "assumed": order.workspace.tracker_mm is None,
         },
         "predicted": {
             **_state_both(planned.uncertainty_um),
@@ -66,7 +66,7 @@ def _list_unobservable(planned: Plan) -> list[str]:
     """Return what the plan cannot tell, in words."""
     said = list(planned.forecast.unobservable)
     turning = [axis.name for axis in planned.machine.rotary_axes]
-    if planned.request.mode == "otf" and turning:
+    if planned.order.mode == "otf" and turning:
         axes = ", ".join(turning)
         said.append(
             f"{axes}: rotary axes stand still on this path; their errors show between "
