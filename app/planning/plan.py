@@ -249,10 +249,10 @@ class _PlanAttempt:
             known=self.known,
             perpendicular_only=order.perpendicular_only,
         )
+        time_s = np.cumsum(row_times_s(commanded, order.feeds_mm_min[0]))
         lags: dict[str, float] = {}
         if order.is_on_the_fly and len(order.feeds_mm_min) > 1:
             lags = predict_lag_sigmas_s(self._line_planner().update(commanded).design)
-        time_s = np.cumsum(row_times_s(commanded, order.feeds_mm_min[0]))
         return Plan(
             self.machine, order, commanded, self.station_mm, time_s, prediction, lags
         )
