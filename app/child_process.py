@@ -2,9 +2,7 @@
 
 Every child is spawned, never forked, and
 
-- runs linear algebra on one thread where the user has set no other number: the threads
-  of several processes only fight over the cores (measured: 11.1 s against 0.58 s for
-  the same work) and would delay the reader of the tracker's port;
+- runs linear algebra on one thread where the user has set no other number;
 - ignores Ctrl+C, which a terminal sends to every process: the parent decides;
 - sends its log records to the log of its parent;
 - does not outlive its parent.
@@ -23,24 +21,13 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 
 from app.service_log import LogSettings, receive_log, send_log
+from app.thread_limits import choose_thread_limits
 
 BACKGROUND_NICENESS = 10
 """Of processes that compute: the reader of the tracker's port goes first."""
 _END_S = 5.0
 _SPAWN = get_context("spawn")
-_THREAD_LIMITS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
 _ENVIRONMENT = threading.Lock()
-
-
-def limit_own_threads() -> None:
-    """Limit linear algebra here as in a child; call it before NumPy is imported."""
-    os.environ.update(_default_threads())
 
 
 def open_pipe() -> tuple[Connection, Connection]:
@@ -138,12 +125,6 @@ class ChildProcess:
             end.close()
 
 
-def _default_threads() -> dict[str, str]:
-    """Return the limits that the user has not set: that for OpenMP, else one thread."""
-    number = os.environ.get("OMP_NUM_THREADS", "1").split(",")[0]
-    return {name: number for name in _THREAD_LIMITS if name not in os.environ}
-
-
 @contextmanager
 def _child_environment() -> Iterator[None]:
     """Let a child that is spawned meanwhile use one thread and never receive Ctrl+C.
@@ -153,7 +134,7 @@ def _child_environment() -> Iterator[None]:
     """
     before_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     with _ENVIRONMENT:
-        added = _default_threads()
+        added = choose_thread_limits()
         os.environ.update(added)
         try:
             yield

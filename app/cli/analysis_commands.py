@@ -148,7 +148,7 @@ def predict(
     json: Json = False,
 ) -> None:
     """Volumetric error and its standard uncertainty at any points."""
-    from app.reporting.analysis_files import predict_points
+    from app.results.points_csv import predict_points
 
     predicted = predict_points(result, points, output)
     for warning in predicted.warnings:

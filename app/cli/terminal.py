@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,18 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.table import Table
 
 from app.errors import BadInput
+from app.thread_limits import choose_thread_limits
 
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
@@ -51,10 +43,21 @@ def show_progress(title: str) -> Iterator[NotedProgress]:
 
     Yields the callback of the work.
     """
+    from rich.console import Console
+
     console = Console(stderr=True)
     if not console.is_terminal:
         yield _make_stage_printer(title)
         return
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -98,6 +101,9 @@ def print_table(
     title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> None:
     """Write a table to standard output: names left, numbers right."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(title=title, title_justify="left")
     for number, name in enumerate(columns):
         table.add_column(name, justify="left" if number == 0 else "right")
@@ -129,9 +135,7 @@ def compute_on_one_thread() -> None:
     On busy cores the threads of a BLAS wait for each other and take several times the
     processor time of one.
     """
-    from app.child_process import limit_own_threads
-
-    limit_own_threads()
+    os.environ.update(choose_thread_limits())
     # Imports make many objects that stay; looking through them again and again for
     # cycles costs a command that soon ends a twentieth of its time.
     gc.set_threshold(100_000, 50, 50)

@@ -31,7 +31,11 @@ class FileModel(BaseModel):
     """
 
     model_config = ConfigDict(
-        extra="ignore", frozen=True, strict=True, allow_inf_nan=False
+        extra="ignore",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        defer_build=True,  # a command reads few kinds of files
     )
 
     @model_validator(mode="before")

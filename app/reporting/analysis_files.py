@@ -1,4 +1,4 @@
-"""The files of an analysis: result, tables and report; predictions from a result."""
+"""The files of an analysis: Runs in; result, tables and report out."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from typing import Any
 
 from app.errors import BundleError
 from app.files.file_model import encode_json
-from app.files.result_file import LARGEST_BYTES, read_result
 from app.files.run import Run
-from app.files.whole_files import read_whole, replace_file, write_files
+from app.files.whole_files import write_files
 from app.reporting.calibration_report import render_calibration_report
 from app.results.error_table_files import error_tables_csv
 from app.results.findings import Findings
-from app.results.points_csv import encode_predictions, read_points
-from app.results.prediction import Prediction, predict
 from app.results.result_json import result_json
 
 RESULT, TABLES, REPORT = "result.json", "error_tables.csv", "report.html"
@@ -76,18 +73,3 @@ def write_analysis(analysis: Analysis, folder: str | Path) -> None:
         RESULT: encode_json(analysis.result),
     }
     write_files(Path(folder), files)
-
-
-def predict_points(
-    result: str | Path, points: str | Path, output: str | Path
-) -> Prediction:
-    """Predict at the points of a CSV file from a result file, and write the answer.
-
-    Raises BundleError with the place; `Prediction.warnings` is for the user.
-    """
-    calibration = read_result(result)
-    data = read_whole(points, largest_bytes=LARGEST_BYTES)
-    asked = read_points(data, calibration.machine, file=str(points))
-    predicted = predict(calibration, asked.position, asked.target)
-    replace_file(Path(output), encode_predictions(asked, predicted).encode())
-    return predicted

@@ -10,14 +10,17 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.files.commanded_file import name_columns
+from app.files.result_file import LARGEST_BYTES, read_result
 from app.files.tables import Table, read_csv
+from app.files.whole_files import read_whole, replace_file
 from app.kinematics.machine import Machine
-from app.results.prediction import Prediction
+from app.results.prediction import Prediction, predict
 
 PREDICTED = ("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um")
 _FARTHEST = 1e6  # mm or deg: what lies farther is not a position of a machine tool
@@ -34,6 +37,21 @@ class Points:
     position: Float64[np.ndarray, "n a"]
     target: tuple[str, ...]
     table: Table
+
+
+def predict_points(
+    result: str | Path, points: str | Path, output: str | Path
+) -> Prediction:
+    """Predict at the points of a CSV file from a result file, and write the answer.
+
+    Raises BundleError with the place; `Prediction.warnings` is for the user.
+    """
+    calibration = read_result(result)
+    data = read_whole(points, largest_bytes=LARGEST_BYTES)
+    asked = read_points(data, calibration.machine, file=str(points))
+    predicted = predict(calibration, asked.position, asked.target)
+    replace_file(Path(output), encode_predictions(asked, predicted).encode())
+    return predicted
 
 
 def read_points(data: bytes, machine: Machine, *, file: str = "points.csv") -> Points:

@@ -10,7 +10,7 @@ from app.files.commanded_file import encode_commanded
 from app.files.machine_file import machine_from_json
 from app.motion.nc_programs.programs import read_program, write_program
 from app.planning.default_path import default_path
-from app.reporting.analysis_files import predict_points
+from app.results.points_csv import predict_points
 from simulators import synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.scenario import load_machine

@@ -10,12 +10,9 @@ import pytest
 
 from app.errors import AlignmentError, BundleError
 from app.files.result_file import read_result
-from app.reporting.analysis_files import (
-    predict_points,
-    render_analysis,
-    write_analysis,
-)
+from app.reporting.analysis_files import render_analysis, write_analysis
 from app.results.analysis import analyse
+from app.results.points_csv import predict_points
 from app.results.prediction import predict
 
 

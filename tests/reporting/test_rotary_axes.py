@@ -9,12 +9,9 @@ import pytest
 
 from app.files.bundle import read_bundle
 from app.files.result_file import read_result
-from app.reporting.analysis_files import (
-    predict_points,
-    render_analysis,
-    write_analysis,
-)
+from app.reporting.analysis_files import render_analysis, write_analysis
 from app.results.analysis import analyse
+from app.results.points_csv import predict_points
 from simulators import synthetic, turning_paths
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
