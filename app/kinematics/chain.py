@@ -17,8 +17,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.machine import LinearAxis, Machine, RotaryAxis
-from app.kinematics.rotary_axes import compute_turns
+from app.kinematics.machine import Machine, compute_turns
 from app.kinematics.symbols import LINEAR
 
 
@@ -33,10 +32,11 @@ class AxisLever:
     frame: Float64[np.ndarray, "n 3 3"]
 
     def displace(
-        self, direction: Float64[np.ndarray, "n 3"], *, is_turn: bool
+        self, direction: Float64[np.ndarray, "*n 3"], *, is_turn: bool
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return F d, or F (d × L) for a turn."""
+        """Return F d, or F (d × L) for a turn. direction : at each moment, or at all"""
         arm = np.cross(direction, self.lever_mm) if is_turn else direction
+        arm = np.broadcast_to(arm, self.lever_mm.shape)
         return np.einsum("nij,nj->ni", self.frame, arm)
 
 
@@ -72,19 +72,19 @@ class NominalChain:
         return {}
 
     def _find_lever(self, name: str) -> AxisLever:
-        machine, axis = self.machine, self._axis(name)
+        machine = self.machine
         if name in machine.workpiece_side:
             side = machine.workpiece_side
             begin = side.index(name) + 1
-            lever = self._through(side[begin:], self._base_mm) - _origin(axis)
+            lever = self._through(side[begin:], self._base_mm) - self._origin(name)
             frame = self._compose_turns(side[:begin])
             if self.observer == "base":
                 frame = -np.swapaxes(self._compose_turns(side[begin:]), 1, 2)
             return AxisLever(lever, self._where(frame, self.observer == "base"))
         side = machine.tool_side
         begin = side.index(name)
-        behind = side[begin + (0 if isinstance(axis, RotaryAxis) else 1) :]
-        lever = self._through(behind, self.offset_mm) - _origin(axis)
+        behind = side[begin + (0 if name in self.turns else 1) :]
+        lever = self._through(behind, self.offset_mm) - self._origin(name)
         frame = self._to_observer(self._compose_turns(side[:begin]))
         return AxisLever(lever, self._where(frame, False))
 
@@ -108,7 +108,7 @@ class NominalChain:
         tool = self._through(self.machine.tool_side, self.offset_mm)
         if not self.on_workpiece.any():
             return tool
-        part = self._back_through(self.machine.workpiece_side, self.offset_mm)
+        part = self._through(self.machine.workpiece_side, self.offset_mm, back=True)
         return np.where(self.on_workpiece[:, None], part, tool)
 
     def _where(
@@ -124,57 +124,50 @@ class NominalChain:
             return frame
         return self._compose_turns(self.machine.workpiece_side) @ frame
 
-    def _axis(self, name: str) -> LinearAxis | RotaryAxis:
-        return self.machine.axes[self.machine.axis_names.index(name)]
-
     def _column(self, name: str) -> Float64[np.ndarray, " n"]:
         return self.position[:, self.machine.axis_names.index(name)]
 
-    def turn(self, name: str) -> Float64[np.ndarray, "n 3 3"]:
-        """Return the nominal turn of a rotary axis, from tool to workpiece."""
-        axis = self._axis(name)
-        if isinstance(axis, LinearAxis):
-            return np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
-        backwards = name in self.machine.workpiece_side
-        angle = np.radians(self._column(name)) * (-1.0 if backwards else 1.0)
-        return compute_turns(axis, angle)
+    @cached_property
+    def turns(self) -> dict[str, Float64[np.ndarray, "n 3 3"]]:
+        """Nominal turn of each rotary axis, from tool to workpiece."""
+        sign = dict.fromkeys(self.machine.workpiece_side, -1.0)
+        return {
+            axis.name: compute_turns(
+                axis, np.radians(self._column(axis.name)) * sign.get(axis.name, 1.0)
+            )
+            for axis in self.machine.rotary_axes
+        }
 
     def _compose_turns(self, names: tuple[str, ...]) -> Float64[np.ndarray, "n 3 3"]:
         product = np.broadcast_to(np.eye(3), (len(self.position), 3, 3))
         for name in names:
-            if isinstance(self._axis(name), RotaryAxis):
-                product = product @ self.turn(name)
+            if name in self.turns:
+                product = product @ self.turns[name]
         return product
 
     def _through(
-        self, names: tuple[str, ...], point_mm: Float64[np.ndarray, "n 3"]
+        self,
+        names: tuple[str, ...],
+        point_mm: Float64[np.ndarray, "n 3"],
+        *,
+        back: bool = False,
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the points after the joints, the last of them first."""
+        """Return the points after the joints, the last of them first.
+
+        back : the points that the joints would bring to the given ones
+        """
         point = point_mm.copy()
-        for name in reversed(names):
-            axis = self._axis(name)
-            if isinstance(axis, LinearAxis):
-                point[:, LINEAR.index(name)] += self._column(name)
+        for name in names if back else reversed(names):
+            if name in self.turns:
+                origin = self._origin(name)
+                form = "nji,nj->ni" if back else "nij,nj->ni"
+                point = origin + np.einsum(form, self.turns[name], point - origin)
             else:
-                arm = point - _origin(axis)
-                point = _origin(axis) + np.einsum("nij,nj->ni", self.turn(name), arm)
+                way = self._column(name)
+                point[:, LINEAR.index(name)] += -way if back else way
         return point
 
-    def _back_through(
-        self, names: tuple[str, ...], point_mm: Float64[np.ndarray, "n 3"]
-    ) -> Float64[np.ndarray, "n 3"]:
-        """Return the points that the joints would bring to the given ones."""
-        point = point_mm.copy()
-        for name in names:
-            axis = self._axis(name)
-            if isinstance(axis, LinearAxis):
-                point[:, LINEAR.index(name)] -= self._column(name)
-            else:
-                arm = point - _origin(axis)
-                point = _origin(axis) + np.einsum("nji,nj->ni", self.turn(name), arm)
-        return point
-
-
-def _origin(axis: LinearAxis | RotaryAxis) -> Float64[np.ndarray, "3"]:
-    """Return the point about which errors of an axis turn, in its own frame."""
-    return np.array(axis.origin_mm) if isinstance(axis, RotaryAxis) else np.zeros(3)
+    def _origin(self, name: str) -> Float64[np.ndarray, "3"]:
+        """Return the point about which errors of an axis turn, in its own frame."""
+        origins = {axis.name: axis.origin_mm for axis in self.machine.rotary_axes}
+        return np.array(origins.get(name, (0.0, 0.0, 0.0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.chain import NominalChain
 from app.kinematics.machine import Machine
+from app.numerics.splines import CubicSpline
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +127,17 @@ class Conditions:
     def axis_mm(self, axis: str) -> Float64[np.ndarray, " n"]:
         """Return the positions of one axis."""
         return self.position_mm[:, self.machine.axis_names.index(axis)]
+
+    def spline_rows(self, axis: str, spline: CubicSpline) -> Float64[np.ndarray, "n k"]:
+        """Return a spline's rows at the positions of an axis, made once for all."""
+        key = axis, spline.knots.tobytes(), spline.period
+        if key not in self._spline_rows:
+            self._spline_rows[key] = spline.basis(self.axis_mm(axis))
+        return self._spline_rows[key]
+
+    @cached_property
+    def _spline_rows(self) -> dict[Hashable, Float64[np.ndarray, "n k"]]:
+        return {}
 
     def axis_rate(self, axis: str) -> Float64[np.ndarray, " n"]:
         """Return the mm/s or deg/s of one axis; 0 where nothing is recorded."""

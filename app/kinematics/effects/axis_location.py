@@ -16,8 +16,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter
-from app.kinematics.machine import RotaryAxis
-from app.kinematics.rotary_axes import find_local_directions
+from app.kinematics.machine import RotaryAxis, find_local_directions
 from app.kinematics.symbols import DIRECTION, TURNS, list_locations
 
 
@@ -47,7 +46,7 @@ class AxisLocation(Effect):
         """Return F (1 − R) d, with × L for a tilt."""
         unit = find_local_directions(self.axis)[:, DIRECTION[self.symbol[0]]]
         chain = at.chain
-        turn = chain.turn(self.axis.name)
+        turn = chain.turns[self.axis.name]
         if self.axis.name in at.machine.workpiece_side:
             # The error sits behind the joint: R there is that of the workpiece.
             direction = np.einsum("nji,j->ni", turn, unit) - unit

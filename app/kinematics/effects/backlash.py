@@ -75,7 +75,7 @@ class Backlash(ErrorCurve, Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times h, with the sign of its axis' last motion."""
-        rows = self.rows(at.axis_mm(self.axis.name))
+        rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         sign = at.approach[:, at.machine.axis_names.index(self.axis.name)]
         arm = find_arm(self.symbol, at) * sign[:, None]
         return columns_along(arm, rows)

@@ -20,8 +20,7 @@ from app.kinematics.effects.base import (
     QuadraticPrior,
     columns_along,
 )
-from app.kinematics.machine import Axis, RotaryAxis
-from app.kinematics.rotary_axes import find_local_directions
+from app.kinematics.machine import Axis, RotaryAxis, find_local_directions
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 from app.numerics.splines import cyclic_spline, natural_spline
 
@@ -65,7 +64,7 @@ class ErrorMotion(ErrorCurve, Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the error's arm times its spline rows: e_d, or e_d × L for a turn."""
-        rows = self.rows(at.axis_mm(self.axis.name))
+        rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         return columns_along(find_arm(self.symbol, at), rows)
 
     def prior(self) -> QuadraticPrior:
@@ -89,7 +88,7 @@ def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Return what a unit of the error moves the target by: e_d, or e_d × L."""
     axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
     local = find_local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
-    direction = np.tile(local[:, DIRECTION[symbol[1]]], (len(at), 1))
+    direction = local[:, DIRECTION[symbol[1]]]
     return at.chain.lever(axis.name).displace(direction, is_turn=is_turn(symbol))
 
 
