@@ -19,7 +19,7 @@ from app.compensation.axis_tables import CompensationTables
 from app.compensation.error_map import ErrorMap
 from app.compensation.format import CompensationFormat, Correction
 from app.files.units import UM_PER_MM
-from app.kinematics.effects.catalogue_effect import CatalogueEffect
+from app.kinematics.model import CatalogueEffect
 from app.kinematics.symbols import is_positioning
 from app.numerics.rigid import cross_matrix
 

@@ -13,8 +13,7 @@ from jaxtyping import Float64
 
 from app.discovery.discover import Discovery, Finding
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.catalogue_effect import restore_effect
-from app.kinematics.model import MachineModel
+from app.kinematics.model import MachineModel, restore_effect
 
 
 @dataclass(frozen=True)

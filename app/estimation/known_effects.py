@@ -16,8 +16,7 @@ from jaxtyping import Float64
 from scipy.special import chdtrc
 
 from app.estimation.information import Information, Posterior
-from app.kinematics.effects.catalogue_effect import CatalogueEffect
-from app.kinematics.model import MachineModel
+from app.kinematics.model import CatalogueEffect, MachineModel
 
 _EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
 _SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding

@@ -19,9 +19,9 @@ from app.kinematics.effects.backlash import make_half_width
 from app.kinematics.effects.base import (
     Effect,
     EffectOfRun,
-    Parameter,
     QuadraticPrior,
     Role,
+    SplineEffect,
     columns_along,
 )
 from app.kinematics.identifiable import build_identifiable_model
@@ -37,7 +37,7 @@ _POINTS_PER_KNOT = 6  # of a spline of time, where the machine stands at points
 
 
 @dataclass(frozen=True)
-class TimeSpline(Effect):
+class TimeSpline(SplineEffect):
     """A slow shift of everything with time: a natural spline without its mean."""
 
     kind = "time-spline"
@@ -46,23 +46,13 @@ class TimeSpline(Effect):
     spline: CubicSpline
     gauge: Float64[np.ndarray, "k p"]
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """One for each knot but one, in mm."""
-        return tuple(
-            Parameter(f"{self.name}[{i}]", "mm") for i in range(self.gauge.shape[1])
-        )
-
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the direction times the spline's rows."""
         return columns_along(self.direction, self.spline.basis(at.time_s) @ self.gauge)
 
     def prior(self) -> QuadraticPrior:
         """Return the mean square over the run."""
-        length = float(self.spline.knots[-1] - self.spline.knots[0])
-        form = self.gauge.T @ self.spline.gram() @ self.gauge / length
-        rank = self.gauge.shape[1]
-        return QuadraticPrior(form, rank, rank * _USUAL_MM**2, "time")
+        return self.charge_square(_USUAL_MM, "time")
 
 
 def build_baseline_models(

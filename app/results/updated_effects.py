@@ -15,8 +15,7 @@ from jaxtyping import Float64
 
 from app.estimation.known_effects import KnownEffects
 from app.kinematics.effects.catalogue import Quantity
-from app.kinematics.effects.catalogue_effect import CatalogueEffect
-from app.kinematics.model import MachineModel
+from app.kinematics.model import CatalogueEffect, MachineModel
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
 

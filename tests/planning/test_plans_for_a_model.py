@@ -13,10 +13,9 @@ from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
 from app.kinematics.effects.backlash import BacklashFamily
-from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from app.kinematics.model import MachineModel
+from app.kinematics.model import MachineModel, restore_effect
 from app.planning.forecast import forecast
 from app.planning.plan import PlanOrder, make_plan
 from app.reporting.plan_report import render_plan_report

@@ -20,10 +20,9 @@ from app.estimation.monte_carlo import draw_outputs, prepare_trials
 from app.estimation.prior_model import PriorModel
 from app.files.result_file import CalibrationResult, result_from_json
 from app.kinematics.effects.backlash import BacklashFamily
-from app.kinematics.effects.catalogue_effect import restore_effect
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
-from app.kinematics.model import MachineModel
+from app.kinematics.model import MachineModel, restore_effect
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.analysis_files import render_analysis
 from app.results.analysis import analyse

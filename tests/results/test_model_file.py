@@ -11,7 +11,7 @@ from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.prior_model import PriorModel
 from app.files.result_file import CalibrationResult, result_from_json
-from app.kinematics.effects.catalogue_effect import CatalogueEffect
+from app.kinematics.model import CatalogueEffect
 from app.results.model_file import build_next_model, build_reference
 from app.results.prediction import predict
 from simulators.hidden.elastic_sag import ElasticSag

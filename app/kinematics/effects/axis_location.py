@@ -27,11 +27,6 @@ class AxisLocation(Effect):
     symbol: str
     axis: RotaryAxis
 
-    def spell(self, digits: str) -> str:
-        """Return the symbol."""
-        del digits
-        return self.symbol
-
     @property
     def iso_symbol(self) -> str:
         """Its own symbol."""

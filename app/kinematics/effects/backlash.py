@@ -19,7 +19,6 @@ from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import (
     Effect,
     ErrorCurve,
-    Parameter,
     QuadraticPrior,
     Role,
     columns_along,
@@ -36,7 +35,6 @@ from app.kinematics.effects.catalogue import (
 from app.kinematics.effects.error_motion import (
     find_arm,
     find_usual_size,
-    list_spline_parameters,
 )
 from app.kinematics.effects.keys import AXIS, MOTION
 from app.kinematics.machine import Axis, LinearAxis, Machine
@@ -49,7 +47,7 @@ _USUAL_RAD = 1e-5
 
 
 @dataclass(frozen=True)
-class Backlash(ErrorCurve, Effect):
+class Backlash(ErrorCurve):
     """Half the difference between both directions of approach of an error motion.
 
     varies : the part that changes along the axis and has no mean; else the constant
@@ -58,15 +56,10 @@ class Backlash(ErrorCurve, Effect):
     role = Role.DIRECTION
     varies: bool
 
-    def spell(self, digits: str) -> str:
+    def compose_name(self, digits: str) -> str:
         """Return `backlash` with the symbol."""
         del digits
         return f"backlash-{'shape-' if self.varies else ''}{self.symbol}"
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The half width, or one for each degree of freedom beside the mean."""
-        return list_spline_parameters(self.name, self.symbol, self.gauge.shape[1])
 
     @property
     def half_difference(self) -> Backlash:
@@ -82,11 +75,7 @@ class Backlash(ErrorCurve, Effect):
 
     def prior(self) -> QuadraticPrior:
         """Return the mean square of h over the travel."""
-        length = self.axis.high - self.axis.low
-        form = self.gauge.T @ self.spline.gram() @ self.gauge / length
-        rank = self.gauge.shape[1]
-        usual = rank * (_SHARE * find_usual_size(self.symbol)) ** 2
-        return QuadraticPrior(form, rank, usual)
+        return self.charge_square(_SHARE * find_usual_size(self.symbol))
 
 
 def make_half_width(symbol: str, axis: Axis) -> Backlash:
@@ -150,9 +139,9 @@ class TurningOver(Backlash):
 
     turnover_mm: float = 0.0
 
-    def spell(self, digits: str) -> str:
+    def compose_name(self, digits: str) -> str:
         """Return that of the half difference, and the travel."""
-        return f"{super().spell(digits)}-{self.turnover_mm:{digits}}"
+        return f"{super().compose_name(digits)}-{self.turnover_mm:{digits}}"
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the error's arm times the side that each cell is on, on average."""

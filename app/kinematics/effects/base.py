@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
-from app.kinematics.symbols import DIRECTION
+from app.kinematics.symbols import DIRECTION, is_turn
 from app.numerics.splines import CubicSpline
 from app.numerics.value_equality import ValueEquality
 
@@ -59,24 +59,6 @@ class QuadraticPrior:
 
 
 @dataclass(frozen=True)
-class ErrorCurve(ValueEquality):
-    """An error over the travel of an axis, as a table states it: a spline.
-
-    symbol : ISO 230-1 symbol of the error motion
-    gauge : (K, p), control values per parameter
-    """
-
-    symbol: str
-    axis: Axis
-    spline: CubicSpline
-    gauge: Float64[np.ndarray, "k p"]
-
-    def rows(self, position: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
-        """Return the value per parameter at positions of the axis, mm or deg."""
-        return self.spline.basis(position) @ self.gauge
-
-
-@dataclass(frozen=True)
 class Effect(ValueEquality, ABC):
     """One physical cause that moves the measured point off its nominal, linear in θ.
 
@@ -95,16 +77,20 @@ class Effect(ValueEquality, ABC):
     @property
     def name(self) -> str:
         """Identifies the effect in a model, its numbers to the last digit."""
-        return self.spell("")
+        return self.compose_name("")
 
     @property
     def label(self) -> str:
         """The name with its numbers rounded, for texts."""
-        return self.spell(".5g")
+        return self.compose_name(".5g")
 
-    def spell(self, digits: str) -> str:
-        """Return kind, axes, words and numbers. digits : format of a number."""
-        return "-".join(filter(None, [self.kind, *_spell_fields(self, digits)]))
+    def compose_name(self, digits: str) -> str:
+        """Return the ISO symbol, or kind, axes, words and numbers in one word.
+
+        digits : format of a number
+        """
+        parts = [self.kind, *_format_fields(self, digits)]
+        return self.iso_symbol or "-".join(filter(None, parts))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -175,7 +161,7 @@ class Effect(ValueEquality, ABC):
         return None
 
 
-def _spell_fields(effect: Effect, digits: str) -> Iterator[str]:
+def _format_fields(effect: Effect, digits: str) -> Iterator[str]:
     for field in fields(effect):
         value = getattr(effect, field.name)
         if isinstance(value, LinearAxis | RotaryAxis):
@@ -186,6 +172,56 @@ def _spell_fields(effect: Effect, digits: str) -> Iterator[str]:
             yield format(value, digits)
 
 
+class SplineEffect(Effect):
+    """A spline of one coordinate; θ are its control values in a gauge.
+
+    gauge : (K, p), control values per parameter
+    """
+
+    spline: CubicSpline
+    gauge: Float64[np.ndarray, "k p"]
+
+    @property
+    def unit(self) -> str:
+        """Inside unit of the spline's values."""
+        return "mm"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One for each degree of freedom that the gauge leaves."""
+        name, count = self.name, self.gauge.shape[1]
+        return tuple(Parameter(f"{name}[{i}]", self.unit) for i in range(count))
+
+    def charge_square(self, usual: float, kind: str = "") -> QuadraticPrior:
+        """Return the mean square over all knots as a prior. usual : of the values."""
+        length = float(self.spline.knots[-1] - self.spline.knots[0])
+        form = self.gauge.T @ self.spline.gram() @ self.gauge / length
+        rank = self.gauge.shape[1]
+        return QuadraticPrior(form, rank, rank * usual**2, kind)
+
+
+@dataclass(frozen=True)
+class ErrorCurve(SplineEffect):
+    """An error over the travel of an axis, as a table states it.
+
+    symbol : ISO 230-1 symbol of the error motion
+    """
+
+    symbol: str
+    axis: Axis
+    spline: CubicSpline
+    gauge: Float64[np.ndarray, "k p"]
+
+    @property
+    def unit(self) -> str:
+        """That of the error motion."""
+        return "rad" if is_turn(self.symbol) else "mm"
+
+    def rows(self, position: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n p"]:
+        """Return the value per parameter at positions of the axis, mm or deg."""
+        return self.spline.basis(position) @ self.gauge
+
+
 @dataclass(frozen=True)
 class EffectOfRun(Effect):
     """An effect in the Run of its number; nothing in all others."""
@@ -194,9 +230,9 @@ class EffectOfRun(Effect):
     effect: Effect
     run: int
 
-    def spell(self, digits: str) -> str:
+    def compose_name(self, digits: str) -> str:
         """Return the effect, with the number of its Run beyond the first."""
-        return name_in_run(self.effect.spell(digits), self.run)
+        return name_in_run(self.effect.compose_name(digits), self.run)
 
     @property
     def own_run(self) -> int:

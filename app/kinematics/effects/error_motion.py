@@ -14,9 +14,7 @@ from scipy.linalg import null_space
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import (
-    Effect,
     ErrorCurve,
-    Parameter,
     QuadraticPrior,
     columns_along,
 )
@@ -28,7 +26,7 @@ _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
 
 
 @dataclass(frozen=True)
-class ErrorMotion(ErrorCurve, Effect):
+class ErrorMotion(ErrorCurve):
     """E or ω of an axis: values of a spline in the gauge of formats.md.
 
     gauge : (K, p), control values per free parameter. Positioning and turns are 0 at
@@ -37,16 +35,6 @@ class ErrorMotion(ErrorCurve, Effect):
         Of a rotary axis all six are 0 at the axis zero, and what is across the axis
         has no mean over the travel: that mean is the location of the axis.
     """
-
-    def spell(self, digits: str) -> str:
-        """Return the symbol."""
-        del digits
-        return self.symbol
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """One for each degree of freedom that the gauge leaves."""
-        return list_spline_parameters(self.symbol, self.symbol, self.gauge.shape[1])
 
     @property
     def iso_symbol(self) -> str:
@@ -90,12 +78,6 @@ def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     local = find_local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
     direction = local[:, DIRECTION[symbol[1]]]
     return at.chain.lever(axis.name).displace(direction, is_turn=is_turn(symbol))
-
-
-def list_spline_parameters(name: str, symbol: str, count: int) -> tuple[Parameter, ...]:
-    """Return the parameters of a spline of an error motion."""
-    unit = "rad" if is_turn(symbol) else "mm"
-    return tuple(Parameter(f"{name}[{i}]", unit) for i in range(count))
 
 
 def find_usual_size(symbol: str) -> float:

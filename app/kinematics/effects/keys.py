@@ -22,16 +22,16 @@ class Key:
     phrase : how a title says it, such as `of {}`; empty where the title leaves it out
     read : what an effect has for the text of a file. Raises KeyError if the machine has
         no such thing
-    spell : the text in words
+    explain : the text in words
     """
 
     phrase: str
     read: Callable[[Machine, str], Any]
-    spell: Callable[[str], str] = str
+    explain: Callable[[str], str] = str
 
     def describe(self, text: str) -> str:
         """Return the key as a title says it."""
-        return self.phrase.format(self.spell(text))
+        return self.phrase.format(self.explain(text))
 
 
 def choose_from(phrase: str, values: Sequence[str]) -> Key:
@@ -59,5 +59,5 @@ def _read_motion(machine: Machine, text: str) -> str:
 AXIS = Key("of {}", Machine.linear)
 DIRECTION = choose_from("along {}", LINEAR)
 MOTION = Key("in {}", _read_motion, _with_meaning)
-SYMBOL = replace(choose_from("{}", SQUARENESS), spell=_with_meaning)
+SYMBOL = replace(choose_from("{}", SQUARENESS), explain=_with_meaning)
 PLANE = Key("({})", lambda m, text: tuple(map(m.linear, text)), " and ".join)

@@ -36,7 +36,7 @@ class ToolOrientation(Effect):
     turns: Float64[np.ndarray, "3 p"]
     run: int = 0
 
-    def spell(self, digits: str) -> str:
+    def compose_name(self, digits: str) -> str:
         """Return the kind with its Run."""
         del digits
         return name_in_run("tool-orientation", self.run)
@@ -86,7 +86,7 @@ class WorkpiecePlacement(Effect):
     centre_mm: tuple[float, float, float]
     run: int = 0
 
-    def spell(self, digits: str) -> str:
+    def compose_name(self, digits: str) -> str:
         """Return shift or turn, direction and Run."""
         del digits
         kind = "shift" if self.k < 3 else "turn"
