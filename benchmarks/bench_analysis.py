@@ -77,8 +77,8 @@ def _record(folder: Path) -> np.ndarray:
 
 
 def _points(machine: Machine) -> np.ndarray:
-    low = np.array([a.min_mm + 15.0 for a in machine.linear_axes])
-    high = np.array([a.max_mm - 15.0 for a in machine.linear_axes])
+    low = np.array([a.low + 15.0 for a in machine.linear_axes])
+    high = np.array([a.high - 15.0 for a in machine.linear_axes])
     return np.random.default_rng(1).uniform(low, high, (500, 3))
 
 

@@ -60,8 +60,8 @@ def _fine_aligned(seen: Observations) -> np.ndarray:
 def _table_matrix(seen: Observations, spacing_mm: float):
     columns = []
     for axis in seen.at.machine.linear_axes:
-        count = round((axis.max_mm - axis.min_mm) / spacing_mm) + 1
-        knots = np.linspace(axis.min_mm, axis.max_mm, count)
+        count = round((axis.high - axis.low) / spacing_mm) + 1
+        knots = np.linspace(axis.low, axis.high, count)
         columns += [(symbol, knots) for symbol in list_error_motions(axis.name)]
     rows = _rows(seen.at, columns)
     return tuple(columns), rows.reshape(-1, rows.shape[2])

@@ -166,8 +166,8 @@ def volume() -> Callable[[Machine], np.ndarray]:
 
     def points(machine: Machine, n: int = 300) -> np.ndarray:
         axes = machine.linear_axes
-        low = np.array([a.min_mm + 15.0 for a in axes])
-        high = np.array([a.max_mm - 15.0 for a in axes])
+        low = np.array([a.low + 15.0 for a in axes])
+        high = np.array([a.high - 15.0 for a in axes])
         return np.random.default_rng(7).uniform(low, high, (n, len(axes)))
 
     return points

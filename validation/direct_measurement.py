@@ -55,7 +55,7 @@ def measure(machine: Machine, truth: TruthMachine, seed: int) -> DirectMachine:
     rng = np.random.default_rng(seed)
     tables, motions, theta = {}, [], []
     for axis in machine.linear_axes:
-        low, high = axis.min_mm + MARGIN_MM, axis.max_mm - MARGIN_MM
+        low, high = axis.low + MARGIN_MM, axis.high - MARGIN_MM
         count = round((high - low) / STEP_MM) + 1
         position = np.linspace(low, high, count)
         for symbol in list_error_motions(axis.name):

@@ -58,8 +58,8 @@ class Volume:
 def volume(machine: Machine) -> Volume:
     """Return the volume of a machine's travel."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
-    low = np.array([a.min_mm for a in machine.linear_axes])
-    high = np.array([a.max_mm for a in machine.linear_axes])
+    low = np.array([a.low for a in machine.linear_axes])
+    high = np.array([a.high for a in machine.linear_axes])
     unit = np.stack([g.ravel() for g in np.meshgrid(*[node] * 3, indexing="ij")], 1)
     product = np.prod(np.meshgrid(*[weight] * 3, indexing="ij"), axis=0).ravel()
     position = low + (unit + 1.0) / 2.0 * (high - low)
@@ -87,8 +87,8 @@ def true_parameters(model: MachineModel, truth: TruthMachine) -> np.ndarray:
     table can hold. The spline's own misfit is far below a tracker's noise.
     """
     rng = np.random.default_rng(0)
-    low = np.array([a.min_mm for a in model.machine.linear_axes])
-    high = np.array([a.max_mm for a in model.machine.linear_axes])
+    low = np.array([a.low for a in model.machine.linear_axes])
+    high = np.array([a.high for a in model.machine.linear_axes])
     inside = rng.uniform(low, high, (3000, 3))
     ends = low + rng.integers(0, 2, (300, 3)) * (high - low)
     edges = np.where(rng.uniform(size=(300, 3)) < 0.5, ends, inside[:300])

@@ -166,8 +166,8 @@ def compare_with_truth(
     truth_um : axis positions (n, 3) in mm to true volumetric errors (n, 3) in µm
     """
     loaded = result_from_json(result)
-    low = np.array([axis.min_mm for axis in loaded.machine.linear_axes])
-    high = np.array([axis.max_mm for axis in loaded.machine.linear_axes])
+    low = np.array([axis.low for axis in loaded.machine.linear_axes])
+    high = np.array([axis.high for axis in loaded.machine.linear_axes])
     share = np.random.default_rng(_SEED).random((_POINTS, 3))
     position_mm = low + share * (high - low)
     predicted = predict(loaded, position_mm)

@@ -85,10 +85,10 @@ def tabulate_axis(
     errors: ErrorMap, axis: LinearAxis, spacing_mm: float, most_points: int
 ) -> AxisTable:
     """Return the table of an axis, rows at most `spacing_mm` apart where they fit."""
-    travel = axis.max_mm - axis.min_mm
+    travel = axis.high - axis.low
     wanted = math.ceil(travel / spacing_mm - 1e-9) + 1
     count = int(np.clip(wanted, 2, most_points))
-    at_mm = np.linspace(axis.min_mm, axis.max_mm, count)
+    at_mm = np.linspace(axis.low, axis.high, count)
     reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
     place = errors.move_axis(axis, at_mm, errors.middle_mm)
     forward, backward = (errors.error_mm(place, sign) for sign in (1.0, -1.0))
@@ -116,7 +116,7 @@ def _tabulate_pair(
     if not by or most < _FEWEST:
         return None
     other = machine.linear(by)
-    by_mm = np.linspace(other.min_mm, other.max_mm, min(most, _FINEST))
+    by_mm = np.linspace(other.low, other.high, min(most, _FINEST))
     grid = np.stack(np.meshgrid(by_mm, at_mm, indexing="ij"), axis=-1).reshape(-1, 2)
     columns = [machine.axis_names.index(name) for name in (by, axis.name)]
     total = np.zeros((len(grid), 3))

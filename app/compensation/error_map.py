@@ -120,7 +120,7 @@ class ErrorMap:
         middle = self.reference_mm
         for column, axis in enumerate(self.machine.axes):
             if isinstance(axis, LinearAxis):
-                middle[column] = 0.5 * (axis.min_mm + axis.max_mm)
+                middle[column] = 0.5 * (axis.low + axis.high)
         return middle
 
 

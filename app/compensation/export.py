@@ -177,8 +177,8 @@ def _describe_content(
             t.axis.name: {
                 "points": len(t.position_mm),
                 "spacing_mm": t.spacing_mm,
-                "from_mm": t.axis.min_mm,
-                "to_mm": t.axis.max_mm,
+                "from_mm": t.axis.low,
+                "to_mm": t.axis.high,
             }
             for t in tables
         },

@@ -108,8 +108,8 @@ class _Tape:
 def _make_tape(table: AxisTable, first: int) -> _Tape:
     zero = reference_position_mm(table.axis)
     interval = math.ceil(table.spacing_mm * 1e3) / 1e3  # the parameter's resolution
-    below = math.ceil((zero - table.axis.min_mm) / interval - 1e-9)
-    above = math.ceil((table.axis.max_mm - zero) / interval - 1e-9)
+    below = math.ceil((zero - table.axis.low) / interval - 1e-9)
+    above = math.ceil((table.axis.high - zero) / interval - 1e-9)
     at = zero + interval * np.arange(-below, above + 1)
     error = np.interp(at, table.position_mm, table.mean_mm[:, table.own])
     wanted: Float64[np.ndarray, " n"] = error[below] - error

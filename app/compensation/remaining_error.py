@@ -30,8 +30,8 @@ _SIDES = (1.0, -1.0)  # + and − direction
 
 def sample_positions(errors: ErrorMap) -> Float64[np.ndarray, "n a"]:
     """Return a grid over the travel, and random positions between rows."""
-    low = np.array([axis.min_mm for axis in errors.axes])
-    high = np.array([axis.max_mm for axis in errors.axes])
+    low = np.array([axis.low for axis in errors.axes])
+    high = np.array([axis.high for axis in errors.axes])
     places = np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * len(low), indexing="ij")
     unit = np.stack(places, -1).reshape(-1, len(low))
     random = np.random.default_rng(0).random((RANDOM, len(low)))

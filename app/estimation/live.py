@@ -227,7 +227,7 @@ def _refine_noise(
 
 
 def _middle_of_travel(machine: Machine) -> tuple[float, float, float]:
-    middle = [0.5 * (a.min_mm + a.max_mm) for a in machine.linear_axes]
+    middle = [0.5 * (a.low + a.high) for a in machine.linear_axes]
     x, y, z = (*middle, 0.0, 0.0)[:3]
     return x, y, z
 

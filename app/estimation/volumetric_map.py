@@ -87,8 +87,8 @@ def _quadrature(
     axes = machine.linear_axes
     grid = np.meshgrid(*[node] * len(axes), indexing="ij")
     weights = np.meshgrid(*[weight] * len(axes), indexing="ij")
-    low = np.array([a.min_mm for a in axes])
-    high = np.array([a.max_mm for a in axes])
+    low = np.array([a.low for a in axes])
+    high = np.array([a.high for a in axes])
     unit = np.stack([g.ravel() for g in grid], axis=1)
     position = low + (unit + 1.0) / 2.0 * (high - low)
     total = np.prod([w.ravel() for w in weights], axis=0)

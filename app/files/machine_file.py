@@ -235,11 +235,11 @@ def _require_order(unit: str, low: float, high: float) -> None:
 
 def _axis_json(axis: Axis) -> dict[str, Any]:
     if isinstance(axis, LinearAxis):
-        return {"type": "linear", "min_mm": axis.min_mm, "max_mm": axis.max_mm}
+        return {"type": "linear", "min_mm": axis.low, "max_mm": axis.high}
     return {
         "type": "rotary",
-        "min_deg": axis.min_deg,
-        "max_deg": axis.max_deg,
+        "min_deg": axis.low,
+        "max_deg": axis.high,
         "origin_mm": list(axis.origin_mm),
         "direction": list(axis.direction),
     }

@@ -107,7 +107,7 @@ def _intervals(axis: Axis, spacing_mm: float) -> int:
     if isinstance(axis, RotaryAxis):
         spacing = KNOT_SPACING_DEG * spacing_mm / KNOT_SPACING_MM
         return max(6, round(min(axis.high - axis.low, 360.0) / spacing))
-    return max(3, round((axis.max_mm - axis.min_mm) / spacing_mm))
+    return max(3, round((axis.high - axis.low) / spacing_mm))
 
 
 @lru_cache(maxsize=16)  # asked anew by every stage of an estimate

@@ -17,47 +17,30 @@ from app.kinematics.symbols import TURNS
 
 @dataclass(frozen=True, slots=True)
 class LinearAxis:
-    """A straight axis and its travel."""
+    """A straight axis and its travel, from low to high, mm."""
 
     name: str
-    min_mm: float
-    max_mm: float
-
-    @property
-    def low(self) -> float:
-        """Lowest position in mm."""
-        return self.min_mm
-
-    @property
-    def high(self) -> float:
-        """Highest position in mm."""
-        return self.max_mm
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, slots=True)
 class RotaryAxis:
-    """A rotary axis: travel, a point on its axis and its direction (right-handed)."""
+    """A rotary axis: travel, a point on its axis and its direction (right-handed).
+
+    low, high : ends of the travel, deg
+    """
 
     name: str
-    min_deg: float
-    max_deg: float
+    low: float
+    high: float
     origin_mm: tuple[float, float, float]
     direction: tuple[float, float, float]
 
     @property
-    def low(self) -> float:
-        """Lowest position in deg."""
-        return self.min_deg
-
-    @property
-    def high(self) -> float:
-        """Highest position in deg."""
-        return self.max_deg
-
-    @property
     def turns_fully(self) -> bool:
         """Whether the travel is a full turn, so that errors repeat."""
-        return self.max_deg - self.min_deg >= 360.0 - 1e-9
+        return self.high - self.low >= 360.0 - 1e-9
 
 
 Axis = LinearAxis | RotaryAxis

@@ -142,7 +142,7 @@ def test_a_plan_of_the_other_mode_is_refused(plan, client, is_problem):
 def test_a_plan_for_a_machine_that_has_changed_is_refused(
     plan, client, service, is_problem
 ):
-    axis = dataclasses.replace(MACHINE.axes[0], max_mm=MACHINE.axes[0].max_mm + 1.0)
+    axis = dataclasses.replace(MACHINE.axes[0], high=MACHINE.axes[0].high + 1.0)
     changed = dataclasses.replace(MACHINE, axes=(axis, *MACHINE.axes[1:]))
     context = dataclasses.replace(service.dispatcher._context, machine=changed)
     service.dispatcher._context = context
@@ -166,8 +166,8 @@ def test_what_is_no_plan_cannot_be_driven_as_one(client, ready, is_problem):
 def test_a_plan_that_cannot_be_ends_with_the_reason(planned):
     axes = MACHINE.linear_axes
     everything = {
-        "min_mm": [axis.min_mm - 1.0 for axis in axes],
-        "max_mm": [axis.max_mm + 1.0 for axis in axes],
+        "min_mm": [axis.low - 1.0 for axis in axes],
+        "max_mm": [axis.high + 1.0 for axis in axes],
     }
     made = planned({**SHORT, "workspace": {"keep_out": [everything]}})
     assert made["state"] == "failed"

@@ -24,7 +24,7 @@ def measured(truth, machine, axes="XYZ", seed=3):
     for axis in machine.linear_axes:
         if axis.name not in axes:
             continue
-        at = np.arange(axis.min_mm + 10.0, axis.max_mm, STEP_MM)
+        at = np.arange(axis.low + 10.0, axis.high, STEP_MM)
         for symbol in list_error_motions(axis.name):
             unit = "urad" if is_turn(symbol) else "um"
             value = motions[symbol].at(at) * (1e6 if is_turn(symbol) else 1e3)

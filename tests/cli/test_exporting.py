@@ -71,8 +71,8 @@ def test_an_axis_table_takes_the_true_positioning_away(analysed, record, tmp_pat
     correction = LinuxCnc().read(texts, machine)
     truth = record(1, rows=24)[1]
     for column, axis in enumerate(machine.linear_axes):
-        q = np.tile([(a.min_mm + a.max_mm) / 2 for a in machine.linear_axes], (97, 1))
-        q[:, column] = np.linspace(axis.min_mm, axis.max_mm, 97)
+        q = np.tile([(a.low + a.high) / 2 for a in machine.linear_axes], (97, 1))
+        q[:, column] = np.linspace(axis.low, axis.high, 97)
         true = truth.deviation_mm(q)[:, column]
         left = true + correction(q, 1.0)[:, column]
         assert np.ptp(left) < max(0.35 * np.ptp(true), 0.004)

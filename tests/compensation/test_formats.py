@@ -31,7 +31,7 @@ def source(loaded):
 def with_backlash(source):
     """The same machine, 8 µm of lost motion in X: half of it each way."""
     axis = source.axes[0]
-    half = np.array([axis.min_mm, axis.max_mm]), np.full(2, 0.004)
+    half = np.array([axis.low, axis.high]), np.full(2, 0.004)
     return replace(source, half_tables={"X": half})
 
 
@@ -86,7 +86,7 @@ def test_positioning_along_the_middle_is_gone_between_the_rows_too(source, name,
     correction = read(export_result(source, name, "comp").files, source.machine)
     own = "XYZ".index(axis)
     travel = source.axes[own]
-    place = along(source, axis, np.linspace(travel.min_mm, travel.max_mm, 333))
+    place = along(source, axis, np.linspace(travel.low, travel.high, 333))
     error = flat(source.error_mm(place))[:, own]
     left = error + flat(correction(place, 1.0))[:, own]
     assert np.abs(error).max() > 0.002
@@ -97,7 +97,7 @@ def test_tables_are_zero_at_the_reference_point(source):
     for kind, name in ((SiemensLec, "siemens-lec"), (Fanuc, "fanuc")):
         read = kind().read(export_result(source, name, "c").files, source.machine)
         for axis in source.axes:
-            zero = 0.0 if axis.min_mm <= 0 <= axis.max_mm else axis.min_mm
+            zero = 0.0 if axis.low <= 0 <= axis.high else axis.low
             added = read(along(source, axis.name, np.array([zero])), 1.0)
             assert abs(added[0, "XYZ".index(axis.name)]) < 6e-5
 
@@ -109,7 +109,7 @@ def test_lost_motion_is_corrected_in_both_directions(with_backlash, name, kind):
     files = export_result(with_backlash, name, "comp").files
     correction = kind().read(files, with_backlash.machine)
     travel = with_backlash.axes[0]
-    at = np.linspace(travel.min_mm + 1, travel.max_mm - 1, 101)
+    at = np.linspace(travel.low + 1, travel.high - 1, 101)
     place = along(with_backlash, "X", at)
     up, down = (
         with_backlash.error_mm(place, d)[:, 0] + correction(place, d)[:, 0]
@@ -214,8 +214,7 @@ def test_fanuc_points_count_intervals_from_the_reference_point(source):
     # FANUC's own example: travel −400 to 800, interval 50, reference point number 40:
     # points 33 to 56.
     axes = tuple(
-        replace(axis, min_mm=-400.0, max_mm=800.0)
-        for axis in source.machine.linear_axes
+        replace(axis, low=-400.0, high=800.0) for axis in source.machine.linear_axes
     )
     machine = replace(source.machine, axes=axes)
     increments = dict.fromkeys(range(33, 57), 0) | {41: 2, 42: 1, 40: 3, 33: -1}

@@ -94,7 +94,7 @@ def test_a_short_reach_in_z_is_cured_by_lines_that_go_up_z(demo):
     assert found.verdict == "poor"
     assert found.weakest[0].symbol[2] == "Z"
     remedy = found.weakest[0].remedy
-    assert abs(remedy.end[2] - remedy.begin[2]) > 0.8 * demo.linear_axes[2].max_mm
+    assert abs(remedy.end[2] - remedy.begin[2]) > 0.8 * demo.linear_axes[2].high
     assert found.improved < 0.5 * found.number
 
 

@@ -43,7 +43,7 @@ def every_motion(of):
     """All 18 error motions without any gauge."""
     motions = []
     for axis in of.linear_axes:
-        spline = natural_spline(np.linspace(axis.min_mm, axis.max_mm, KNOTS))
+        spline = natural_spline(np.linspace(axis.low, axis.high, KNOTS))
         motions += [
             ErrorMotion(symbol, axis, spline, np.eye(KNOTS))
             for symbol in list_error_motions(axis.name)

@@ -195,7 +195,7 @@ def test_a_run_that_is_too_short_alone_adds_to_another(moving, standing):
 def test_two_machines_are_refused_with_run_and_field(moving, standing):
     machine = standing.at.machine
     other = replace(
-        machine, axes=(replace(machine.axes[0], max_mm=611.0), *machine.axes[1:])
+        machine, axes=(replace(machine.axes[0], high=611.0), *machine.axes[1:])
     )
     elsewhere = replace(standing, at=replace(standing.at, machine=other))
     with pytest.raises(BundleError, match=r"b/machine\.json: axes\.X\.max_mm is 611"):

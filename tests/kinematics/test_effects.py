@@ -96,7 +96,7 @@ def test_tables_keep_the_gauge(low, high, zero, rng):
     for symbol in ("EYX", "EZX"):
         effect = make_error_motion(symbol, axis, 8)
         theta = rng.normal(size=len(effect.parameters))
-        ends = effect.rows(np.array([axis.min_mm, axis.max_mm])) @ theta
+        ends = effect.rows(np.array([axis.low, axis.high])) @ theta
         assert ends == pytest.approx([0.0, 0.0], abs=1e-9)
 
 

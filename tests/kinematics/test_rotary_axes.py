@@ -151,7 +151,7 @@ def test_a_full_turn_is_cyclic_and_a_part_of_it_is_not():
 def test_motions_across_the_axis_have_no_mean():
     machine = machine_from_json(content(CHAINS[0]))
     for axis in machine.rotary_axes:
-        s = np.linspace(axis.min_deg, axis.max_deg, 20_001)
+        s = np.linspace(axis.low, axis.high, 20_001)
         weight = np.ones(len(s))
         weight[[0, -1]] = 0.5
         for symbol in list_error_motions(axis.name):

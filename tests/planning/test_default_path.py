@@ -89,10 +89,10 @@ def test_the_default_path_stays_inside_the_travel_with_a_margin(size):
     path = default_path(mill)
     check_travel(mill, path)
     for column, axis in enumerate(mill.linear_axes):
-        travel = axis.max_mm - axis.min_mm
+        travel = axis.high - axis.low
         reached = path.position[:, column]
-        assert reached.min() >= axis.min_mm + 0.5 * min(10.0, 0.02 * travel)
-        assert reached.max() <= axis.max_mm - 0.5 * min(10.0, 0.02 * travel)
+        assert reached.min() >= axis.low + 0.5 * min(10.0, 0.02 * travel)
+        assert reached.max() <= axis.high - 0.5 * min(10.0, 0.02 * travel)
         assert np.ptp(reached) > 0.95 * travel
 
 

@@ -65,8 +65,8 @@ def construct() -> Callable[..., Estimate]:
         # Millimetres and radians differ in size as they do in a machine.
         size = np.array([1e-2 if p.unit == "mm" else 4e-5 for p in model.parameters])
         spread = rng.standard_normal((model.size, model.size + 5)) * size[:, None]
-        low = [axis.min_mm for axis in AXES]
-        high = [axis.max_mm for axis in AXES]
+        low = [axis.low for axis in AXES]
+        high = [axis.high for axis in AXES]
         residual = 1e-3 * rng.standard_normal((CELLS, 3))
         residuals = Residuals(
             residual,
@@ -152,8 +152,8 @@ def three_targets() -> tuple[Target, ...]:
 @pytest.fixture
 def travel_points(rng) -> np.ndarray:
     """Positions all over the travel."""
-    low = [axis.min_mm for axis in AXES]
-    high = [axis.max_mm for axis in AXES]
+    low = [axis.low for axis in AXES]
+    high = [axis.high for axis in AXES]
     return rng.uniform(low, high, (60, 3))
 
 

@@ -116,7 +116,7 @@ def judged(volume, rigid_free):
         true = one.truth.deviation_mm(at)
         if hidden is SAG:
             u, v = (
-                (at[:, k] - axis.min_mm) / (axis.max_mm - axis.min_mm)
+                (at[:, k] - axis.low) / (axis.high - axis.low)
                 for k, axis in enumerate(one.run.machine.linear_axes[:2])
             )
             true[:, 2] -= 1e-3 * SAG.amplitude_um * 4.0 * u * (1.0 - u) * v

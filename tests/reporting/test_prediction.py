@@ -74,7 +74,7 @@ def test_not_knowing_the_rigid_motion_adds_no_uncertainty(free_gauge, travel_poi
 def test_a_rigid_motion_within_the_map_is_removed_over_the_travel(loaded):
     """The mean of the map over the travel, and its mean turn, are zero."""
     machine = loaded.machine
-    nodes = [np.linspace(a.min_mm, a.max_mm, 41) for a in machine.linear_axes]
+    nodes = [np.linspace(a.low, a.high, 41) for a in machine.linear_axes]
     middle = [0.5 * (n[1:] + n[:-1]) for n in nodes]
     grid = np.stack([g.ravel() for g in np.meshgrid(*middle, indexing="ij")], axis=1)
     error = predict(loaded, grid).error_um

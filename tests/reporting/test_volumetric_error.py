@@ -15,8 +15,8 @@ def seen(estimate):
 def test_the_grid_spans_the_travel(estimate, seen):
     axes = estimate.model.machine.linear_axes
     assert len(seen.position_mm) == 729
-    assert seen.position_mm.min(axis=0).tolist() == [a.min_mm for a in axes]
-    assert seen.position_mm.max(axis=0).tolist() == [a.max_mm for a in axes]
+    assert seen.position_mm.min(axis=0).tolist() == [a.low for a in axes]
+    assert seen.position_mm.max(axis=0).tolist() == [a.high for a in axes]
 
 
 def test_errors_and_uncertainties_are_those_of_predictions(seen, loaded):

@@ -90,7 +90,7 @@ def test_prediction_from_the_model_has_the_sag_in_it(
     run, truth = sagging
     at = volume(run.machine)
     u, v = (
-        (at[:, k] - axis.min_mm) / (axis.max_mm - axis.min_mm)
+        (at[:, k] - axis.low) / (axis.high - axis.low)
         for k, axis in enumerate(run.machine.linear_axes[:2])
     )
     sag_mm = np.outer(-4.0 * u * (1.0 - u) * v, [0.0, 0.0, 1e-3 * SAG.amplitude_um])

@@ -51,7 +51,7 @@ class ElasticSag(Effect):
 
 
 def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
-    return (at.axis_mm(axis.name) - axis.min_mm) / (axis.max_mm - axis.min_mm)
+    return (at.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
 
 
 class ElasticSagFamily(Family):

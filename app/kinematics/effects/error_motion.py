@@ -90,7 +90,7 @@ def make_error_motion(symbol: str, axis: Axis, intervals: int) -> ErrorMotion:
     knots = np.linspace(axis.low, axis.high, intervals + 1)
     if isinstance(axis, RotaryAxis) and axis.turns_fully:
         # One period of a travel that may hold more than a turn.
-        knots = axis.min_deg + 360.0 * np.arange(intervals) / intervals
+        knots = axis.low + 360.0 * np.arange(intervals) / intervals
     return make_error_motion_over(symbol, axis, knots)
 
 
@@ -103,7 +103,7 @@ def make_error_motion_over(
     spline = natural_spline(knots_mm)
     fixed = np.array([reference_position_mm(axis)])
     if is_straightness(symbol):
-        fixed = np.array([axis.min_mm, axis.max_mm])
+        fixed = np.array([axis.low, axis.high])
     return ErrorMotion(symbol, axis, spline, null_space(spline.basis(fixed)))
 
 

@@ -62,7 +62,7 @@ class PlaneError(Effect):
 
 
 def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:
-    share = (at.axis_mm(axis.name) - axis.min_mm) / (axis.max_mm - axis.min_mm)
+    share = (at.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
     return legendre.legvander(2.0 * share - 1.0, _DEGREE)
 
 
