@@ -119,7 +119,7 @@ def discover(
     from app.estimation.prior_model import read_prior_model
     from app.files.bundle import read_bundle
     from app.reporting.analysis_files import read_runs
-    from app.reporting.discovery_files import write_discovery
+    from app.reporting.discovery_report import write_discovery
     from app.results.discovery import discover_runs
 
     require_folder(output, "the results")

@@ -116,7 +116,7 @@ def plan(
     from app.motion.motion_times import DEFAULT_FEED_MM_MIN
     from app.motion.workspace import Workspace
     from app.planning.plan import PlanOrder, make_plan
-    from app.reporting.plan_files import write_plan
+    from app.reporting.plan_report import write_plan
 
     request = PlanOrder(
         mode,

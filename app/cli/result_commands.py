@@ -44,7 +44,7 @@ def compare(
 ) -> None:
     """A result against a direct measurement of single error motions."""
     compute_on_one_thread()
-    from app.reporting.comparison_output import compare_files
+    from app.reporting.comparison_report import compare_files
     from app.results.comparison import ReferenceUncertainty
 
     require_folder(output, "the comparison")

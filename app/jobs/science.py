@@ -68,7 +68,7 @@ def discover_recorded(
     # Imported where it computes: the service itself carries no science and no plots.
     from app.estimation.prior_model import read_prior_model
     from app.reporting.analysis_files import read_runs
-    from app.reporting.discovery_files import write_discovery
+    from app.reporting.discovery_report import write_discovery
     from app.results.discovery import discover_runs
 
     model = read_prior_model(model_file, model_id or "") if model_file else None
@@ -80,7 +80,7 @@ def discover_recorded(
 def prepare() -> None:
     """Import what science needs, so that the first job does not wait for it."""
     import app.reporting.analysis_files
-    import app.reporting.discovery_files  # noqa: F401
+    import app.reporting.discovery_report  # noqa: F401
 
 
 def _replace(final: Path, write: Callable[[Path], None]) -> None:

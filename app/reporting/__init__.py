@@ -12,7 +12,7 @@ screens light and dark and on paper.
     plan_report           a plan: what it determines, and in what time
     error_sections, measurement_sections    views of the calibration report
     templating            the environment of the templates
-    svg, chart, axis_panels    shapes, scales and frames of figures
+    svg, chart            shapes, scales and frames of figures
     *_figures, volume_figure   one kind of report a file
 
 The calibration report follows the order of ISO/TR 16907: machine and measurement, error

@@ -1,24 +1,33 @@
-"""A chart: two scales, their ticks on round numbers, a grid and a frame."""
+"""A chart: two scales, their ticks on round numbers, a grid and a frame; panels."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
+from app.kinematics.machine import Axis, position_unit
+from app.kinematics.symbols import describe_symbol, list_error_motions
 from app.reporting.svg import (
     NUMBER,
     TITLE,
+    WIDTH,
     Colour,
+    draw_image,
     draw_segments,
     draw_strokes,
     join_shapes,
     write_label,
 )
 
+TOP, LEFT, EDGE = 16.0, 36.0, 7.0  # free above, left and right of the panels
+_GAP = 40.0
+_PANEL_HEIGHT, _ROW_HEIGHT = 116.0, 146.0
+_BELOW = 28.0  # for the numbers and the name of the axis
 _MARGIN = 0.05  # of the span of the data, beyond either end
 _DIGIT = 4.2  # width of a digit in the type of the numbers
 _FEWEST_DECADES = 4  # below it ticks at 2 and 5 as well
@@ -186,3 +195,27 @@ def _draw_grid(
         for edge in (begin, end)
     )
     return draw_segments(first, last, Colour.RULE, width=0.5)
+
+
+def draw_panels(
+    axis: Axis, title: str, draw_motion: Callable[[Frame, str, str], Markup]
+) -> Markup:
+    """Return the figure; the name of the axis stands below the lower panels.
+
+    draw_motion : draws an error motion, by its symbol, into a frame; its last argument
+        is the text below the frame
+    """
+    name = f"{axis.name}, {position_unit(axis)}"
+    parts: list[Markup] = []
+    for i, symbol in enumerate(list_error_motions(axis.name)):
+        frame = make_panel(*divmod(i, 3), _PANEL_HEIGHT, _ROW_HEIGHT)
+        parts.append(frame.write_title(f"{symbol}  {describe_symbol(symbol)}"))
+        parts.append(draw_motion(frame, symbol, name if i >= 3 else ""))
+    return draw_image(TOP + _ROW_HEIGHT + _PANEL_HEIGHT + _BELOW, title, parts)
+
+
+def make_panel(row: int, column: int, height: float, row_height: float) -> Frame:
+    """Return the frame of a panel; three stand side by side."""
+    width = (WIDTH - LEFT - 2 * _GAP - EDGE) / 3
+    left, top = LEFT + column * (width + _GAP), TOP + row * row_height
+    return Frame(left, top, left + width, top + height)

@@ -8,8 +8,7 @@ from markupsafe import Markup
 
 from app.kinematics.machine import Axis
 from app.motion.default_points import unit_corners
-from app.reporting.axis_panels import LEFT, SIGN, TOP, draw_panels
-from app.reporting.chart import Frame, Scale
+from app.reporting.chart import LEFT, TOP, Frame, Scale, draw_panels
 from app.reporting.svg import (
     Colour,
     draw_curve,
@@ -21,6 +20,7 @@ from app.reporting.svg import (
     write_label,
 )
 from app.results.comparison import ComparedError, ComparedVolume, Comparison, K
+from app.results.number_format import SIGN
 
 _BINS = 31
 _VIEW = np.array([[0.87, -0.5, 0.0], [0.28, 0.48, -0.83]])  # from front, right, above

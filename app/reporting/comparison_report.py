@@ -1,10 +1,16 @@
-"""The page of a comparison with a direct measurement: one HTML file."""
+"""A comparison with a direct measurement: its page, one HTML file, and its files."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+from app.files.file_model import encode_json
+from app.files.recorded_files import decode_reference
+from app.files.result_file import read_result
+from app.files.whole_files import write_files
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import describe_symbol
-from app.reporting.axis_panels import SIGN
 from app.reporting.comparison_figures import draw_error_motions, draw_volume
 from app.reporting.templating import View, render_page
 from app.results.comparison import (
@@ -13,15 +19,20 @@ from app.results.comparison import (
     ComparedVolume,
     Comparison,
     K,
+    ReferenceUncertainty,
+    compare,
+    compare_volumes,
     mean_length,
 )
 from app.results.comparison_files import (
     KINDS,
     classify,
+    comparison_csv,
+    comparison_json,
     compute_agreement,
     find_largest,
 )
-from app.results.number_format import format_expanded, format_number
+from app.results.number_format import SIGN, format_expanded, format_number
 
 
 def render_comparison_report(
@@ -109,3 +120,36 @@ def _describe_volume(volume: ComparedVolume) -> View:
         "points": len(volume.position),
         "figure": draw_volume(volume),
     }
+
+
+COMPARISON, TABLE, PAGE = "comparison.json", "comparison.csv", "comparison.html"
+
+
+def compare_files(
+    result: str | Path,
+    reference: str | Path,
+    folder: str | Path,
+    instrument: ReferenceUncertainty,
+) -> dict[str, Any]:
+    """Compare and write the three files into a folder; return the content of the JSON.
+
+    Raises BundleError with the place, BadInput if nothing can be compared.
+    """
+    loaded = read_result(result)
+    direct = decode_reference(Path(reference).read_bytes(), file=str(reference))
+    comparison = compare(loaded, direct, instrument)
+    volume = compare_volumes(loaded.machine, comparison)
+    names = {
+        "machine": loaded.machine.name,
+        "result": Path(result).name,
+        "reference": Path(reference).name,
+    }
+    content = comparison_json(comparison, volume, names)
+    page = render_comparison_report(loaded.machine, comparison, volume, names)
+    files = {
+        TABLE: comparison_csv(comparison).encode(),
+        PAGE: page.encode(),
+        COMPARISON: encode_json(content),
+    }
+    write_files(Path(folder), files)
+    return content

@@ -13,8 +13,7 @@ from app.alignment.observations import Observations
 from app.discovery.findings import Gap
 from app.discovery.residual_location import RunResidual, Segment
 from app.kinematics.machine import position_unit
-from app.reporting.axis_panels import EDGE, LEFT, TOP, make_panel
-from app.reporting.chart import Frame, Scale
+from app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
 from app.reporting.svg import (
     NUMBER,
     WIDTH,

@@ -9,11 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
+from pathlib import Path
 
 from app.discovery.discover import Discovery
 from app.discovery.findings import Finding
 from app.discovery.residual_location import RunResidual, Segment
+from app.files.commanded_file import encode_commanded
+from app.files.file_model import encode_json
+from app.files.whole_files import write_files
 from app.planning.discrimination import DECIDED, DiscriminationDesign, Question
+from app.reporting.analysis_files import REPORT
 from app.reporting.discovery_figures import (
     draw_along_run,
     draw_by_line,
@@ -22,6 +27,7 @@ from app.reporting.discovery_figures import (
     draw_shares,
 )
 from app.reporting.templating import View, render_page
+from app.results.discovery import ASK, Discovered
 from app.results.discovery_json import describe_alternatives, explain, write_title
 from app.results.model_difference import in_words
 from app.results.model_file import NextModel
@@ -180,3 +186,21 @@ def _list_waypoints(design: DiscriminationDesign) -> list[tuple[str, ...]]:
         )
         for number, position in enumerate(path.position, start=1)
     ]
+
+
+DISCOVERY, MODEL = "discovery.json", "model.json"
+
+
+def write_discovery(discovered: Discovered, folder: str | Path) -> None:
+    """Write the files of a discovery into a folder, each whole or not at all."""
+    found, asked = discovered.found, discovered.asked
+    report = render_discovery_report(found, discovered.model, asked, ASK)
+    files = {REPORT: report.encode()}
+    if asked is None:
+        (Path(folder) / ASK).unlink(missing_ok=True)  # that of an earlier discovery
+    else:
+        files[ASK] = encode_commanded(asked.path)
+    # The discovery last: where it stands, the others stand as well.
+    files[MODEL] = encode_json(discovered.model.content)
+    files[DISCOVERY] = encode_json(discovered.content)
+    write_files(Path(folder), files)

@@ -7,8 +7,7 @@ from markupsafe import Markup
 
 from app.files.units import UM_PER_MM
 from app.kinematics.machine import Axis
-from app.reporting.axis_panels import EDGE, LEFT, SIGN, TOP, draw_panels
-from app.reporting.chart import Frame, Scale
+from app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, draw_panels
 from app.reporting.svg import (
     WIDTH,
     Colour,
@@ -21,6 +20,7 @@ from app.reporting.svg import (
 )
 from app.results.error_tables import ErrorTable, build_error_table
 from app.results.findings import Findings, RunFindings
+from app.results.number_format import SIGN
 
 _COVERAGE = 2.0  # k of expanded uncertainties
 _BAND = 0.22

@@ -10,14 +10,13 @@ from app.kinematics.effects.catalogue import Quantity
 from app.kinematics.machine import Axis, position_unit
 from app.kinematics.symbols import describe_symbol
 from app.kinematics.symbols import list_error_motions as symbols_of
-from app.reporting.axis_panels import SIGN
 from app.reporting.error_figures import draw_error_motions
 from app.reporting.templating import View
 from app.reporting.volume_figure import draw_volume
 from app.results.error_tables import ErrorTable, compute_half_differences
 from app.results.findings import Findings
 from app.results.model_difference import in_words
-from app.results.number_format import format_expanded, format_number
+from app.results.number_format import SIGN, format_expanded, format_number
 from app.results.updated_effects import describe_use, list_updated_effects
 from app.results.volumetric_error import Figure
 

@@ -8,12 +8,11 @@ from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.symbols import describe_symbol
 from app.numerics.adaptive_trials import NORMAL_FACTOR
-from app.reporting.axis_panels import SIGN
 from app.reporting.error_figures import draw_residuals
 from app.reporting.templating import View
 from app.results.findings import Findings, RunFindings
 from app.results.grade_json import in_words
-from app.results.number_format import format_number
+from app.results.number_format import SIGN, format_number
 from app.results.trial_results import MAP, TrialQuantity, TrialResults
 
 GOOD_FIT = 1.15  # residual over noise up to which the model explains the measurement

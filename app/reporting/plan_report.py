@@ -1,15 +1,25 @@
-"""The page of a plan: what it determines in what time, and what it cannot."""
+"""A plan as a page and files: what it determines in what time, and what it cannot."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+from app.files.commanded_file import encode_commanded
+from app.files.file_model import encode_json
+from app.files.whole_files import write_files
 from app.kinematics.effects.catalogue import find_family
+from app.motion.nc_programs.programs import (
+    list_dialects,
+    name_file,
+    write_program,
+)
+from app.planning.plan import Plan
 from app.reporting.chart import Scale
 from app.reporting.svg import (
     NUMBER,
@@ -22,10 +32,12 @@ from app.reporting.svg import (
 )
 from app.reporting.templating import render_page
 from app.results.model_difference import in_words
+from app.results.number_format import SIGN
+from app.results.plan_document import plan_document
+from drivers.interfaces.records import Path
 
 _HEIGHT, _LEFT, _TOP, _RIGHT, _BOTTOM = 240.0, 58.0, 14.0, 12.0, 34.0
 _TICKS = 5
-_UNITS = {"um": "µm", "urad": "µrad"}
 
 
 def render_plan_report(document: Mapping[str, Any]) -> str:
@@ -42,10 +54,9 @@ def render_plan_report(document: Mapping[str, Any]) -> str:
             "target": target,
             "curve": _draw_curve(document["curve"]),
             "errors": [
-                (symbol, f"{2.0 * error[f'uncertainty_{unit}']:.2f}", sign)
+                (symbol, f"{2.0 * sigma:.2f}", SIGN[key.removeprefix("uncertainty_")])
                 for symbol, error in predicted["errors"].items()
-                for unit, sign in _UNITS.items()
-                if f"uncertainty_{unit}" in error
+                for key, sigma in error.items()
             ],
             "effects": [_state_effect(effect) for effect in predicted["effects"]],
             "unobservable": document["unobservable"],
@@ -94,3 +105,26 @@ def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
     ]
     title = "Predicted volumetric uncertainty during the measurement"
     return draw_image(_HEIGHT, title, parts)
+
+
+def write_plan(
+    planned: Plan, folder: FilePath, controls: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Write the files of a plan and return the content of `plan.json`.
+
+    controls : whose NC programs are written; of all where left out
+
+    Raises BadInput, nothing written, if a control cannot drive the plan.
+    """
+    commanded, machine = planned.commanded, planned.machine
+    rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
+    files = {rows: encode_commanded(commanded)}
+    feed = planned.order.feeds_mm_min[0]
+    for control in controls or list_dialects():
+        text = write_program(commanded, machine, control, feed_mm_min=feed)
+        files[f"{control}/{name_file(text, control)}"] = text.encode()
+    document = plan_document(planned) | {"files": [*files, "plan.json", "plan.html"]}
+    files["plan.json"] = encode_json(document, indent=1)
+    files["plan.html"] = render_plan_report(document).encode()
+    write_files(folder, files)
+    return document

@@ -11,17 +11,9 @@ from app.files.model_file import EstimatedModel
 from app.files.units import unit_of
 from app.kinematics.effects.base import Effect, ErrorCurve
 from app.results.error_tables import build_error_table, choose_table_positions
-from app.results.number_format import format_expanded, format_number
+from app.results.number_format import SIGN, format_expanded, format_number
 
 _SHOWS = 2.0  # expanded uncertainty of the later model, k = 2
-SIGN = {
-    "um": "µm",
-    "hz": "Hz",
-    "urad": "µrad",
-    "um_per_s": "µm/s",
-    "um_per_m_K": "µm/m/K",
-    "um_per_m": "µm/m",
-}
 _SUFFIXES = (
     "um_per_m_K",
     "um_per_m",

@@ -4,6 +4,16 @@ from __future__ import annotations
 
 import math
 
+SIGN = {
+    "um": "µm",
+    "hz": "Hz",
+    "urad": "µrad",
+    "um_per_s": "µm/s",
+    "um_per_m_K": "µm/m/K",
+    "um_per_m": "µm/m",
+}
+"""Units of files as people write them, where they are not the same."""
+
 
 def format_expanded(value: float, standard: float) -> str:
     """Return `value ± U`, k = 2, with U at two significant digits."""

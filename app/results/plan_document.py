@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from app.files.machine_file import machine_to_json
+from app.files.units import scale_of
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.planning.plan import Plan
 from app.results.updated_effects import predicted_effects_json
 
 SCHEMA = "plan/1"
-_PER_UNIT = {"um": 1e3, "urad": 1e6}
 
 
 def plan_document(planned: Plan) -> dict[str, Any]:
@@ -88,5 +88,5 @@ def _errors(planned: Plan) -> dict[str, dict[str, float]]:
     for symbol, sigma in planned.forecast.motion_sigmas().items():
         single = symbol in SQUARENESS or is_location(symbol)
         kind = find_unit(symbol) if single or symbol.startswith("E") else "um"
-        found[symbol] = {f"uncertainty_{kind}": sigma * _PER_UNIT[kind]}
+        found[symbol] = {f"uncertainty_{kind}": sigma * scale_of(kind)}
     return found

@@ -5,8 +5,7 @@ import re
 
 import pytest
 
-from app.reporting.discovery_files import write_discovery
-from app.reporting.discovery_report import render_discovery_report
+from app.reporting.discovery_report import render_discovery_report, write_discovery
 from app.results.discovery import ASK, discover_runs
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
