@@ -32,12 +32,12 @@ from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import Drive, Legs, row_times_s
+from app.motion.motion_times import Drive, Stops, row_times_s
 from app.motion.workspace import Workspace
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
 from app.numerics.splines import natural_spline
-from app.planning.design_state import DesignState, inverse
-from app.planning.initial_design import choose_station, start_point_design
+from app.planning.design_state import DesignState, PointDesignState, inverse
+from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from app.planning.next_configuration import (
     next_configuration,
@@ -106,23 +106,22 @@ def points_needed(seed: int, *, volumetric: bool) -> int:
         integrated variances, turns at half the diagonal of the travel
     """
     machine = machine_of(seed)
-    design = start_point_design(machine, choose_station(machine, Workspace()))
-    if not volumetric:
-        design = replace(design, gram=gram_of_motions(design))
     # As good as no time to move: points count, not seconds.
     drive = replace(Drive.of(machine.axis_names, 1.0), acceleration_mm_s2=1e7)
+    station_mm = choose_station(machine, Workspace())
+    design = start_design(PointDesignState, machine, station_mm, drive, target="")
+    if not volumetric:
+        design = replace(design, gram=gram_of_motions(design))
     rng = np.random.default_rng(seed)
     low, high = np.array([[axis.low, axis.high] for axis in machine.axes]).T
     goal = np.median(
-        [left(design, rng.uniform(low, high, (RANDOM + 1, 3)), drive) for _ in "abcde"]
+        [left(design, rng.uniform(low, high, (RANDOM + 1, 3))) for _ in "abcde"]
     )
     region = SearchRegion(low, high, lambda legs: (legs.step != 0.0).any(axis=1))
-    choice = LegChoice(design, drive, region, (6e6,), rng, SearchEffort(rounds=0))
+    choice = LegChoice(design, region, (6e6,), rng, SearchEffort(rounds=0))
     stops = choice.stops(low, RANDOM * 1.01)
     counts = range(1, len(stops))
-    return next(
-        n for n in counts if left(design, stops.position[: n + 1], drive) <= goal
-    )
+    return next(n for n in counts if left(design, stops.position[: n + 1]) <= goal)
 
 
 def gram_of_motions(design: DesignState) -> np.ndarray:
@@ -141,11 +140,9 @@ def gram_of_motions(design: DesignState) -> np.ndarray:
     return gram
 
 
-def left(design: DesignState, position: np.ndarray, drive: Drive) -> float:
+def left(design: DesignState, position: np.ndarray) -> float:
     """Return J after standstills at all positions but the first."""
-    told = design.information(
-        Legs.between(position, np.full(len(position), FEED)), drive
-    )
+    told = design.information(Stops(position, np.full(len(position), FEED)).legs)
     return design.add(told).integrated_variance
 
 

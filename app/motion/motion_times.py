@@ -26,15 +26,6 @@ class Legs:
     end: Float64[np.ndarray, "n a"]
     feed_mm_min: Float64[np.ndarray, " n"]
 
-    @classmethod
-    def between(
-        cls,
-        position: Float64[np.ndarray, "s a"],
-        feed_mm_min: Float64[np.ndarray, " s"],
-    ) -> Legs:
-        """Return the legs of stops in their order; the first feed is unused."""
-        return cls(position[:-1], position[1:], feed_mm_min[1:])
-
     def __len__(self) -> int:
         return len(self.begin)
 
@@ -42,6 +33,34 @@ class Legs:
     def step(self) -> Float64[np.ndarray, "n a"]:
         """Way of each axis."""
         return self.end - self.begin
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """Stops in their order.
+
+    position : mm and deg; feed_mm_min : towards each, the first unused
+    """
+
+    position: Float64[np.ndarray, "s a"]
+    feed_mm_min: Float64[np.ndarray, " s"]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def legs(self) -> Legs:
+        """The motions between them."""
+        return Legs(self.position[:-1], self.position[1:], self.feed_mm_min[1:])
+
+    def select(self, of: slice) -> Stops:
+        """Return some of the stops."""
+        return Stops(self.position[of], self.feed_mm_min[of])
+
+    def append(self, end: Float64[np.ndarray, " a"], feed_mm_min: float) -> Stops:
+        """Return the stops and one more."""
+        feed = np.append(self.feed_mm_min, feed_mm_min)
+        return Stops(np.vstack([self.position, end]), feed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +144,7 @@ def row_times_s(
     feed = np.full(len(commanded), feed_mm_min)
     if isinstance(commanded, Path):
         feed = commanded.feed_mm_min
-    legs = Legs.between(commanded.position, feed)
+    legs = Stops(commanded.position, feed).legs
     moving_s = Drive.of(commanded.axes, 0.0).times_s(legs)
     return np.concatenate([[0.0], moving_s]) + commanded.dwell_s
 

@@ -78,6 +78,18 @@ def inner_travel(
     return np.round(low + margin, DECIMALS), np.round(high - margin, DECIMALS)
 
 
+def add_resting_axes(
+    machine: Machine, moved: Float64[np.ndarray, "n a"]
+) -> Float64[np.ndarray, "n b"]:
+    """Return positions with columns for the last axes, which are not moved.
+
+    They stand at 0, or at the near end of their travel.
+    """
+    resting = machine.axes[moved.shape[1] :]
+    stand = [min(max(0.0, axis.low), axis.high) for axis in resting]
+    return np.hstack([moved, np.tile(stand, (len(moved), 1))])
+
+
 def check_travel(machine: Machine, commanded: Commanded) -> None:
     """Raise OutOfTravel if a row lies beyond the travel or moves an unknown axis.
 

@@ -19,7 +19,8 @@ from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded, append_part, select_rows
 from app.motion.motion_times import Legs, row_times_s
 from app.planning.design_state import DesignState
-from app.planning.initial_design import start_line_design, start_point_design
+from app.planning.forecast import Assumptions
+from app.planning.initial_design import start_design
 from app.planning.plan import PlanOrder
 from app.planning.planner import Planner
 from app.planning.predicted_cells import EXPECTED_NOISE
@@ -90,9 +91,7 @@ class AdaptivePlanner:
         The last one may wait for samples that come after it.
         """
         order, design = self._order, self._make_design(found)
-        planner = Planner(
-            self._machine, design, order.workspace, self._drive, order.feeds_mm_min
-        )
+        planner = Planner(self._machine, design, order.workspace, order.feeds_mm_min)
         for row in sorted({*found.rows, len(self.commanded) - 1}):
             line = slice(max(row - 1, 0), row + 1)
             planner = planner.update(select_rows(self.commanded, line))
@@ -102,23 +101,22 @@ class AdaptivePlanner:
         # Few lines may show no jitter of the feed at all; there is always some.
         least_mm = _LEAST_JITTER * EXPECTED_NOISE.along_sigma_mm
         along_mm = max(found.noise.along_sigma_mm, least_mm)
-        noise = replace(found.noise, along_sigma_mm=along_mm)
-        if self._order.is_on_the_fly:
-            return start_line_design(
-                self._machine,
-                found.station_mm,
-                known=self._known,
-                perpendicular_only=self._order.perpendicular_only,
-                noise=noise,
-                prior_precision=found.prior_precision,
-            )
-        return start_point_design(
+        assumed = Assumptions(
+            self._known,
+            self._order.perpendicular_only,
+            replace(found.noise, along_sigma_mm=along_mm),
+            found.prior_precision,
+        )
+        target = None
+        if not self._order.is_on_the_fly:
+            target = self.commanded.target[-1] if self.commanded.target else ""
+        return start_design(
+            self._order.design_kind,
             self._machine,
             found.station_mm,
-            self.commanded.target[-1] if self.commanded.target else "",
-            known=self._known,
-            noise=noise,
-            prior_precision=found.prior_precision,
+            self._drive,
+            assumed,
+            target=target,
         )
 
     @property

@@ -20,8 +20,9 @@ from app.motion.configurations import join_rows
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace, moving_targets
-from app.planning.initial_design import choose_station, start_line_design
+from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import SearchEffort
+from app.planning.line_design_state import LineDesignState
 from app.planning.planner import Planner, PlanShare, plan_in_turn
 from drivers.interfaces.records import Path
 
@@ -96,9 +97,11 @@ def _make_planner(
         fastest_deg_min=FASTEST_DEG_MIN,
     )
     workspace = Workspace()
-    design = start_line_design(
+    design = start_design(
+        LineDesignState,
         machine,
         choose_station(machine, workspace),
+        drive,
         target=target.name if machine.rotary_axes else None,
     )
-    return Planner(machine, design, workspace, drive, (feed_mm_min,))
+    return Planner(machine, design, workspace, (feed_mm_min,))

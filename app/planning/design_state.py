@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.kinematics.conditions import Conditions, make_standstill
-from app.kinematics.machine import Target
+from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Commanded, Configurations
-from app.motion.motion_times import Drive, Legs
+from app.motion.motion_times import Drive, Legs, Stops
+from app.motion.travel import add_resting_axes
 from app.numerics.design_criteria import IntegratedVariance
 from app.numerics.scaled_cholesky import ScaledCholesky
 from app.planning.next_configuration import climb_from, search_space
@@ -49,6 +50,7 @@ class DesignState(ABC):
     precision : (p, p) information so far, prior included
     gram : (p, p), θᵀ G θ is the mean square of the volumetric error, mm²
     station_mm : (3,) of the tracker, in the frame that it stands on
+    drive : how the machine moves, and dwells at the stops
     order_is_free : whether stops may change places; the approach alone depends on it
     """
 
@@ -58,26 +60,19 @@ class DesignState(ABC):
     gram: Float64[np.ndarray, "p p"]
     station_mm: Float64[np.ndarray, "3"]
     noise: ExpectedNoise
+    drive: Drive
     order_is_free = False
 
     @abstractmethod
-    def rows(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "n r p"]:
+    def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
         """Return rows H of each leg with HᵀH its information."""
 
     @abstractmethod
-    def fits(
-        self, legs: Legs, feed_mm_min: float, drive: Drive
-    ) -> Bool[np.ndarray, " n"]:
+    def fits(self, legs: Legs, feed_mm_min: float) -> Bool[np.ndarray, " n"]:
         """Tell which legs are long enough to be recognised and measured at a feed."""
 
     @abstractmethod
-    def commanded(
-        self,
-        axes: tuple[str, ...],
-        position: Float64[np.ndarray, "s a"],
-        feed_mm_min: Float64[np.ndarray, " s"],
-        drive: Drive,
-    ) -> Commanded:
+    def commanded(self, machine: Machine, stops: Stops) -> Commanded:
         """Return the stops as what the machine is commanded."""
 
     def hold(
@@ -90,7 +85,6 @@ class DesignState(ABC):
         self,
         covariance: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],
-        drive: Drive,
     ) -> Float64[np.ndarray, "n a"]:
         """Return places that may tell more than a stop that is already good.
 
@@ -103,11 +97,11 @@ class DesignState(ABC):
         """J, mm² (brunn-hanebeck-2005, eq. 34)."""
         return float(np.sum(inverse(self.precision) * self.gram))
 
-    def information(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "p p"]:
+    def information(self, legs: Legs) -> Float64[np.ndarray, "p p"]:
         """Return the information of all legs."""
         if not len(legs):
             return np.zeros_like(self.precision)
-        rows = self.rows(legs, drive)
+        rows = self.rows(legs)
         flat = rows.reshape(-1, rows.shape[2])
         return flat.T @ flat
 
@@ -155,42 +149,34 @@ class PointDesignState(DesignState):
 
     order_is_free = True
 
-    def rows(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "n r p"]:
+    def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
         """Return rows H of the standstill at each end, approached from the begin."""
         at = self.conditions(legs.end, np.sign(legs.step))
-        return np.sqrt(drive.dwell_s) * (self.roots(at) @ self.model.jacobian(at))
+        return np.sqrt(self.drive.dwell_s) * (self.roots(at) @ self.model.jacobian(at))
 
-    def fits(
-        self, legs: Legs, feed_mm_min: float, drive: Drive
-    ) -> Bool[np.ndarray, " n"]:
+    def fits(self, legs: Legs, feed_mm_min: float) -> Bool[np.ndarray, " n"]:
         """Tell which moves can be recognised.
 
         Every rotary axis turns: a target on a table that does not would not move.
         """
         turning = self.model.machine.rotary_axes
         if not turning:
-            return drive.length(legs) >= _LEAST_MOVE_MM
+            return self.drive.length(legs) >= _LEAST_MOVE_MM
         travel = np.array([axis.high - axis.low for axis in turning])
-        turn = np.abs(legs.step)[:, ~np.asarray(drive.linear)]
+        turn = np.abs(legs.step)[:, ~np.asarray(self.drive.linear)]
         return np.all(turn >= np.minimum(_LEAST_TURN_DEG, 0.1 * travel), axis=1)
 
-    def commanded(
-        self,
-        axes: tuple[str, ...],
-        position: Float64[np.ndarray, "s a"],
-        feed_mm_min: Float64[np.ndarray, " s"],
-        drive: Drive,
-    ) -> Configurations:
+    def commanded(self, machine: Machine, stops: Stops) -> Configurations:
         """Return the stops as points."""
-        n = len(position)
-        names = (self.target.name,) * n if self.target.name else ()
-        return Configurations(axes, position, np.full(n, drive.dwell_s), names)
+        position = add_resting_axes(machine, stops.position)
+        dwell_s = np.full(len(stops), self.drive.dwell_s)
+        names = (self.target.name,) * len(stops) if self.target.name else ()
+        return Configurations(machine.axis_names, position, dwell_s, names)
 
     def better_places(
         self,
         covariance: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],
-        drive: Drive,
     ) -> Float64[np.ndarray, "n a"]:
         """Return the summit of the exact criterion above a stop, of straight axes.
 
@@ -206,7 +192,7 @@ class PointDesignState(DesignState):
             )
 
         root = self.roots(self.conditions(here[None], np.zeros((1, len(here)))))[0]
-        variance = 3.0 / (drive.dwell_s * float(np.sum(root**2)))
+        variance = 3.0 / (self.drive.dwell_s * float(np.sum(root**2)))
         known = IntegratedVariance(covariance, self.gram)
         top = climb_from(known, rows, search_space(self.model), variance, here)
         return top.position[None]

@@ -24,10 +24,9 @@ from app.alignment.observations import Observations, add_surroundings
 from app.estimation.prior import diagonal_precision
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.machine import Machine
-from app.motion.motion_times import Drive, Legs, travel_time_s
-from app.motion.travel import DECIMALS, check_travel, inner_travel
+from app.motion.motion_times import Drive, Legs, Stops, travel_time_s
+from app.motion.travel import DECIMALS, add_resting_axes, check_travel, inner_travel
 from app.numerics.rigid import RigidTransform
-from app.planning.planner import with_resting_axes
 from app.planning.predicted_cells import predict_cells
 from drivers.interfaces.records import Path
 
@@ -120,12 +119,10 @@ class DiscriminationDesign:
 class _Draft:
     """Lines so far.
 
-    position, feed_mm_min : stops, and the feed towards each
     normal : normal equations of each question; merit : what the choice maximises
     """
 
-    position: Float64[np.ndarray, "s a"]
-    feed_mm_min: Float64[np.ndarray, " s"]
+    stops: Stops
     normal: tuple[Float64[np.ndarray, "q q"], ...]
     expected: tuple[float, ...]
     merit: float = 0.0
@@ -133,16 +130,16 @@ class _Draft:
     @property
     def lines(self) -> int:
         """Number of lines."""
-        return len(self.position) - 1
+        return len(self.stops) - 1
 
     @property
     def is_recognisable(self) -> bool:
         """Whether its stops differ enough to be matched, and to locate the tracker."""
         if self.lines < _FEWEST_LINES:
             return False
-        off = self.position - self.position.mean(axis=0)
-        spread = np.linalg.svd(off, compute_uv=False)
-        apart = float(np.linalg.norm(self.position[-1] - self.position[0]))
+        position = self.stops.position
+        spread = np.linalg.svd(position - position.mean(axis=0), compute_uv=False)
+        apart = float(np.linalg.norm(position[-1] - position[0]))
         return float(spread[1]) > _SPREAD_MM and apart > _SPREAD_MM
 
     @property
@@ -175,12 +172,11 @@ class LineChoice:
         """Return the lines and what each question expects of them."""
         low, _ = self._travel()
         nothing = tuple(np.zeros((q.size, q.size)) for q in self.questions)
-        draft = _Draft(
-            low[None], np.array([self.feed_mm_min]), nothing, (0.0,) * len(nothing)
-        )
+        first = Stops(low[None], np.array([self.feed_mm_min]))
+        draft = _Draft(first, nothing, (0.0,) * len(nothing))
         while draft.lines < MOST_LINES and not draft.is_enough:
             draft = self._extend(draft)
-        path = self._path(draft.position, draft.feed_mm_min)
+        path = self._path(draft.stops)
         check_travel(self.machine, path)
         return DiscriminationDesign(tuple(self.questions), path, draft.expected)
 
@@ -191,15 +187,14 @@ class LineChoice:
         return max(usable or drafts, key=lambda d: self._merit_per_s(draft, d))
 
     def _merit_per_s(self, before: _Draft, after: _Draft) -> float:
-        line = Legs.between(after.position[-2:], after.feed_mm_min[-2:])
+        line = after.stops.select(slice(-2, None)).legs
         return (after.merit - before.merit) / float(self.drive.times_s(line)[0])
 
     def _add_line(
         self, draft: _Draft, end: Float64[np.ndarray, " a"], feed: float
     ) -> _Draft:
-        position = np.vstack([draft.position, end])
-        feeds = np.append(draft.feed_mm_min, feed)
-        line = self._predict_last_line(self._path(position, feeds))
+        stops = draft.stops.append(end, feed)
+        line = self._predict_last_line(self._path(stops))
         normal = tuple(
             s + q.measure(line)
             for q, s in zip(self.questions, draft.normal, strict=True)
@@ -208,7 +203,7 @@ class LineChoice:
         guidance = self._expect(normal, _KNOWN_POSE)
         merit = sum(min(e, DECIDED) for e in expected)
         merit += _GUIDANCE * sum(min(e, DECIDED) for e in guidance)
-        return _Draft(position, feeds, normal, expected, merit)
+        return _Draft(stops, normal, expected, merit)
 
     def _expect(
         self,
@@ -221,14 +216,15 @@ class LineChoice:
     def _ends(self, draft: _Draft) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
         """Yield ends of the next line and feeds: back, along an axis, anywhere."""
         low, high = self._travel()
-        here = draft.position[-1]
+        position = draft.stops.position
+        here = position[-1]
         share = self.rng.random((_RANDOM_ENDS, len(low)))
         pinned = self.rng.random(share.shape) < 0.5
         share[pinned] = np.rint(share[pinned])
         one = np.eye(len(low))
         inside = low + self.rng.random(len(low)) * (high - low)
         along = [here + one * (place - here) for place in (low, high, inside)]
-        ends = np.vstack([low + share * (high - low), draft.position[-2:-1], *along])
+        ends = np.vstack([low + share * (high - low), position[-2:-1], *along])
         away = np.abs(ends - here) >= _LEAST_MOTION
         for end in np.where(away, np.round(ends, DECIMALS), here):
             for slower in _SLOWER:
@@ -244,18 +240,15 @@ class LineChoice:
         count = len(machine.linear_axes)
         return low[:count], high[:count]
 
-    def _path(
-        self, linear: Float64[np.ndarray, "s a"], feed: Float64[np.ndarray, " s"]
-    ) -> Path:
-        machine = self.machine
-        position = with_resting_axes(machine, linear)
+    def _path(self, stops: Stops) -> Path:
+        machine, count = self.machine, len(stops)
         name = machine.target().name
         return Path(
             machine.axis_names,
-            position,
-            feed,
-            np.full(len(linear), _DWELL_S),
-            (name,) * len(linear) if name else (),
+            add_resting_axes(machine, stops.position),
+            stops.feed_mm_min,
+            np.full(count, _DWELL_S),
+            (name,) * count if name else (),
         )
 
     def _predict_last_line(self, path: Path) -> Observations:

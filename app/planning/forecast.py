@@ -9,7 +9,7 @@ errors, or those that a live estimate has found.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +38,39 @@ _POSE = {"mm": 1.0, "rad": 1e-3}
 # ones, in the median of their error motions.
 _SMOOTHER = 4.0
 _POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What is believed of a machine and its tracker before a measurement.
+
+    known : effects beside the error motions, as an earlier measurement has left them
+    perpendicular_only : only deviations across the path are used
+    prior_precision : by the effect's name; that of usual machines where left out
+    """
+
+    known: KnownEffects = field(default_factory=KnownEffects)
+    perpendicular_only: bool = False
+    noise: NoiseModel = EXPECTED_NOISE
+    prior_precision: Mapping[str, float] | None = None
+
+    @property
+    def used_noise(self) -> NoiseModel:
+        """The noise, infinite along the path where that is not used."""
+        if self.perpendicular_only:
+            return replace(self.noise, along_sigma_mm=np.inf)
+        return self.noise
+
+    def make_prior(self, model: MachineModel) -> Float64[np.ndarray, "p p"]:
+        """Return the precision of the parameters of a model that has the effects."""
+        precision = self.prior_precision
+        if not precision:
+            usual = guess_prior(model).precision
+            precision = {name: _SMOOTHER * value for name, value in usual.items()}
+        prior = usual_precision_matrix(model, precision)
+        part = self.known.locate(model)
+        prior[part, part] += self.known.precision_matrix()
+        return prior
 
 
 @dataclass(frozen=True)
@@ -84,28 +117,18 @@ def forecast(
     machine: Machine,
     commanded: Commanded,
     station_mm: Float64[np.ndarray, "3"],
-    *,
-    known: KnownEffects | None = None,
-    perpendicular_only: bool = False,
-    noise: NoiseModel = EXPECTED_NOISE,
-    prior_precision: Mapping[str, float] | None = None,
+    assumed: Assumptions | None = None,
 ) -> Forecast:
     """Return what is to be expected of a plan, the tracker standing at a place.
 
     station_mm : in the frame that the tracker stands on
-    known : effects beside the error motions, before the plan
-    prior_precision : by the effect's name; usual ones where left out
     """
     cells = predict_cells(machine, commanded, station_mm)
     offsets = np.unique(cells.at.offset_mm, axis=0)
-    known = known or KnownEffects()
+    assumed = assumed or Assumptions()
+    known, noise = assumed.known, assumed.used_noise
     model = known.extend(build_identifiable_model(machine, offsets)[0])
-    if perpendicular_only:
-        noise = replace(noise, along_sigma_mm=np.inf)
-    prior = usual_precision_matrix(
-        model, prior_precision or guess_prior_precision(model)
-    )
-    prior[known.locate(model), known.locate(model)] += known.precision_matrix()
+    prior = assumed.make_prior(model)
     gram = compute_volumetric_gram(model)
     about = linearise(cells, model, cells.pose, noise)
     sums = RecursiveEstimator.start(about)
@@ -130,12 +153,6 @@ def forecast(
         tuple(sigmas),
         observed.unobservable,
     )
-
-
-def guess_prior_precision(model: MachineModel) -> dict[str, float]:
-    """Return the precisions that estimates of usual machines come to, by effect."""
-    found = guess_prior(model).precision
-    return {name: _SMOOTHER * precision for name, precision in found.items()}
 
 
 def _compute_covariance(

@@ -7,16 +7,12 @@ direction of approach, so that backlash is planned for as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
-from app.estimation.observability import usual_precision_matrix
 from app.estimation.prior import diagonal_precision
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths
@@ -24,21 +20,14 @@ from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import Machine, Target, remove_rotary_axes
+from app.kinematics.machine import Machine, remove_rotary_axes
 from app.kinematics.model import MachineModel
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
 from app.motion.workspace import Workspace
-from app.planning.design_state import (
-    DesignState,
-    ExpectedNoise,
-    PointDesignState,
-    inverse,
-)
-from app.planning.forecast import guess_prior_precision
-from app.planning.line_design_state import LineDesignState
+from app.planning.design_state import DesignState, ExpectedNoise, inverse
+from app.planning.forecast import Assumptions
 from app.planning.predicted_cells import (
-    EXPECTED_NOISE,
     assume_stations_mm,
     predict_cells,
 )
@@ -73,111 +62,49 @@ def choose_station(machine: Machine, workspace: Workspace) -> NDArray[np.float64
     return assume_stations_mm(machine)[2]
 
 
-def start_line_design(
+def start_design(
+    kind: type[DesignState],
     machine: Machine,
     station_mm: NDArray[np.float64],
+    drive: Drive,
+    assumed: Assumptions | None = None,
     *,
     target: str | None = None,
-    known: KnownEffects | None = None,
-    perpendicular_only: bool = False,
     dynamic: bool = False,
-    noise: NoiseModel = EXPECTED_NOISE,
-    prior_precision: Mapping[str, float] | None = None,
 ) -> DesignState:
-    """Return what is believed before the first line of a machine.
+    """Return what is believed before the first line or standstill of a machine.
 
     target : that is measured while all axes move; if left out, the first one while the
         rotary axes stand
-    known : effects that an earlier measurement has told, to be told apart as well
     dynamic : each axis may lag behind its command by more than the others, which lines
         of several feeds tell from errors that do not depend on the feed
-    prior_precision : of the prior, by the effect's name, where a live estimate has
-        found it
     """
-    part, one = remove_rotary_axes(machine), machine.target(target or "")
-    offsets = np.array([one.offset_mm], np.float64)
-    if target is not None:
-        part = machine
-        offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
-    if perpendicular_only:
-        noise = replace(noise, along_sigma_mm=np.inf)
-    known = known or KnownEffects()
-    lags = tuple(_lags(part, known)) if dynamic else ()
-    return _start_design(
-        LineDesignState,
-        part,
-        offsets,
-        one,
-        station_mm,
-        noise,
-        prior_precision,
-        known,
-        lags,
-    )
-
-
-def _lags(machine: Machine, known: KnownEffects) -> Iterator[ServoMismatch]:
-    """Yield a lag an axis, but for those that are known effects already."""
-    has = {effect.lag_axis for effect in known.effects}
-    missing = (axis for axis in machine.linear_axes if axis.name not in has)
-    yield from map(ServoMismatch, missing)
-
-
-def start_point_design(
-    machine: Machine,
-    station_mm: NDArray[np.float64],
-    target: str = "",
-    *,
-    known: KnownEffects | None = None,
-    noise: NoiseModel = EXPECTED_NOISE,
-    prior_precision: Mapping[str, float] | None = None,
-) -> DesignState:
-    """Return what is believed before the first standstill of a target.
-
-    known : effects that an earlier measurement has told, to be told apart as well
-    """
-    offsets = np.array([t.offset_mm for t in machine.targets], np.float64)
-    return _start_design(
-        PointDesignState,
-        machine,
-        offsets,
-        machine.target(target),
-        station_mm,
-        noise,
-        prior_precision,
-        known or KnownEffects(),
-    )
-
-
-def _start_design(
-    kind: type[DesignState],
-    machine: Machine,
-    offsets_mm: NDArray[np.float64],
-    target: Target,
-    station_mm: NDArray[np.float64],
-    noise: NoiseModel,
-    prior_precision: Mapping[str, float] | None,
-    known: KnownEffects,
-    lags: tuple[ServoMismatch, ...] = (),
-) -> DesignState:
+    one, assumed = machine.target(target or ""), assumed or Assumptions()
+    shown = machine.targets
+    if target is None:
+        machine, shown = remove_rotary_axes(machine), (one,)
+    known, lags = assumed.known, tuple[ServoMismatch, ...]()
+    if dynamic:
+        has = {effect.lag_axis for effect in known.effects}
+        missing = [axis for axis in machine.linear_axes if axis.name not in has]
+        lags = tuple(map(ServoMismatch, missing))
+    offsets_mm = np.array([t.offset_mm for t in shown], np.float64)
     motions, _ = build_identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = add_half_widths(known.extend(motions))
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
     pose = diagonal_precision(_pose_of(machine).parameters, _ANY_POSE)
-    prior = usual_precision_matrix(
-        motions, prior_precision or guess_prior_precision(motions)
-    )
-    prior[known.locate(motions), known.locate(motions)] += known.precision_matrix()
+    prior = assumed.make_prior(motions)
     gram = np.zeros((model.size, model.size))
     gram[:size, :size] = compute_volumetric_gram(motions) + _motion_gram(motions, known)
     return kind(
         model=model,
-        target=target,
+        target=one,
         precision=block_diag(prior, np.eye(len(lags)) / _ANY_LAG_S**2, pose),
         gram=gram,
         station_mm=station_mm,
-        noise=_expect_noise(noise, machine.tracker.rate_hz),
+        noise=_expect_noise(assumed.used_noise, machine.tracker.rate_hz),
+        drive=drive,
     )
 
 

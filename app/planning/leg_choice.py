@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
-from app.motion.motion_times import Drive, Legs, find_short_order
+from app.motion.motion_times import Legs, Stops, find_short_order
 from app.motion.travel import DECIMALS
 from app.numerics.design_criteria import IntegratedVariance
 from app.planning.design_state import DesignState, inverse
@@ -34,29 +34,6 @@ class SearchRegion:
     low: Float64[np.ndarray, " a"]
     high: Float64[np.ndarray, " a"]
     allowed: Callable[[Legs], Bool[np.ndarray, " n"]]
-
-
-@dataclass(frozen=True, slots=True)
-class Stops:
-    """Stops in their order.
-
-    position : (s, a); feed_mm_min : (s,) towards each, the first unused
-    """
-
-    position: Float64[np.ndarray, "s a"]
-    feed_mm_min: Float64[np.ndarray, " s"]
-
-    def __len__(self) -> int:
-        return len(self.position)
-
-    @property
-    def legs(self) -> Legs:
-        """The motions between them."""
-        return Legs.between(self.position, self.feed_mm_min)
-
-    def select(self, of: slice) -> Stops:
-        """Return some of the stops."""
-        return Stops(self.position[of], self.feed_mm_min[of])
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +56,6 @@ class LegChoice:
     """
 
     design: DesignState
-    drive: Drive
     region: SearchRegion
     feeds_mm_min: tuple[float, ...]
     rng: np.random.Generator
@@ -115,7 +91,7 @@ class LegChoice:
 
     def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
         """Return the stops with more of them while time is left, or with fewer."""
-        times = self.drive.times_s(stops.legs)
+        times = self.design.drive.times_s(stops.legs)
         fits = int(np.searchsorted(np.cumsum(times), budget_s, side="right"))
         stops = stops.select(slice(fits + 1))
         left_s = budget_s - float(times[:fits].sum())
@@ -126,9 +102,7 @@ class LegChoice:
             if best is None:
                 return stops
             end, rows, time_s = best
-            stops = Stops(
-                np.vstack([stops.position, end]), np.append(stops.feed_mm_min, feed)
-            )
+            stops = stops.append(end, feed)
             precision = precision + rows.T @ rows
             left_s -= time_s
         return stops
@@ -143,12 +117,12 @@ class LegChoice:
         """Return the end whose leg gains most a second, its rows and its time."""
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
         legs = _join_legs(here, ends, feed_mm_min)
-        times = self.drive.times_s(legs)
+        times = self.design.drive.times_s(legs)
         ok = (times <= left_s) & self.region.allowed(legs)
         if not ok.any():
             return None
         ends, times = ends[ok], times[ok]
-        rows = self.design.rows(_join_legs(here, ends, feed_mm_min), self.drive)
+        rows = self.design.rows(_join_legs(here, ends, feed_mm_min))
         known = IntegratedVariance(inverse(precision), self.design.gram)
         best = int(np.argmax(known.compute_drops(rows) / times))
         return ends[best], rows[best], float(times[best])
@@ -179,10 +153,8 @@ class LegChoice:
         if not len(places):
             return stops, total, cost
         meeting = self._list_legs(stops, k, places)
-        rows = np.concatenate(
-            [self.design.rows(m, self.drive) for m in meeting], axis=1
-        )
-        times = np.sum([self.drive.times_s(legs) for legs in meeting], axis=0)
+        rows = np.concatenate([self.design.rows(m) for m in meeting], axis=1)
+        times = np.sum([self.design.drive.times_s(legs) for legs in meeting], axis=0)
         known = IntegratedVariance(C, self.design.gram)
         left = known.integrated_variance - known.compute_drops(rows)
         costs = left * (rest_s + times)
@@ -202,7 +174,7 @@ class LegChoice:
             np.tile(stops.position, (n, 1)),
             np.full(n * n, stops.feed_mm_min.mean()),
         )
-        times = self.drive.times_s(legs)
+        times = self.design.drive.times_s(legs)
         times = np.where(self.region.allowed(legs), times, np.inf)
         order = find_short_order(times.reshape(n, n))
         found = Stops(stops.position[order], stops.feed_mm_min)
@@ -232,7 +204,7 @@ class LegChoice:
         """Return places near a stop and anywhere, and better ones where known."""
         low, high = self.region.low, self.region.high
         step = self.rng.normal(size=(_MOVES // 2, len(low))) * _NEAR * (high - low)
-        better = self.design.better_places(C, here, self.drive)
+        better = self.design.better_places(C, here)
         known = np.round(np.clip(np.vstack([here + step, better]), low, high), DECIMALS)
         return np.vstack([here[None], known, self._draw_places(_MOVES // 2)])
 
@@ -242,10 +214,10 @@ class LegChoice:
         return known.integrated_variance * self._duration_s(stops)
 
     def _inform(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
-        return self.design.information(stops.legs, self.drive)
+        return self.design.information(stops.legs)
 
     def _duration_s(self, stops: Stops) -> float:
-        return float(self.drive.times_s(stops.legs).sum())
+        return float(self.design.drive.times_s(stops.legs).sum())
 
 
 def _join_legs(

@@ -13,7 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.kinematics.conditions import Conditions, RecordedState
-from app.motion.motion_times import Drive, Legs
+from app.kinematics.machine import Machine
+from app.motion.motion_times import Legs, Stops
+from app.motion.travel import add_resting_axes
 from app.planning.design_state import DesignState
 from app.planning.predicted_cells import find_slopes_mm
 from drivers.interfaces.records import Path
@@ -26,13 +28,13 @@ _MIDDLES = (np.arange(_PLACES) + 0.5) / _PLACES - 0.5  # of the steady part
 class LineDesignState(DesignState):
     """What is known so far, and what lines would add."""
 
-    def rows(self, legs: Legs, drive: Drive) -> Float64[np.ndarray, "n r p"]:
+    def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
         """Return rows H of each line with HᵀH its information, timing left out."""
         n, step = len(legs), legs.step
-        lost, seconds = drive.steady(legs)
+        lost, seconds = self.drive.steady(legs)
         places = _place(legs, 0.5 + _MIDDLES * (1.0 - 2.0 * lost)[:, None])
         at = self.conditions(places, np.repeat(np.sign(step), _PLACES, axis=0))
-        at = replace(at, recorded=self._record(at, legs, drive))
+        at = replace(at, recorded=self._record(at, legs))
         slope = find_slopes_mm(at, np.repeat(step, _PLACES, axis=0))
         pace = np.linalg.norm(slope, axis=1, keepdims=True)
         weight = np.sqrt(np.repeat(seconds, _PLACES) / _PLACES)
@@ -47,20 +49,18 @@ class LineDesignState(DesignState):
         basis, _ = np.linalg.qr(timing.reshape(n, 3 * _PLACES, 2))
         return rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
 
-    def fits(
-        self, legs: Legs, feed_mm_min: float, drive: Drive
-    ) -> Bool[np.ndarray, " n"]:
+    def fits(self, legs: Legs, feed_mm_min: float) -> Bool[np.ndarray, " n"]:
         """Tell which lines are driven at a steady feed for most of their length.
 
         The way of the target counts: an axis that turns may hardly move it.
         """
         if not self.model.machine.rotary_axes:
-            return drive.length(legs) >= drive.shortest_mm(feed_mm_min)
+            return self.drive.length(legs) >= self.drive.shortest_mm(feed_mm_min)
         places = _place(legs, np.tile(np.linspace(0.0, 1.0, _PLACES), (len(legs), 1)))
         point_mm = self.conditions(places, np.zeros_like(places)).point_mm
         step_mm = np.diff(point_mm.reshape(len(legs), _PLACES, 3), axis=1)
         way_mm = np.linalg.norm(step_mm, axis=2).sum(axis=1)
-        return way_mm >= drive.shortest_mm(feed_mm_min)
+        return way_mm >= self.drive.shortest_mm(feed_mm_min)
 
     def hold(
         self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
@@ -80,25 +80,20 @@ class LineDesignState(DesignState):
         )
         return np.where(moves, ends, here)
 
-    def commanded(
-        self,
-        axes: tuple[str, ...],
-        position: Float64[np.ndarray, "s a"],
-        feed_mm_min: Float64[np.ndarray, " s"],
-        drive: Drive,
-    ) -> Path:
+    def commanded(self, machine: Machine, stops: Stops) -> Path:
         """Return the path through the stops."""
-        legs = Legs.between(position[:, : len(drive.linear)], feed_mm_min)
-        feed = np.append(feed_mm_min[:1], drive.driven_feed(legs))
-        return Path(axes, position, feed, np.full(len(position), drive.dwell_s))
+        position = add_resting_axes(machine, stops.position)
+        feed = np.append(stops.feed_mm_min[:1], self.drive.driven_feed(stops.legs))
+        dwell_s = np.full(len(stops), self.drive.dwell_s)
+        return Path(machine.axis_names, position, feed, dwell_s)
 
-    def _record(self, at: Conditions, legs: Legs, drive: Drive) -> RecordedState:
+    def _record(self, at: Conditions, legs: Legs) -> RecordedState:
         """Return how fast each axis moves, for effects that depend on it.
 
         Every axis is taken to have reversed where its line begins.
         """
-        speed = drive.driven_feed(legs) / 60.0
-        rate = legs.step * (speed / np.maximum(drive.length(legs), 1e-9))[:, None]
+        speed = self.drive.driven_feed(legs) / 60.0
+        rate = legs.step * (speed / np.maximum(self.drive.length(legs), 1e-9))[:, None]
         rate, first = (np.repeat(v, _PLACES, axis=0) for v in (rate, legs.begin))
         return RecordedState(
             rate,

@@ -19,14 +19,14 @@ from app.motion.configurations import Commanded, join_rows
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive, row_times_s
 from app.motion.workspace import Workspace, moves_where_seen, moving_targets
-from app.planning.design_state import DesignState
-from app.planning.forecast import Forecast, forecast
+from app.planning.design_state import DesignState, PointDesignState
+from app.planning.forecast import Assumptions, Forecast, forecast
 from app.planning.initial_design import (
     choose_station,
     predict_lag_sigmas_s,
-    start_line_design,
-    start_point_design,
+    start_design,
 )
+from app.planning.line_design_state import LineDesignState
 from app.planning.planner import Planner, PlanShare, plan_in_turn
 from app.progress import Progress, ignore_progress
 
@@ -64,6 +64,11 @@ class PlanOrder:
     def is_on_the_fly(self) -> bool:
         """Whether lines are measured, not points."""
         return self.mode == "otf"
+
+    @property
+    def design_kind(self) -> type[DesignState]:
+        """How legs are measured."""
+        return LineDesignState if self.is_on_the_fly else PointDesignState
 
     def known(self, machine: Machine) -> KnownEffects:
         """Return what the model knows of a machine's effects. Raises BundleError."""
@@ -146,7 +151,8 @@ def make_plan(
     order.refuse_nonsense()
     on_progress(0.0, "planning")
     station_mm = choose_station(machine, order.workspace)
-    attempt = _PlanAttempt(machine, order, order.known(machine), station_mm)
+    assumed = Assumptions(order.known(machine), order.perpendicular_only)
+    attempt = _PlanAttempt(machine, order, assumed, station_mm)
     if order.corner_path:
         return attempt.plan_corners()
     minutes = order.minutes
@@ -191,7 +197,7 @@ def _plan_for_target(
 class _PlanAttempt:
     machine: Machine
     order: PlanOrder
-    known: KnownEffects
+    assumed: Assumptions
     station_mm: NDArray[np.float64]
 
     def plan_within(self, budget_s: float) -> Plan:
@@ -214,31 +220,34 @@ class _PlanAttempt:
         return self._line_planner().plan(budget_s, seed=self.order.seed)
 
     def _line_planner(self) -> Planner:
-        design = start_line_design(
-            self.machine,
-            self.station_mm,
-            known=self.known,
-            perpendicular_only=self.order.perpendicular_only,
-            dynamic=len(self.order.feeds_mm_min) > 1,
-        )
-        return self._make_planner(design, self.order.feeds_mm_min)
+        feeds = self.order.feeds_mm_min
+        return self._make_planner(feeds, dynamic=len(feeds) > 1)
 
     def _points(self, budget_s: float) -> Commanded:
         """Return a block of points for each target that moves, one after another."""
-        targets = moving_targets(self.machine)
-        shares: list[PlanShare] = []
-        for target in targets:
-            design = start_point_design(
-                self.machine, self.station_mm, target.name, known=self.known
-            )
-            planner = self._make_planner(design, self.order.feeds_mm_min[:1])
-            shares.append(PlanShare(planner, budget_s / len(targets)))
+        targets, feeds = moving_targets(self.machine), self.order.feeds_mm_min[:1]
+        planners = [self._make_planner(feeds, target=t.name) for t in targets]
+        shares = [PlanShare(planner, budget_s / len(targets)) for planner in planners]
         return join_rows(plan_in_turn(shares, seed=self.order.seed))
 
-    def _make_planner(self, design: DesignState, feeds: tuple[float, ...]) -> Planner:
+    def _make_planner(
+        self,
+        feeds: tuple[float, ...],
+        *,
+        target: str | None = None,
+        dynamic: bool = False,
+    ) -> Planner:
         order = self.order
-        drive = order.drive(self.machine)
-        return Planner(self.machine, design, order.workspace, drive, feeds)
+        design = start_design(
+            order.design_kind,
+            self.machine,
+            self.station_mm,
+            order.drive(self.machine),
+            self.assumed,
+            target=target,
+            dynamic=dynamic,
+        )
+        return Planner(self.machine, design, order.workspace, feeds)
 
     def _evaluate(self, commanded: Commanded) -> Plan:
         order = self.order
@@ -246,8 +255,7 @@ class _PlanAttempt:
             order.moving(self.machine),
             commanded,
             self.station_mm,
-            known=self.known,
-            perpendicular_only=order.perpendicular_only,
+            self.assumed,
         )
         time_s = np.cumsum(row_times_s(commanded, order.feeds_mm_min[0]))
         lags: dict[str, float] = {}

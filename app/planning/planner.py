@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float64
 from app.errors import PlanningError
 from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded
-from app.motion.motion_times import Drive, Legs
+from app.motion.motion_times import Legs, Stops
 from app.motion.travel import DECIMALS, check_travel, inner_travel
 from app.motion.workspace import Workspace
 from app.planning.design_state import DesignState
@@ -40,7 +40,6 @@ class Planner:
     machine: Machine
     design: DesignState
     workspace: Workspace
-    drive: Drive
     feeds_mm_min: tuple[float, ...]
 
     def plan(
@@ -69,22 +68,16 @@ class Planner:
         begin = self._first_stop(region, rng) if start is None else start
         choice = LegChoice(
             self.design,
-            self.drive,
             region,
             self.feeds_mm_min,
             rng,
             effort or SearchEffort(),
         )
-        budget_s -= self.drive.dwell_s
+        budget_s -= self.design.drive.dwell_s
         stops = choice.stops(begin, budget_s, legs)
         while len(stops) > 2 and not self._is_apart(stops.position[[0, -1]]):
             stops = stops.select(slice(len(stops) - 1))  # it came back to its beginning
-        plan = self.design.commanded(
-            self.machine.axis_names,
-            with_resting_axes(self.machine, stops.position),
-            stops.feed_mm_min,
-            self.drive,
-        )
+        plan = self.design.commanded(self.machine, stops)
         self.check(plan)
         return plan
 
@@ -97,8 +90,8 @@ class Planner:
         if isinstance(done, Path):
             feed = done.feed_mm_min
         columns = len(self.design.model.machine.axes)
-        legs = Legs.between(done.position[:, :columns], feed)
-        known = self.design.add(self.design.information(legs, self.drive))
+        legs = Stops(done.position[:, :columns], feed).legs
+        known = self.design.add(self.design.information(legs))
         return replace(self, design=known)
 
     def check(self, plan: Commanded) -> None:
@@ -107,10 +100,10 @@ class Planner:
         self.workspace.refuse(self.machine, plan)
 
     def _is_apart(self, ends: Float64[np.ndarray, "2 a"]) -> bool:
-        feed, drive = max(self.feeds_mm_min), replace(self.drive, least_mm=0.0)
-        return bool(
-            self.design.fits(Legs.between(ends, np.full(2, feed)), feed, drive)[0]
-        )
+        feed = max(self.feeds_mm_min)
+        anyhow = replace(self.design.drive, least_mm=0.0)
+        design = replace(self.design, drive=anyhow)
+        return bool(design.fits(Stops(ends, np.full(2, feed)).legs, feed)[0])
 
     def _hindrance(self) -> str:
         """Return why not even the diagonal of the travel can be measured."""
@@ -129,7 +122,7 @@ class Planner:
         low, high = inner_travel(machine)
 
         def allowed(legs: Legs) -> Bool[np.ndarray, " n"]:
-            fits = self.design.fits(legs, feed, self.drive)
+            fits = self.design.fits(legs, feed)
             return fits & self.workspace.allowed(machine, legs.begin, legs.end)
 
         return SearchRegion(low, high, allowed)
@@ -181,15 +174,3 @@ def plan_in_turn(
         start = block.position[-1]
         blocks.append(block)
     return blocks
-
-
-def with_resting_axes(
-    machine: Machine, linear: Float64[np.ndarray, "n a"]
-) -> Float64[np.ndarray, "n b"]:
-    """Return positions with columns for the axes that are not moved.
-
-    They stand at 0, or at the near end of their travel.
-    """
-    resting = machine.axes[linear.shape[1] :]
-    stand = [min(max(0.0, axis.low), axis.high) for axis in resting]
-    return np.hstack([linear, np.tile(stand, (len(linear), 1))])

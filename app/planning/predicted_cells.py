@@ -24,7 +24,7 @@ from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Commanded, Configurations
-from app.motion.motion_times import ACCELERATION_MM_S2, Drive, Legs, row_times_s
+from app.motion.motion_times import ACCELERATION_MM_S2, Drive, Stops, row_times_s
 from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path
 
@@ -102,7 +102,7 @@ def _lines(path: Path) -> Iterator[_Stretch]:
     """Yield the part of each line that is driven at constant feed."""
     row_s = row_times_s(path)
     begin_s = np.cumsum(row_s) - row_s
-    legs = Legs.between(path.position, path.feed_mm_min)
+    legs = Stops(path.position, path.feed_mm_min).legs
     length = Drive.of(path.axes, 0.0).length(legs)
     speed = path.feed_mm_min[1:] / 60.0
     steady = np.maximum(length - speed**2 / ACCELERATION_MM_S2, _STEADY * length)

@@ -16,7 +16,7 @@ from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis
-from app.planning.planner import with_resting_axes
+from app.motion.travel import add_resting_axes
 from app.reporting.chart import Frame, Scale, round_down
 from app.reporting.error_figures import draw_legend
 from app.reporting.svg import (
@@ -63,7 +63,7 @@ def _draw_volume(findings: Findings) -> Markup:
     nominal = np.array(list(_make_lattice(axes)))
     flat = nominal.reshape(-1, 3)
     error = UM_PER_MM * build_volumetric_map(model).error_mm(
-        make_standstill(model.machine, with_resting_axes(model.machine, flat)),
+        make_standstill(model.machine, add_resting_axes(model.machine, flat)),
         findings.estimate.theta,
     )
     size = np.linalg.norm(error, axis=1)

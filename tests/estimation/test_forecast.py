@@ -6,7 +6,7 @@ import pytest
 from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.planning.forecast import forecast
+from app.planning.forecast import Assumptions, forecast
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["all", "perpendicular"])
@@ -20,13 +20,8 @@ def outcomes(record, request):
         stand = truth.recording.pose.position_mm
 
         def foretold(run=run, stand=stand, **known):
-            return forecast(
-                run.machine,
-                run.commanded,
-                stand,
-                perpendicular_only=request.param,
-                **known,
-            )
+            assumed = Assumptions(perpendicular_only=request.param, **known)
+            return forecast(run.machine, run.commanded, stand, assumed)
 
         known = {"prior_precision": made.prior_precision, "noise": made.runs[0].noise}
         found.append((np.sqrt(variance), foretold(), foretold(**known)))

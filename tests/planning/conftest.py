@@ -11,8 +11,10 @@ import pytest
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.motion_times import Drive
 from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState
-from app.planning.initial_design import start_line_design, start_point_design
+from app.planning.design_state import DesignState, PointDesignState
+from app.planning.forecast import Assumptions
+from app.planning.initial_design import start_design
+from app.planning.line_design_state import LineDesignState
 from app.planning.planner import Planner
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
@@ -22,8 +24,11 @@ STAND_MM = np.array([250.0, -900.0, 100.0])
 def design_of(machine: Machine, kind: str, perpendicular_only: bool) -> DesignState:
     """What the estimator believes of a machine before the first line or point."""
     if kind == "points":
-        return start_point_design(machine, STAND_MM)
-    return start_line_design(machine, STAND_MM, perpendicular_only=perpendicular_only)
+        drive = Drive.of(machine.axis_names, 1.0)
+        return start_design(PointDesignState, machine, STAND_MM, drive, target="")
+    drive = Drive.of(remove_rotary_axes(machine).axis_names, 0.4)
+    assumed = Assumptions(perpendicular_only=perpendicular_only)
+    return start_design(LineDesignState, machine, STAND_MM, drive, assumed)
 
 
 @pytest.fixture(scope="session")
@@ -38,13 +43,10 @@ def planner() -> Callable[..., Planner]:
         feeds: tuple[float, ...] = (6000.0,),
         perpendicular_only: bool = False,
     ) -> Planner:
-        part = remove_rotary_axes(machine) if kind == "lines" else machine
-        dwell_s = 0.4 if kind == "lines" else 1.0
         return Planner(
             machine,
             design_of(machine, kind, perpendicular_only),
             workspace or Workspace(),
-            Drive.of(part.axis_names, dwell_s),
             feeds,
         )
 

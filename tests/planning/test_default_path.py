@@ -20,7 +20,8 @@ from app.motion.motion_times import Drive, Legs, travel_time_s
 from app.motion.travel import check_travel
 from app.planning.default_path import FASTEST_DEG_MIN, default_path
 from app.planning.design_state import inverse
-from app.planning.initial_design import start_line_design
+from app.planning.initial_design import start_design
+from app.planning.line_design_state import LineDesignState
 from drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
@@ -57,13 +58,15 @@ def at_corner(path: Path) -> np.ndarray:
 def left_mm(machine: Machine, path: Path) -> float:
     """Volumetric uncertainty that a path leaves, by the planner's own criterion."""
     drive = Drive.of(machine.axis_names, 0.35)
-    known = start_line_design(machine, STATION_MM, target="")
+    known = start_design(LineDesignState, machine, STATION_MM, drive, target="")
     precision = known.precision
     for target in machine.targets:
-        known = start_line_design(machine, STATION_MM, target=target.name)
+        known = start_design(
+            LineDesignState, machine, STATION_MM, drive, target=target.name
+        )
         rows = [r for r in range(1, len(path)) if measures(path, r, target.name)]
         begin, end = (path.position[np.array(rows) - k] for k in (1, 0))
-        found = known.rows(Legs(begin, end, path.feed_mm_min[rows]), drive)
+        found = known.rows(Legs(begin, end, path.feed_mm_min[rows]))
         flat = found.reshape(-1, found.shape[2])
         precision = precision + flat.T @ flat
     return float(np.sum(inverse(precision) * known.gram)) ** 0.5

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import Drive, Legs, row_times_s
+from app.motion.motion_times import Drive, Legs, Stops, row_times_s
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace
 from app.planning.default_path import default_path
 from app.planning.design_state import inverse
-from app.planning.initial_design import predict_lag_sigmas_s, start_line_design
+from app.planning.initial_design import predict_lag_sigmas_s, start_design
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
+from app.planning.line_design_state import LineDesignState
 from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 
@@ -39,12 +40,13 @@ def test_a_path_takes_no_longer_than_its_budget_and_nearly_all_of_it(lines):
 
 def test_a_path_starts_and_ends_at_different_places(lines, planner, mill):
     away = np.linalg.norm(lines.position[-1] - lines.position[0])
-    assert away >= planner(mill).drive.shortest_mm(6000.0)
+    assert away >= planner(mill).design.drive.shortest_mm(6000.0)
 
 
 def test_every_line_is_long_enough_for_a_steady_feed(lines, planner, mill):
     made = planner(mill)
-    lost, seconds = made.drive.steady(Legs.between(lines.position, lines.feed_mm_min))
+    legs = Stops(lines.position, lines.feed_mm_min).legs
+    lost, seconds = made.design.drive.steady(legs)
     assert lost.max() <= 0.25
     assert seconds.min() > 0.2
 
@@ -72,14 +74,13 @@ def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
     def left(rounds):
         choice = LegChoice(
             made.design,
-            made.drive,
             region,
             (6000.0,),
             np.random.default_rng(1),
             SearchEffort(rounds=rounds),
         )
         stops = choice.stops(low, 60.0)
-        told = made.design.information(stops.legs, made.drive)
+        told = made.design.information(stops.legs)
         C = inverse(made.design.precision + told)
         return float(np.sum(C * made.design.gram)) ** 0.5
 
@@ -105,11 +106,12 @@ def test_several_feeds_have_their_share_of_the_lines(planner, mill):
 
 
 def test_several_feeds_tell_the_lags_of_the_axes_better_than_one(mill):
-    design = start_line_design(mill, np.array([250.0, -900.0, 100.0]), dynamic=True)
     drive = Drive.of(mill.axis_names, 0.4)
+    station_mm = np.array([250.0, -900.0, 100.0])
+    design = start_design(LineDesignState, mill, station_mm, drive, dynamic=True)
 
     def known(*feeds):
-        made = Planner(mill, design, Workspace(), drive, feeds)
+        made = Planner(mill, design, Workspace(), feeds)
         lags = predict_lag_sigmas_s(made.update(made.plan(120.0)).design)
         return np.mean(list(lags.values()))
 
@@ -136,9 +138,9 @@ def test_a_louder_tracker_is_planned_for_with_a_new_design(planner, mill):
 
 
 def test_points_take_no_longer_than_their_budget_moves_included(points, planner, mill):
-    drive = planner(mill, "points").drive
+    drive = planner(mill, "points").design.drive
     feed = np.full(len(points), 6000.0)
-    moves = drive.times_s(Legs.between(points.position, feed))
+    moves = drive.times_s(Stops(points.position, feed).legs)
     assert 50.0 < moves.sum() + drive.dwell_s <= 60.0
 
 
@@ -165,7 +167,7 @@ def test_an_approach_from_one_side_tells_less(points, planner, mill, rng):
     part = np.r_[tuple(design.model.slices[name] for name in motions)]
 
     def variances(begin):
-        rows = design.rows(Legs(begin, at, np.full(len(at), 6000.0)), made.drive)
+        rows = design.rows(Legs(begin, at, np.full(len(at), 6000.0)))
         flat = rows.reshape(-1, rows.shape[2])
         C = inverse(design.precision + flat.T @ flat)
         return np.diag(C)[part]

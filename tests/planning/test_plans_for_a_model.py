@@ -16,7 +16,7 @@ from app.kinematics.effects.backlash import BacklashFamily
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel, restore_effect
-from app.planning.forecast import forecast
+from app.planning.forecast import Assumptions, forecast
 from app.planning.plan import PlanOrder, make_plan
 from app.reporting.plan_report import render_plan_report
 from app.results.plan_document import plan_document
@@ -68,9 +68,10 @@ def test_the_lines_tell_the_effects_better_than_lines_planned_without_them(
     planned, model
 ):
     known = model.select_effects(MACHINE)
+    assumed = Assumptions(known)
 
     def left(plan):
-        after = forecast(MACHINE, plan.commanded, plan.station_mm, known=known)
+        after = forecast(MACHINE, plan.commanded, plan.station_mm, assumed)
         part = known.locate(after.model)
         return np.sqrt(np.diag(after.covariance)[part]) / SIGMA
 
