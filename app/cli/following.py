@@ -10,8 +10,8 @@ from typing import Any
 
 from app.cli.terminal import NotedProgress, say
 from app.errors import MeasurementFailed
-from app.jobs.live_estimation import Growth, LiveEstimation
-from app.jobs.live_process import LiveOrder
+from app.jobs.live_estimation import LiveEstimation, PartSupplier
+from app.jobs.live_process import LiveEstimateOrder
 from app.measurement.cell import Cell
 from app.measurement.messages import (
     BlockRecorded,
@@ -49,13 +49,13 @@ def follow_measurement(
     try:
         cell.connect()
         with _live_estimation(order, target_um, request) as live:
-            growth = None
+            supplier = None
             if order.grows and live is not None:
-                growth = Growth(
+                supplier = PartSupplier(
                     live, order.commanded, cell.extend, cell.conclude, _say_part
                 )
             cell.begin(replace(order, live=live is not None))
-            follower = _Follower(cell, on_progress, live, target_um or 0.0, growth)
+            follower = _Follower(cell, on_progress, live, target_um or 0.0, supplier)
             return follower.follow()
     finally:
         cell.close()
@@ -68,7 +68,7 @@ def _live_estimation(
     if target_um is None and not order.grows:
         yield None
         return
-    live_order = LiveOrder(order.machine, order.commanded, request=request)
+    live_order = LiveEstimateOrder(order.machine, order.commanded, request=request)
     live = LiveEstimation(live_order, lambda _: None)
     try:
         live.start()
@@ -85,7 +85,7 @@ class _Follower:
     on_progress: NotedProgress
     live: LiveEstimation | None
     target_um: float
-    growth: Growth | None
+    supplier: PartSupplier | None
     is_concluded: bool = False
     has_ended_badly: bool = False
     failure: Exception = field(
@@ -113,8 +113,8 @@ class _Follower:
         match event:
             case BlockRecorded(samples) if self.live is not None:
                 self.live.offer(samples)
-            case PartRequested() if self.growth is not None:
-                self.growth.ask()
+            case PartRequested() if self.supplier is not None:
+                self.supplier.ask()
             case MeasurementProgress():
                 self.on_progress(*_describe_progress(event))
             case FaultReported(text=text, action=action):
@@ -129,8 +129,8 @@ class _Follower:
         if _has_reached(self.live, self.target_um):
             self.cell.conclude()
             self.is_concluded = True
-        elif self.growth is not None:
-            self.growth.pass_on()
+        elif self.supplier is not None:
+            self.supplier.pass_on()
 
 
 def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:

@@ -18,7 +18,7 @@ from app.jobs.active_job import ActiveJob
 from app.jobs.cell_supervisor import MOVING, CellSupervisor
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
 from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
-from app.jobs.live_estimation import Growth, LiveEstimation
+from app.jobs.live_estimation import LiveEstimation, PartSupplier
 from app.jobs.transitions import State
 from app.measurement.messages import (
     BlockRecorded,
@@ -64,9 +64,9 @@ class CellMeasurement:
         confirm_s: Mapping[State, float] = CONFIRM_S,
         live: LiveEstimation | None = None,
         target_um: float | None = None,
-        growth: Growth | None = None,
+        supplier: PartSupplier | None = None,
     ) -> None:
-        self._growth = growth
+        self._supplier = supplier
         self._target_um, self._is_concluded = target_um, False
         self._job, self._cell, self._live = job, cell, live
         self._confirm_s = confirm_s
@@ -100,8 +100,8 @@ class CellMeasurement:
         while True:
             self._repeat_command()
             self._conclude_at_target()
-            if self._growth is not None and not self._is_concluded:
-                self._growth.pass_on()
+            if self._supplier is not None and not self._is_concluded:
+                self._supplier.pass_on()
             self._check_deadlines()
             try:
                 event = self._events.get(timeout=_POLL_S)
@@ -138,8 +138,8 @@ class CellMeasurement:
                 self._job.publish("live", asdict(event))
             case BlockRecorded(samples) if self._live is not None:
                 self._live.offer(samples)
-            case PartRequested() if self._growth is not None:
-                self._growth.ask()
+            case PartRequested() if self._supplier is not None:
+                self._supplier.ask()
             case FaultReported():
                 self._show_fault(event)
             case StateChanged(state):

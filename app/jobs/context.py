@@ -10,7 +10,7 @@ from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.errors import NoMachine
 from app.jobs.executor import ProcessExecutor, Task
 from app.jobs.live_estimation import LiveEstimation, Show
-from app.jobs.live_process import LiveOrder
+from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import plan_measurement
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import discover_recorded
@@ -42,7 +42,7 @@ class JobContext:
     machine: Machine | None = None
     cell: CellSupervisor | None = None
     confirm_s: Mapping[State, float] | None = None
-    live: Callable[[LiveOrder, Show], LiveEstimation] | None = None
+    live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded
 

@@ -26,7 +26,7 @@ from app.jobs.live_process import (
     EndOfStream,
     Estimated,
     EstimateFailed,
-    LiveOrder,
+    LiveEstimateOrder,
     PartChosen,
     estimate_live,
 )
@@ -55,7 +55,7 @@ class LiveEstimation:
     newest : the newest estimate in the same words, None before the first
     """
 
-    def __init__(self, order: LiveOrder, show: Show) -> None:
+    def __init__(self, order: LiveEstimateOrder, show: Show) -> None:
         self._process = ChildProcess(
             "live-estimate", estimate_live, order, niceness=BACKGROUND_NICENESS
         )
@@ -150,7 +150,7 @@ class LiveEstimation:
             self._show({**self.newest, **more})
 
 
-class Growth:
+class PartSupplier:
     """Further parts of an adaptive measurement: from the live estimate to the cell.
 
     Where the estimate has nothing to add, or says nothing in time, the measurement ends

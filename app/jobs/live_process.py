@@ -28,7 +28,7 @@ _MICRO = 1e3  # mm to µm
 
 
 @dataclass(frozen=True, slots=True)
-class LiveOrder:
+class LiveEstimateOrder:
     """What is measured.
 
     request : as `plan_orders` states it: the model whose effects are estimated beside,
@@ -72,7 +72,7 @@ class EstimateFailed:
     reason: str
 
 
-def estimate_live(order: LiveOrder, link: Connection) -> None:
+def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
     """Estimate until the last block or the end of the parent. Body of the process.
 
     link : TrackerSamples come in order, between them ChoosePart, at last EndOfStream
@@ -86,7 +86,7 @@ def estimate_live(order: LiveOrder, link: Connection) -> None:
             link.send(EstimateFailed(f"{type(error).__name__}: {error}"))
 
 
-def _estimate(link: Connection, order: LiveOrder) -> None:
+def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     # Imported where it computes: the service itself carries no science.
     from app.estimation.live import LiveEstimator
     from app.jobs.plan_orders import plan_request
@@ -98,7 +98,7 @@ def _estimate(link: Connection, order: LiveOrder) -> None:
         perpendicular_only=order.perpendicular_only,
         known=request.known(order.machine),
     )
-    supply = _Supply(order, request, live)
+    chooser = _PartChooser(order, request, live)
     stream = _Stream(link)
     while not stream.is_over:
         is_new = False
@@ -109,18 +109,18 @@ def _estimate(link: Connection, order: LiveOrder) -> None:
         now = live.estimate() if is_new else None
         if now is not None:
             elapsed_s = round(now.time_s - (stream.begun_s or 0.0), 4)
-            body = estimate_json(now) | {"total": supply.total, "elapsed_s": elapsed_s}
+            body = estimate_json(now) | {"total": chooser.total, "elapsed_s": elapsed_s}
             link.send(Estimated({**body, "is_last": stream.is_over}))
         if stream.is_asked:
             stream.is_asked = False
-            link.send(PartChosen(supply.next()))
+            link.send(PartChosen(chooser.next()))
 
 
-class _Supply:
+class _PartChooser:
     """What is commanded, and its further parts; `total` lines or points so far."""
 
     def __init__(
-        self, order: LiveOrder, request: PlanOrder, live: LiveEstimator
+        self, order: LiveEstimateOrder, request: PlanOrder, live: LiveEstimator
     ) -> None:
         self._order, self._request, self._live = order, request, live
         self._choice: AdaptivePlanner | None = None

@@ -72,17 +72,17 @@ def open_workers(workers: Workers) -> Iterator[Ordered[Any]]:
             executor,
             threads,
         ):
-            yield in_order(executor, workers.count or threads)
+            yield map_in_order(executor, workers.count or threads)
         return
     count = workers.count or os.cpu_count() or 1
     executor = ProcessWorkers(count)
     try:
-        yield in_order(executor, count)
+        yield map_in_order(executor, count)
     finally:
         executor.shutdown(cancel_futures=True)
 
 
-def in_order(executor: Executor, width: int) -> Ordered[Any]:
+def map_in_order(executor: Executor, width: int) -> Ordered[Any]:
     """Return a `map` that keeps so many calls under way and yields in their order."""
 
     def run(function: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:

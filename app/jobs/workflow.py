@@ -27,8 +27,8 @@ from app.jobs.errors import (
 )
 from app.jobs.executor import Task
 from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
-from app.jobs.live_estimation import Growth, LiveEstimation
-from app.jobs.live_process import LiveOrder
+from app.jobs.live_estimation import LiveEstimation, PartSupplier
+from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import first_part
 from app.jobs.plans import commanded_from_plan, plan_json
 from app.jobs.transitions import State, Verb
@@ -200,7 +200,7 @@ class JobSteps:
             confirm_s=self.context.confirm_s or CONFIRM_S,
             live=live,
             target_um=self.job.target_um,
-            growth=self._make_growth(commanded, live),
+            supplier=self._make_supplier(commanded, live),
         ).run(order)
 
     def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
@@ -208,7 +208,7 @@ class JobSteps:
         if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
             return None
         only = self.job.perpendicular_only
-        order = LiveOrder(
+        order = LiveEstimateOrder(
             self.context.require_machine(), commanded, only, self._plan_order()
         )
         live = self.context.live(
@@ -221,16 +221,18 @@ class JobSteps:
             return None
         return live
 
-    def _make_growth(
+    def _make_supplier(
         self, commanded: Commanded, live: LiveEstimation | None
-    ) -> Growth | None:
+    ) -> PartSupplier | None:
         """Return what adds further parts; None for a job that is planned whole."""
         if not self._is_adaptive:
             return None
         if live is None:
             raise MeasurementFailed("an adaptive measurement needs its live estimate")
         cell = self.context.require_cell()
-        return Growth(live, commanded, cell.extend, cell.conclude, self._store_part)
+        return PartSupplier(
+            live, commanded, cell.extend, cell.conclude, self._store_part
+        )
 
     def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
         self.active.publish("plan", part)

@@ -13,7 +13,7 @@ import pytest
 from app.jobs.event_bus import JOBS, EventBus
 from app.jobs.job import JobEvent, JobKind
 from app.jobs.live_estimation import PERIOD_S, WAITING_BLOCKS, LiveEstimation
-from app.jobs.live_process import LiveOrder
+from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.requested_job import RequestedJob
 from app.main import open_service
 from app.settings import load_settings
@@ -47,7 +47,7 @@ def followed():
     made = []
 
     def make(run, show):
-        live = LiveEstimation(LiveOrder(run.machine, run.commanded), show)
+        live = LiveEstimation(LiveEstimateOrder(run.machine, run.commanded), show)
         made.append(live)
         return live
 

@@ -16,7 +16,7 @@ from scripted_cell import wait_until
 
 from app.errors import BadInput
 from app.jobs.errors import WorkerDied, WorkersAway
-from app.jobs.workers import ProcessWorkers, Workers, in_order, open_workers
+from app.jobs.workers import ProcessWorkers, Workers, map_in_order, open_workers
 
 TASKS = """
 import os, time
@@ -104,7 +104,7 @@ def test_no_more_is_under_way_than_there_are_workers(tasks):
             return super().submit(fn, *args, **kwargs)
 
     pool = Counting(2)
-    blocks = in_order(pool, 2)(tasks.about, range(100))
+    blocks = map_in_order(pool, 2)(tasks.about, range(100))
     next(iter(blocks))
     assert pool.asked == 2
     pool.shutdown()
