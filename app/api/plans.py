@@ -21,10 +21,10 @@ from app.api.models.plan import (
 from app.api.problems import declare_problems, describe_failure
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
+from app.files.commanded_file import commanded_from_json
 from app.jobs.errors import NoMachine
 from app.jobs.job import Job, JobKind
 from app.jobs.plan_orders import check_rows
-from app.jobs.plans import commanded_from_plan
 from app.jobs.requested_job import RequestedJob
 from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded
@@ -151,10 +151,13 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
     if service.machine is None:
         raise NoMachine
-    kind = JobKind.MEASURE_STANDSTILL if check.path is None else JobKind.MEASURE_OTF
     workspace = check.workspace.model_dump(exclude_none=True) if check.workspace else {}
     rows, duration_s = check_rows(
-        service.machine, kind, check.rows(), check.feed_mm_min, workspace
+        service.machine,
+        check.rows(),
+        check.feed_mm_min,
+        workspace,
+        is_path=check.path is not None,
     )
     return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))
 
@@ -178,7 +181,7 @@ def download_plan_nc_program(
     plan = service.store.read_plan(job.id)
     if plan is None or service.machine is None:
         raise NotFound(f"plan {plan_id} ({job.state}) has no rows")
-    return _send_program(commanded_from_plan(plan), service.machine, dialect)
+    return _send_program(commanded_from_json(plan), service.machine, dialect)
 
 
 @grades.get("/{job_id}/plan/grade", responses=declare_problems(404, 422))
@@ -197,7 +200,7 @@ def get_plan_grade(
 
     found = grade_set_up(
         service.machine,
-        commanded_from_plan(plan),
+        commanded_from_json(plan),
         tracker_mm=tracker_mm,
         perpendicular_only=job.perpendicular_only,
     )
@@ -235,7 +238,7 @@ def download_nc_program(
         raise NotFound(f"job {job_id} ({job.kind}) commands no path of its own")
     if service.machine is None:
         raise NotFound("the service has no machine file to check the path against")
-    return _send_program(commanded_from_plan(plan), service.machine, dialect)
+    return _send_program(commanded_from_json(plan), service.machine, dialect)
 
 
 def _send_program(

@@ -20,11 +20,11 @@ from app.cli.terminal import print_json, say, show_progress
 from app.compensation.remaining_error import remove_rigid_motion
 from app.errors import BadInput, PlanningError
 from app.files.bundle import write_bundle
+from app.files.commanded_file import commanded_from_json
 from app.files.machine_file import decode_machine
 from app.files.result_file import result_from_json
 from app.files.run import Run
 from app.jobs.plan_orders import first_part, plan_measurement
-from app.jobs.plans import commanded_from_plan
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig, MeasurementOrder
@@ -183,7 +183,7 @@ def compare_with_truth(
 def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
     with show_progress("plan") as on_progress:
         order = first_part(machine, request)
-        return commanded_from_plan(
+        return commanded_from_json(
             plan_measurement(machine, order, on_progress=on_progress)
         )
 

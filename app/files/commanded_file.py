@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from app.files.machine_file import read_machine
 from app.files.tables import Table, encode_csv, read_csv
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded, Configurations, name_columns
 from app.motion.travel import first_breach
 from drivers.interfaces.records import Path
 
@@ -23,7 +24,7 @@ _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
 
 def read_set_up(
     machine_file: FilePath, commanded_file: FilePath
-) -> tuple[Machine, Path | Configurations]:
+) -> tuple[Machine, Commanded]:
     """Return the machine and its path, or points where the file has no feed.
 
     Raises BundleError with file, row and column.
@@ -68,12 +69,12 @@ def decode_points(
     return points
 
 
-def encode_commanded(commanded: Path | Configurations) -> bytes:
+def encode_commanded(commanded: Commanded) -> bytes:
     """Return the `path.csv` of a path or the `points.csv` of points."""
     return encode_csv(list_columns(commanded))
 
 
-def list_columns(commanded: Path | Configurations) -> dict[str, Iterable[object]]:
+def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
     """Return the columns of the file of a path or of points."""
     columns: dict[str, Iterable[object]] = dict(
         zip(name_columns(commanded.axes), commanded.position.T, strict=True)
@@ -86,9 +87,29 @@ def list_columns(commanded: Path | Configurations) -> dict[str, Iterable[object]
     return columns
 
 
-def name_columns(axes: Sequence[str]) -> list[str]:
-    """Return the columns of axes."""
-    return [f"{axis.lower()}_{'mm' if axis in 'XYZ' else 'deg'}" for axis in axes]
+def commanded_to_json(commanded: Commanded) -> dict[str, Any]:
+    """Return the plan as JSON: mm and deg, one list a row in the order of `axes`."""
+    is_path = isinstance(commanded, Path)
+    return {
+        "kind": "path" if is_path else "points",
+        "axes": list(commanded.axes),
+        "position": np.round(commanded.position, 6).tolist(),
+        "feed_mm_min": commanded.feed_mm_min.tolist() if is_path else [],
+        "dwell_s": commanded.dwell_s.tolist(),
+        "target": list(commanded.target),
+    }
+
+
+def commanded_from_json(content: Mapping[str, Any]) -> Commanded:
+    """Return what the content made by `commanded_to_json` commands."""
+    axes, target = tuple(content["axes"]), tuple(content["target"])
+    position = np.array(content["position"], float).reshape(-1, len(axes))
+    dwell_s = np.array(content["dwell_s"], float)
+    if content["kind"] == "points":
+        return Configurations(axes, position, dwell_s, target)
+    return Path(
+        axes, position, np.array(content["feed_mm_min"], float), dwell_s, target
+    )
 
 
 def _read_positions(table: Table, machine: Machine) -> NDArray[np.float64]:
@@ -145,9 +166,7 @@ def _refuse_standing_lines(table: Table, path: Path) -> None:
             )
 
 
-def _refuse_out_of_travel(
-    table: Table, machine: Machine, commanded: Path | Configurations
-) -> None:
+def _refuse_out_of_travel(table: Table, machine: Machine, commanded: Commanded) -> None:
     breach = first_breach(machine, commanded)
     if breach is not None:
         raise table.error(

@@ -175,7 +175,7 @@ class Job:
 class NewJob:
     """What a job starts with.
 
-    plan : as `plans.plan_json` makes it, and the `request` of a job that plans
+    plan : as `commanded_to_json` makes it, and the `request` of a job that plans
     """
 
     kind: JobKind

@@ -15,23 +15,19 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 from app.errors import BundleError, PlanningError
+from app.files.commanded_file import commanded_from_json, commanded_to_json
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.files.one_machine import one_machine
 from app.files.workspace_file import workspace_from_json
 from app.jobs.job import JobKind, Json
-from app.jobs.plans import (
-    MAX_ROWS,
-    Row,
-    commanded_from_plan,
-    plan_json,
-    plan_motion,
-)
 from app.kinematics.machine import Machine
 from app.measurement.progress import schedule_rows
+from app.motion.commanded_rows import MAX_ROWS, Row, command_rows
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from app.motion.travel import check_travel
 from app.motion.workspace import moves_where_seen
@@ -52,20 +48,19 @@ _POINTS = JobKind.MEASURE_STANDSTILL
 def plan_measurement(
     machine: Machine, order: Json, *, on_progress: Progress
 ) -> dict[str, Any]:
-    """Return a plan as `plan_json` does, with its `document` unless it is the default.
+    """Return the JSON of a plan's rows, with its `document` unless it is the default.
 
     The document is the content of `plan.json` and the grade of the set-up. Raises
     PlanningError.
     """
     # Imported where it computes: the service itself carries no science.
-    from app.planning.default_path import default_path
     from app.planning.plan import make_plan
     from app.results.grade_json import grade_set_up
     from app.results.plan_document import plan_document
 
     if "mode" not in order:
         feed_mm_min, *_ = order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]
-        return plan_json(default_path(machine, feed_mm_min))
+        return commanded_to_json(_default_path(machine, feed_mm_min))
     planned = make_plan(machine, plan_request(order), on_progress=on_progress)
     if len(planned.commanded) > MAX_ROWS:
         raise PlanningError(
@@ -79,10 +74,18 @@ def plan_measurement(
         perpendicular_only=planned.order.perpendicular_only,
     )
     return {
-        **plan_json(planned.commanded),
+        **commanded_to_json(planned.commanded),
         "predicted_um": planned.uncertainty_um,
         "document": plan_document(planned) | {"grade": grade},
     }
+
+
+@lru_cache(maxsize=4)
+def _default_path(machine: Machine, feed_mm_min: float) -> Path:
+    """Return the default path, computed once in the life of a worker process."""
+    from app.planning.default_path import default_path
+
+    return default_path(machine, feed_mm_min)
 
 
 def plan_request(order: Json) -> PlanOrder:
@@ -126,13 +129,14 @@ def refuse_several_targets(machine: Machine, order: Json) -> None:
 
 def check_rows(
     machine: Machine,
-    kind: JobKind,
     rows: Sequence[Row],
     feed_mm_min: float | None,
     workspace: Json,
+    *,
+    is_path: bool,
 ) -> tuple[int, float]:
     """Return the number of rows and their duration, s. Raises PlanningError."""
-    commanded = plan_motion(machine, kind, rows, feed_mm_min)
+    commanded = command_rows(machine, rows, feed_mm_min, is_path=is_path)
     workspace_from_json(workspace).refuse(machine, commanded)
     schedule = schedule_rows(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
     return len(commanded), float(schedule.row_s.sum())
@@ -144,7 +148,7 @@ def driven_plan(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
     Raises PlanningError if it is of the other mode, was made for another state of the
     machine file, or leaves the travel.
     """
-    commanded = commanded_from_plan(plan)
+    commanded = commanded_from_json(plan)
     if isinstance(commanded, Path) != (kind is JobKind.MEASURE_OTF):
         wanted = JobKind.MEASURE_OTF if isinstance(commanded, Path) else _POINTS
         raise PlanningError(f"the plan is one for {wanted}, not for {kind}")
@@ -154,11 +158,11 @@ def driven_plan(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
             "the machine file has changed since this plan was made; plan again"
         )
     check_travel(machine, commanded)
-    return {**plan_json(commanded), "predicted_um": plan["predicted_um"]}
+    return {**commanded_to_json(commanded), "predicted_um": plan["predicted_um"]}
 
 
 def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[str, Any]:
-    """Return the extra lines that a discovery asks for, as `plan_json` does,
+    """Return the extra lines that a discovery asks for, as `commanded_to_json` does,
     with `discovery_id`.
 
     folder, job_id : of the discovery
@@ -181,5 +185,5 @@ def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[st
         raise PlanningError(
             f"the extra lines are for another machine: {error}"
         ) from error
-    path = plan_motion(machine, JobKind.MEASURE_OTF, ask["rows"])
-    return {**plan_json(path), "discovery_id": job_id}
+    path = command_rows(machine, ask["rows"], is_path=True)
+    return {**commanded_to_json(path), "discovery_id": job_id}

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from app.errors import IllegalTransition, NotFound
+from app.files.commanded_file import commanded_to_json
 from app.jobs.context import JobContext
 from app.jobs.job import JobKind, Json, NewJob
 from app.jobs.plan_orders import (
@@ -13,7 +14,7 @@ from app.jobs.plan_orders import (
     plan_extra_lines,
     refuse_several_targets,
 )
-from app.jobs.plans import Row, plan_json, plan_motion
+from app.motion.commanded_rows import Row, command_rows
 from app.motion.default_points import default_points
 from app.numerics.adaptive_trials import TrialPlan
 from app.results.model_history import find_model_file
@@ -90,9 +91,11 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
     if request.plan_id is None:
         if request.rows:
             rows, feed_mm_min = request.rows, request.feed_mm_min
-            return plan_json(plan_motion(machine, kind, rows, feed_mm_min))
+            is_path = kind is JobKind.MEASURE_OTF
+            checked = command_rows(machine, rows, feed_mm_min, is_path=is_path)
+            return commanded_to_json(checked)
         if kind is JobKind.MEASURE_STANDSTILL:
-            return plan_json(default_points(machine))
+            return commanded_to_json(default_points(machine))
         return {}  # the default path takes a worker process seconds
     job = context.store.get(request.plan_id)
     plan = context.store.read_plan(job.id)

@@ -21,11 +21,11 @@ from sqlalchemy import insert, select
 
 from app.errors import NotFound
 from app.files.bundle import read_bundle, zip_bundle
+from app.files.commanded_file import commanded_to_json
 from app.files.run import Run
 from app.files.whole_files import replace_file, sync_to_disk
 from app.jobs.database import Database
 from app.jobs.job import format_utc_now, make_id
-from app.jobs.plans import plan_json
 from app.jobs.schema import runs
 from app.measurement.run_reading import open_run, repair_run
 
@@ -169,7 +169,7 @@ class RunCatalogue:
             samples=len(run.tracker),
             lost_samples=int(lost_samples),
             complete=complete,
-            plan=plan_json(run.commanded),
+            plan=commanded_to_json(run.commanded),
             created=format_utc_now(),
         )
         values = asdict(record)

@@ -14,6 +14,7 @@ from typing import Any
 import structlog
 
 from app.errors import MeasurementFailed, TruepathError
+from app.files.commanded_file import commanded_from_json, commanded_to_json
 from app.jobs.active_job import ActiveJob
 from app.jobs.cell_measurement import CONFIRM_S, CellMeasurement
 from app.jobs.context import JobContext
@@ -30,7 +31,6 @@ from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, PartSupplier
 from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import first_part
-from app.jobs.plans import commanded_from_plan, plan_json
 from app.jobs.transitions import State, Verb
 from app.measurement.messages import MeasurementOrder
 from app.motion.configurations import Commanded
@@ -142,7 +142,7 @@ class JobSteps:
 
     def read_commanded(self) -> Commanded:
         """Return what the machine will drive, checked against its travel."""
-        commanded = commanded_from_plan(self.context.store.read_plan(self.job.id) or {})
+        commanded = commanded_from_json(self.context.store.read_plan(self.job.id) or {})
         check_travel(self.context.require_machine(), commanded)
         return commanded
 
@@ -237,7 +237,7 @@ class JobSteps:
     def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
         self.active.publish("plan", part)
         try:
-            self.context.store.keep_plan(self.job.id, plan_json(rows))
+            self.context.store.keep_plan(self.job.id, commanded_to_json(rows))
         except StorageUnavailable:
             log.exception("the extended plan is not stored; the Run holds it")
 

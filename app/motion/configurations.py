@@ -34,6 +34,11 @@ Commanded = Path | Configurations
 _SAME = 1e-6  # mm or deg
 
 
+def name_columns(axes: Sequence[str]) -> list[str]:
+    """Return the columns of axes."""
+    return [f"{axis.lower()}_{'mm' if axis in 'XYZ' else 'deg'}" for axis in axes]
+
+
 def select_rows(commanded: Commanded, rows: slice) -> Commanded:
     """Return some rows of a path or of points."""
     chosen = replace(

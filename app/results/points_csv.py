@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.commanded_file import name_columns
 from app.files.result_file import LARGEST_BYTES, read_result
 from app.files.tables import Table, read_csv
 from app.files.whole_files import read_whole, replace_file
 from app.kinematics.machine import Machine
+from app.motion.configurations import name_columns
 from app.results.prediction import Prediction, predict
 
 PREDICTED = ("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um")

@@ -18,13 +18,13 @@ from starlette.testclient import TestClient
 
 from app.api.application import create_application
 from app.api.service import Service
+from app.files.commanded_file import commanded_to_json
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.context import JobContext
 from app.jobs.database import Database
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.event_bus import EventBus
-from app.jobs.plans import plan_json
 from app.jobs.runs import RunCatalogue
 from app.jobs.store import Store
 from app.planning.default_path import default_path
@@ -97,7 +97,7 @@ def planner():
     def plan(machine, order, *, on_progress):
         on_progress(0.5, "planning")
         document = {"machine": machine_to_json(machine)}
-        rows = plan_json(default_path(machine))
+        rows = commanded_to_json(default_path(machine))
         return {**rows, "predicted_um": 1.0, "document": document}
 
     return plan

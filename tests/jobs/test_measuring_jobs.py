@@ -10,6 +10,7 @@ from scripted_cell import ScriptedLive, wait_until
 from sqlalchemy import text
 
 from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
+from app.files.commanded_file import commanded_from_json, commanded_to_json
 from app.jobs import cell_measurement
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import (
@@ -20,12 +21,12 @@ from app.jobs.errors import (
     StorageUnavailable,
 )
 from app.jobs.job import EarlyEnd, JobKind, NewJob, decode_job
-from app.jobs.plans import commanded_from_plan, plan_json, plan_motion
 from app.jobs.requested_job import RequestedJob
 from app.jobs.rows import IdempotencyKey
 from app.jobs.transitions import FINAL, State
 from app.kinematics.machine import Target
 from app.measurement.messages import CellState, RunClosed
+from app.motion.commanded_rows import command_rows
 from drivers.interfaces.errors import ConnectionLost
 
 ROWS = (
@@ -784,8 +785,8 @@ def test_the_targets_of_rows_are_the_machines(context, machine):
         targets=(Target("T1", "tool", (0, 0, 0)), Target("T2", "tool", (0, 0, 50))),
     )
     rows = [{**ROWS[0], "target": "T1"}, {**ROWS[0], "target": "T2"}]
-    path = plan_motion(two, JobKind.MEASURE_OTF, rows)
+    path = command_rows(two, rows, is_path=True)
     assert path.target == ("T1", "T2")
-    assert commanded_from_plan(plan_json(path)).target == ("T1", "T2")
+    assert commanded_from_json(commanded_to_json(path)).target == ("T1", "T2")
     with pytest.raises(PlanningError, match="row 1: target '' is unknown"):
-        plan_motion(two, JobKind.MEASURE_OTF, [ROWS[0], rows[1]])
+        command_rows(two, [ROWS[0], rows[1]], is_path=True)

@@ -16,8 +16,8 @@ from app.api.models.base import (
 )
 from app.api.models.plan import PlanRequest, Point, Waypoint
 from app.jobs.job import JobKind
-from app.jobs.plans import MAX_ROWS
 from app.jobs.requested_job import RequestedJob
+from app.motion.commanded_rows import MAX_ROWS
 from app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS = 50

@@ -18,7 +18,7 @@ from app.api.models.base import (
     RequestBody,
     TargetUm,
 )
-from app.jobs.plans import MAX_ROWS
+from app.motion.commanded_rows import MAX_ROWS
 
 MOST_MINUTES = 60.0
 _MOST_BOXES = 100

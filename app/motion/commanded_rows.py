@@ -1,4 +1,4 @@
-"""What a measuring job commands: made and checked before anything moves, as JSON."""
+"""What rows command, made and checked before anything moves."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float64
 
 from app.errors import PlanningError
-from app.files.commanded_file import name_columns
-from app.jobs.job import JobKind
 from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations
+from app.motion.configurations import Commanded, Configurations, name_columns
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from app.motion.travel import check_travel
 from drivers.interfaces.records import Path
@@ -24,11 +22,12 @@ Row = Mapping[str, Any]
 """One row with the column names of `path.csv` or `points.csv`."""
 
 
-def plan_motion(
+def command_rows(
     machine: Machine,
-    kind: JobKind,
     rows: Sequence[Row],
     feed_mm_min: float | None = None,
+    *,
+    is_path: bool,
 ) -> Commanded:
     """Return what the machine will do, checked; PlanningError names the row.
 
@@ -38,7 +37,7 @@ def plan_motion(
     dwell_s = np.array([row.get("dwell_s", DEFAULT_DWELL_S) for row in rows], float)
     target = _targets(machine, rows)
     commanded: Commanded
-    if kind is JobKind.MEASURE_OTF:
+    if is_path:
         usual = feed_mm_min or DEFAULT_FEED_MM_MIN
         feeds = np.array([row.get("feed_mm_min") or usual for row in rows], float)
         commanded = Path(axes, position, feeds, dwell_s, target)
@@ -53,30 +52,7 @@ def plan_motion(
     return commanded
 
 
-def plan_json(commanded: Commanded) -> dict[str, Any]:
-    """Return the plan as JSON: mm and deg, one list a row in the order of `axes`."""
-    is_path = isinstance(commanded, Path)
-    return {
-        "kind": "path" if is_path else "points",
-        "axes": list(commanded.axes),
-        "position": np.round(commanded.position, 6).tolist(),
-        "feed_mm_min": commanded.feed_mm_min.tolist() if is_path else [],
-        "dwell_s": commanded.dwell_s.tolist(),
-        "target": list(commanded.target),
-    }
-
-
-def commanded_from_plan(plan: Mapping[str, Any]) -> Commanded:
-    """Return what a plan made by `plan_json` commands."""
-    axes, target = tuple(plan["axes"]), tuple(plan["target"])
-    position = np.array(plan["position"], float).reshape(-1, len(axes))
-    dwell_s = np.array(plan["dwell_s"], float)
-    if plan["kind"] == "points":
-        return Configurations(axes, position, dwell_s, target)
-    return Path(axes, position, np.array(plan["feed_mm_min"], float), dwell_s, target)
-
-
-def _positions(machine: Machine, rows: Sequence[Row]) -> NDArray[np.float64]:
+def _positions(machine: Machine, rows: Sequence[Row]) -> Float64[np.ndarray, "n a"]:
     columns = name_columns(machine.axis_names)
     for number, row in enumerate(rows, 1):
         given = {name for name in row if name.endswith(("_mm", "_deg"))}
