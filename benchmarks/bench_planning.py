@@ -27,6 +27,7 @@ from study import study
 from app.estimation.observability import usual_precision_matrix
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.machine_file import machine_from_json
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
@@ -41,7 +42,6 @@ from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from app.planning.next_configuration import (
     next_configuration,
-    point_rows,
     search_space,
 )
 from app.planning.plan import PlanOrder, make_plan
@@ -176,7 +176,11 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
     known = IntegratedVariance(
         inverse(usual_precision_matrix(model)), compute_volumetric_gram(model)
     )
-    axes, rows = search_space(model), point_rows(model)
+    axes = search_space(model)
+
+    def rows(position: np.ndarray) -> np.ndarray:
+        return model.jacobian(make_standstill(machine, position))
+
     for row in rows(axes.draw(10, seed=1)):
         known = known.update(row, VARIANCE)
     ours_s, best = timed(lambda: next_configuration(known, rows, axes, VARIANCE), 3)

@@ -22,7 +22,7 @@ from app.motion.motion_times import Drive, Legs, Stops
 from app.motion.travel import add_resting_axes
 from app.numerics.design_criteria import IntegratedVariance
 from app.numerics.scaled_cholesky import ScaledCholesky
-from app.planning.next_configuration import climb_from, search_space
+from app.planning.next_configuration import Climb, search_space
 
 _LEAST_MOVE_MM = 1.0  # else standstills look like one
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
@@ -194,8 +194,8 @@ class PointDesignState(DesignState):
         root = self.roots(self.conditions(here[None], np.zeros((1, len(here)))))[0]
         variance = 3.0 / (self.drive.dwell_s * float(np.sum(root**2)))
         known = IntegratedVariance(covariance, self.gram)
-        top = climb_from(known, rows, search_space(self.model), variance, here)
-        return top.position[None]
+        climb = Climb(known, rows, search_space(self.model), variance)
+        return climb.climb_to_top(climb.climb_once(here)).position[None]
 
 
 def inverse(matrix: Float64[np.ndarray, "p p"]) -> Float64[np.ndarray, "p p"]:

@@ -16,7 +16,6 @@ from math import ceil
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis
 from app.kinematics.model import MachineModel
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
@@ -34,6 +33,9 @@ _DEGREE_OF_TURN = 9
 @dataclass(frozen=True, slots=True)
 class SearchSpace:
     """The axes to search.
+
+    Turns of an axis act on levers that are straight in the positions of straight axes,
+    so along these the rows of a point's displacement are cubic between the knots.
 
     borders : for each axis its ends and every knot between them
     degrees : of a row's polynomial between two borders; 3 for a straight axis
@@ -79,45 +81,11 @@ def next_configuration(
     places = axes.draw(_DRAWS * starts, seed)
     drops = known.compute_drops(rows(places), noise_variance)
     first = np.argsort(-drops)[:starts]
-    climb = _Climb(known, rows, axes, noise_variance)
+    climb = Climb(known, rows, axes, noise_variance)
     slopes = sorted((climb.climb_once(places[i]) for i in first), key=lambda s: -s.drop)
-    summits = [
-        climb.climb_to_top(slope) for slope in slopes[: ceil(_CLIMB_ON * starts)]
-    ]
-    top = max(summits, key=lambda summit: summit.drop)
+    tops = [climb.climb_to_top(slope) for slope in slopes[: ceil(_CLIMB_ON * starts)]]
+    top = max(tops, key=lambda top: top.drop)
     return NextConfiguration(top.position, top.drop, float(drops[first[0]]))
-
-
-def climb_from(
-    known: IntegratedVariance,
-    rows: PositionRows,
-    axes: SearchSpace,
-    noise_variance: float,
-    start: Float64[np.ndarray, " a"],
-) -> NextConfiguration:
-    """Return the summit above a configuration that is already good."""
-    searched = float(known.compute_drops(rows(start[None]), noise_variance)[0])
-    climb = _Climb(known, rows, axes, noise_variance)
-    top = climb.climb_to_top(climb.climb_once(start))
-    return NextConfiguration(top.position, top.drop, searched)
-
-
-def point_rows(
-    model: MachineModel, direction: Float64[np.ndarray, "3"] | None = None
-) -> PositionRows:
-    """Return rows of measuring a point's displacement, along one direction or in all.
-
-    Turns of an axis act on levers that are straight in the positions of straight axes,
-    so along these a row is cubic between its knots.
-    """
-
-    def rows(position: Float64[np.ndarray, "n a"]) -> Float64[np.ndarray, "n *r p"]:
-        columns = model.jacobian(make_standstill(model.machine, position))
-        if direction is None:
-            return columns
-        return np.tensordot(columns, direction, axes=(1, 0))
-
-    return rows
 
 
 def search_space(model: MachineModel) -> SearchSpace:
@@ -149,7 +117,7 @@ class _ClimbState:
 
 
 @dataclass(frozen=True, slots=True)
-class _Climb:
+class Climb:
     """Sets one axis after another to its optimum while the others stand."""
 
     known: IntegratedVariance
@@ -173,9 +141,15 @@ class _Climb:
 
     def _optimise_axis(self, here: _ClimbState) -> _ClimbState:
         axis = here.turn % len(self.axes.borders)
+
+        def rows(place: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n *r p"]:
+            positions = np.tile(here.position, (len(place), 1))
+            positions[:, axis] = place
+            return self.rows(positions)
+
         best = find_best_place(
             self.known,
-            _along(self.rows, here.position, axis),
+            rows,
             self.axes.borders[axis],
             self.noise_variance,
             degree=self.axes.degrees[axis],
@@ -184,16 +158,3 @@ class _Climb:
         position[axis] = best.at
         idle = here.idle + 1 if best.drop <= here.drop * (1.0 + _RISEN) else 0
         return _ClimbState(position, max(best.drop, here.drop), here.turn + 1, idle)
-
-
-def _along(
-    rows: PositionRows, position: Float64[np.ndarray, " a"], axis: int
-) -> Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n *r p"]]:
-    """Return the rows over one axis while the others stand."""
-
-    def at(place: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n *r p"]:
-        positions = np.tile(position, (len(place), 1))
-        positions[:, axis] = place
-        return rows(positions)
-
-    return at

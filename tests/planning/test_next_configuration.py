@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.machine import (
     LinearAxis,
@@ -17,7 +18,6 @@ from app.numerics.splines import natural_spline
 from app.planning.next_configuration import (
     SearchSpace,
     next_configuration,
-    point_rows,
     search_space,
 )
 
@@ -97,6 +97,18 @@ def motions(machine, symbols):
         machine,
         tuple(make_error_motion(symbol, axes[symbol[2]], 4) for symbol in symbols),
     )
+
+
+def point_rows(model, direction=None):
+    """Rows of measuring a point's displacement, along one direction or in all."""
+
+    def rows(position):
+        columns = model.jacobian(make_standstill(model.machine, position))
+        if direction is None:
+            return columns
+        return np.tensordot(columns, direction, axes=(1, 0))
+
+    return rows
 
 
 @pytest.mark.parametrize("direction", [np.array([1.0, 0.0, 0.0]), None])
