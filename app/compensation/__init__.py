@@ -10,9 +10,9 @@ back: it interpolates, rounds and adds as the controller does. The sum of δ and
 correction, on a grid and between the rows of the tables, is stated with the files;
 files that make the error larger are refused.
 
-    error_map             δ of the result at any position, in + and − direction
-    axis_tables           δ and the error motions of each axis at equal spacing, mm, rad
     format                the interface of a controller's format; tables that it adds
+    error_map             δ of the result at any position, in + and − direction; δ and
+                          the error motions of each axis at equal spacing, mm, rad
     remaining_error       what remains of the whole and of each effect of a model
     export                spacing, writing, reading back, the account of the files
     linuxcnc, siemens, heidenhain, fanuc, isg_csv    one maker a file

@@ -1,35 +1,31 @@
-"""The volumetric error of a result at any position, in + and in − direction."""
+"""The volumetric error of a result at any position, and as tables of its axes."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
+from app.compensation.format import AxisTable, PairTable
 from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.symbols import DIRECTION, is_turn
+from app.kinematics.symbols import DIRECTION, LINEAR, is_turn
 
-HalfTables = dict[str, tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]]
-"""Positions and half differences, mm, by axis."""
+_FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorMap:
-    """A result, its map without rigid motion, and its backlash.
-
-    half_tables : half the difference of + and − direction in the positioning of each
-        axis that has one
-    """
+    """A result, and its map without rigid motion."""
 
     result: CalibrationResult
     volumetric_map: VolumetricMap
-    half_tables: HalfTables
 
     @property
     def machine(self) -> Machine:
@@ -64,9 +60,10 @@ class ErrorMap:
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
         """Return half the difference of both directions in an axis' positioning."""
-        if axis not in self.half_tables:
+        if axis not in self.result.half_difference_um:
             return np.zeros(len(at_mm))
-        return np.interp(at_mm, *self.half_tables[axis])
+        position_mm, value_um = self.result.half_difference_um[axis]
+        return np.interp(at_mm, position_mm, value_um / UM_PER_MM)
 
     def rotation_rad(
         self, axis: str, at_mm: Float64[np.ndarray, " n"]
@@ -126,8 +123,71 @@ class ErrorMap:
 
 def map_errors(result: CalibrationResult) -> ErrorMap:
     """Return the error map of a result."""
-    half_tables = {
-        axis: (position_mm, value_um / UM_PER_MM)
-        for axis, (position_mm, value_um) in result.half_difference_um.items()
-    }
-    return ErrorMap(result, build_volumetric_map(result.model), half_tables)
+    return ErrorMap(result, build_volumetric_map(result.model))
+
+
+def tabulate_axis(
+    errors: ErrorMap, axis: LinearAxis, spacing_mm: float, most_points: int
+) -> AxisTable:
+    """Return the table of an axis, rows at most `spacing_mm` apart where they fit."""
+    travel = axis.high - axis.low
+    wanted = math.ceil(travel / spacing_mm - 1e-9) + 1
+    count = int(np.clip(wanted, 2, most_points))
+    at_mm = np.linspace(axis.low, axis.high, count)
+    reference = int(np.argmin(np.abs(at_mm - reference_position_mm(axis))))
+    place = errors.move_axis(axis, at_mm, errors.middle_mm)
+    forward, backward = (errors.error_mm(place, sign) for sign in (1.0, -1.0))
+    zero = 0.5 * (forward + backward)[reference]
+    return AxisTable(
+        axis,
+        at_mm,
+        reference,
+        forward - zero,
+        backward - zero,
+        *_tabulate_motions(errors, axis, at_mm),
+        _tabulate_pair(errors, axis, at_mm, most_points // count),
+    )
+
+
+def _tabulate_pair(
+    errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"], most: int
+) -> PairTable | None:
+    """Return the error by effects of two axes; None without any.
+
+    most : positions of the other axis that the controller has room for
+    """
+    machine = errors.machine
+    by = next((b for a, b in errors.list_pairs() if a == axis.name), "")
+    if not by or most < _FEWEST:
+        return None
+    other = machine.linear(by)
+    by_mm = np.linspace(other.low, other.high, min(most, _FINEST))
+    grid = np.stack(np.meshgrid(by_mm, at_mm, indexing="ij"), axis=-1).reshape(-1, 2)
+    columns = [machine.axis_names.index(name) for name in (by, axis.name)]
+    total = np.zeros((len(grid), 3))
+    for kept, sign in (((0, 1), 1.0), ((0,), -1.0), ((1,), -1.0), ((), 1.0)):
+        place = np.tile(errors.reference_mm, (len(grid), 1))
+        for k in kept:
+            place[:, columns[k]] = grid[:, k]
+        total += sign * errors.pair_error_mm(place, axis.name, by)
+    return PairTable(other, by_mm, total.reshape(len(by_mm), len(at_mm), 3))
+
+
+def _tabulate_motions(
+    errors: ErrorMap, axis: LinearAxis, at_mm: Float64[np.ndarray, " n"]
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Return E and ω of an axis, squareness and the target's offset in E.
+
+    With the others at their reference, where their ω are 0, δ changes along the
+    axis by E + ω × R, R the positions of the later axes there.
+    """
+    machine = errors.machine
+    rest = errors.reference_mm
+    at_and_zero = np.append(at_mm, reference_position_mm(axis))
+    error = errors.error_mm(errors.move_axis(axis, at_and_zero, rest))
+    omega = errors.rotation_rad(axis.name, at_mm)
+    later = machine.order[machine.order.index(axis.name) + 1 :]
+    lever = np.array(
+        [rest[machine.axis_names.index(n)] if n in later else 0.0 for n in LINEAR]
+    )
+    return error[:-1] - error[-1] - np.cross(omega, lever), omega

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from app.compensation.axis_tables import (
+from app.compensation.error_map import ErrorMap, map_errors, tabulate_axis
+from app.compensation.format import (
     AxisTable,
+    CompensationFormat,
     CompensationTables,
-    tabulate_axis,
 )
-from app.compensation.error_map import ErrorMap, map_errors
-from app.compensation.format import CompensationFormat
 from app.compensation.remaining_error import (
     GRID,
     RANDOM,

@@ -12,18 +12,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import (
-    CompensationFormat,
-    Correction,
+    AxisTable,
+    CompensationTables,
     InterpolatedTable,
-    add_tables,
+    TableFormat,
 )
 from app.errors import BadInput
 from app.kinematics.effects.error_motion import reference_position_mm
@@ -35,7 +34,7 @@ _LARGEST, _MOST = 7, 100  # of an increment; of the magnification
 _FIRST = 10_000  # data number of point 0
 
 
-class Fanuc(CompensationFormat):
+class Fanuc(TableFormat):
     """Positioning of each axis: `STEM-pitch.txt` and `STEM-parameters.txt`."""
 
     control = "Fanuc, stored pitch error compensation"
@@ -80,14 +79,15 @@ class Fanuc(CompensationFormat):
             ),
         }
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the sums that the controller adds."""
-        data = next(text for name, text in files.items() if "-pitch" in name)
-        settings = next(text for name, text in files.items() if "-parameters" in name)
-        return add_tables(
-            _sum_increments(_read_data(data), _read_parameters(settings), machine),
-            machine,
+    def read_tables(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> Iterator[InterpolatedTable]:
+        """Yield the summed increments of each axis, in mm."""
+        data, parameters = (
+            next(_split_tape(text) for name, text in files.items() if part in name)
+            for part in ("-pitch", "-parameters")
         )
+        return _sum_increments(_read_data(data), _read_parameters(parameters), machine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,26 +136,24 @@ def _split_tape(text: str) -> list[str]:
     return lines[1:-1]
 
 
-def _read_data(text: str) -> dict[int, int]:
-    rows = [_DATA.fullmatch(line) for line in _split_tape(text)]
+def _read_data(lines: list[str]) -> dict[int, int]:
+    rows = [_DATA.fullmatch(line) for line in lines]
     if None in rows:
         raise BadInput("pitch data are rows N…P…")
     return {int(m.group(1)) - _FIRST: int(m.group(2)) for m in rows if m}
 
 
-def _read_parameters(text: str) -> dict[tuple[int, int], float]:
+def _read_parameters(lines: list[str]) -> dict[tuple[int, int], float]:
     return {
         (int(line[1:6]), int(axis) - 1): float(value)
-        for line in _split_tape(text)
+        for line in lines
         for axis, value in _WORDS.findall(line[6:])
     }
 
 
 def _sum_increments(
     data: dict[int, int], parameters: dict[tuple[int, int], float], machine: Machine
-) -> list[InterpolatedTable]:
-    """Return the summed increments of each axis, in mm."""
-    tables: list[InterpolatedTable] = []
+) -> Iterator[InterpolatedTable]:
     for index, axis in enumerate(machine.linear_axes):
         zero, first, last, magnification, interval = (
             parameters[number, index] for number in (3620, 3621, 3622, 3623, 3624)
@@ -166,6 +164,4 @@ def _sum_increments(
         below = int(zero - first) + 1  # intervals under the reference point
         at = interval * (np.arange(len(sums)) - below) + reference_position_mm(axis)
         value = sums - sums[below]
-        out = LINEAR.index(axis.name)
-        tables.append(InterpolatedTable(axis.name, out, at, value, value))
-    return tables
+        yield InterpolatedTable(axis.name, LINEAR.index(axis.name), at, value)

@@ -1,17 +1,83 @@
-"""The interface of a controller's format, and the tables that controllers add."""
+"""The interface of a controller's format: its input, its files, what they add."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.axis_tables import CompensationTables
-from app.kinematics.machine import Machine
+from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.symbols import LINEAR
+
+
+@dataclass(frozen=True, slots=True)
+class PairTable:
+    """The error of an axis beyond its own table, at positions of another axis.
+
+    by_mm : (m,) positions of the other axis, equidistant over its travel
+    error_mm : (m, n, 3) at the axis' own n positions; 0 where either axis is at its
+        reference
+    """
+
+    by: LinearAxis
+    by_mm: Float64[np.ndarray, " m"]
+    error_mm: Float64[np.ndarray, "m n 3"]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisTable:
+    """The error at the tool point as one axis moves.
+
+    position_mm : (n,) equidistant, ascending, over the whole travel
+    reference : index of the row nearest to the reference position, where tables are 0
+    forward_mm, backward_mm : (n, 3) δ along the middle of the other axes' travel, less
+        its mean over both directions at the reference
+    translation_mm, rotation_rad : (n, 3) E and ω of the axis, for lever arms that count
+        from the zero of the later axes; the target's offset is in E
+    pair : with one other axis, where the model has such an effect
+    """
+
+    axis: LinearAxis
+    position_mm: Float64[np.ndarray, " n"]
+    reference: int
+    forward_mm: Float64[np.ndarray, "n 3"]
+    backward_mm: Float64[np.ndarray, "n 3"]
+    translation_mm: Float64[np.ndarray, "n 3"]
+    rotation_rad: Float64[np.ndarray, "n 3"]
+    pair: PairTable | None = None
+
+    @property
+    def mean_mm(self) -> Float64[np.ndarray, "n 3"]:
+        """Mean of both directions."""
+        return 0.5 * (self.forward_mm + self.backward_mm)
+
+    @property
+    def spacing_mm(self) -> float:
+        """Distance of neighbouring rows."""
+        return float(self.position_mm[1] - self.position_mm[0])
+
+    @property
+    def own(self) -> int:
+        """Index of the axis' own direction."""
+        return LINEAR.index(self.axis.name)
+
+
+@dataclass(frozen=True, slots=True)
+class CompensationTables:
+    """The content of the files of a format.
+
+    stem : of file names; stamp : lines for comments, in plain ASCII
+    """
+
+    stem: str
+    machine: Machine
+    tables: tuple[AxisTable, ...]
+    stamp: tuple[str, ...]
+
 
 Correction = Callable[[Float64[np.ndarray, "n a"], float], Float64[np.ndarray, "n 3"]]
 """What the controller adds at commanded positions (mm) in direction 1 or −1."""
@@ -53,28 +119,40 @@ class InterpolatedTable:
     """What a controller adds at positions of an axis, straight between rows.
 
     out : index of the axis that is corrected
-    forward_mm, backward_mm : (n,) added in + and in − direction of the axis; end values
-        hold beyond
+    forward_mm, backward_mm : (n,) added in + and in − direction of the axis, in both
+        the same where one is stated; end values hold beyond
     """
 
     axis: str
     out: int
     position_mm: Float64[np.ndarray, " n"]
     forward_mm: Float64[np.ndarray, " n"]
-    backward_mm: Float64[np.ndarray, " n"]
+    backward_mm: Float64[np.ndarray, " n"] | None = None
 
 
-def add_tables(tables: Sequence[InterpolatedTable], machine: Machine) -> Correction:
-    """Return the sum of tables as a correction."""
+class TableFormat(CompensationFormat):
+    """A format of tables, each of which adds to one axis."""
 
-    def correction(
-        position_mm: Float64[np.ndarray, "n a"], direction: float
-    ) -> Float64[np.ndarray, "n 3"]:
-        added = np.zeros((len(position_mm), 3))
-        for table in tables:
-            at = position_mm[:, machine.axis_names.index(table.axis)]
-            value_mm = table.forward_mm if direction > 0 else table.backward_mm
-            added[:, table.out] += np.interp(at, table.position_mm, value_mm)
-        return added
+    @abstractmethod
+    def read_tables(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> Iterable[InterpolatedTable]:
+        """Return the tables that the controller adds. Raises BadInput."""
 
-    return correction
+    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
+        """Return the sum of the tables."""
+        tables = list(self.read_tables(files, machine))
+
+        def correction(
+            position_mm: Float64[np.ndarray, "n a"], direction: float
+        ) -> Float64[np.ndarray, "n 3"]:
+            added = np.zeros((len(position_mm), 3))
+            for table in tables:
+                at = position_mm[:, machine.axis_names.index(table.axis)]
+                value_mm = table.forward_mm
+                if direction <= 0 and table.backward_mm is not None:
+                    value_mm = table.backward_mm
+                added[:, table.out] += np.interp(at, table.position_mm, value_mm)
+            return added
+
+        return correction

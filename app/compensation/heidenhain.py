@@ -13,12 +13,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import (
-    CompensationFormat,
-    Correction,
+    AxisTable,
+    CompensationTables,
     InterpolatedTable,
-    add_tables,
+    TableFormat,
 )
 from app.errors import BadInput
 from app.kinematics.machine import Machine
@@ -29,7 +28,7 @@ _NUMBERS = ("AXISPOS", "BACKLASH", *LINEAR)
 _CONFIG = "config.cma"
 
 
-class Heidenhain(CompensationFormat):
+class Heidenhain(TableFormat):
     """A table an axis: positioning with backlash, straightness, squareness."""
 
     control = "Heidenhain TNC"
@@ -56,18 +55,16 @@ class Heidenhain(CompensationFormat):
         }
         return {**files, _CONFIG: _write_config(names, self.suffix)}
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return what the tables named by `config.cma` add."""
+    def read_tables(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> Iterator[InterpolatedTable]:
+        """Yield the tables named by `config.cma`."""
         row = _read_rows(files[_CONFIG])[0]
         if row.get("ACTIVE") != "*":
             raise BadInput(f"{_CONFIG}: no line is active")
-        tables = [
-            table
-            for axis, name in row.items()
-            if axis in LINEAR
-            for table in _read_tables(axis, _read_rows(files[name]))
-        ]
-        return add_tables(tables, machine)
+        for axis, name in row.items():
+            if axis in LINEAR:
+                yield from _read_columns(axis, _read_rows(files[name]))
 
 
 def _write_table(name: str, table: AxisTable) -> str:
@@ -105,11 +102,11 @@ def _read_rows(text: str) -> list[dict[str, str]]:
     return [dict(zip(head, line.split(), strict=True)) for line in lines[2:-1]]
 
 
-def _read_tables(axis: str, rows: list[dict[str, str]]) -> Iterator[InterpolatedTable]:
+def _read_columns(axis: str, rows: list[dict[str, str]]) -> Iterator[InterpolatedTable]:
     """Yield the columns of an axis: both directions alike, then the backlash."""
     columns = {n: np.array([float(row[n]) for row in rows]) for n in _NUMBERS}
     at = columns["AXISPOS"]
     for out, name in enumerate(LINEAR):
-        yield InterpolatedTable(axis, out, at, columns[name], columns[name])
+        yield InterpolatedTable(axis, out, at, columns[name])
     own, zero = LINEAR.index(axis), np.zeros(len(at))
     yield InterpolatedTable(axis, own, at, zero, columns["BACKLASH"])

@@ -16,8 +16,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.axis_tables import AxisTable, CompensationTables
-from app.compensation.format import CompensationFormat, Correction
+from app.compensation.format import (
+    AxisTable,
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR, is_turn, list_error_motions

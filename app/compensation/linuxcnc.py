@@ -8,23 +8,22 @@ three numbers. Source: LinuxCNC `src/emc/motion/usrmotintf.cc`, `control.c`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import (
-    CompensationFormat,
-    Correction,
+    AxisTable,
+    CompensationTables,
     InterpolatedTable,
-    add_tables,
+    TableFormat,
 )
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
 
 
-class LinuxCnc(CompensationFormat):
+class LinuxCnc(TableFormat):
     """One table a straight axis, both directions."""
 
     control = "LinuxCNC"
@@ -46,10 +45,12 @@ class LinuxCnc(CompensationFormat):
             for table in content.tables
         }
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the trims that the controller adds."""
-        tables = [_read_table(name, text, self.suffix) for name, text in files.items()]
-        return add_tables(tables, machine)
+    def read_tables(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> Iterator[InterpolatedTable]:
+        """Yield the trims that the controller adds."""
+        for name, text in files.items():
+            yield _read_table(name, text, self.suffix)
 
 
 def _write_rows(table: AxisTable) -> str:

@@ -15,9 +15,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from app.compensation.axis_tables import CompensationTables
 from app.compensation.error_map import ErrorMap
-from app.compensation.format import CompensationFormat, Correction
+from app.compensation.format import (
+    CompensationFormat,
+    CompensationTables,
+    Correction,
+)
 from app.files.units import UM_PER_MM
 from app.kinematics.model import CatalogueEffect
 from app.kinematics.symbols import is_positioning
@@ -114,10 +117,9 @@ def _remove_effect(errors: ErrorMap, effect: CatalogueEffect) -> ErrorMap:
     """Return the error map of the model without the effect."""
     theta = errors.result.theta.copy()
     theta[errors.result.model.slices[effect.name]] = 0.0
-    half_tables = dict(errors.half_tables)
+    half_um = dict(errors.result.half_difference_um)
     lost = effect.half_difference
     if lost and is_positioning(lost.symbol):
-        half_tables.pop(lost.axis.name, None)
-    return replace(
-        errors, result=replace(errors.result, theta=theta), half_tables=half_tables
-    )
+        half_um.pop(lost.axis.name, None)
+    result = replace(errors.result, theta=theta, half_difference_um=half_um)
+    return replace(errors, result=result)

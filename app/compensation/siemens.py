@@ -10,27 +10,56 @@ equidistant. Source: SINUMERIK function manual, compensations.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
-from app.compensation.axis_tables import AxisTable, CompensationTables
 from app.compensation.format import (
-    CompensationFormat,
-    Correction,
+    AxisTable,
+    CompensationTables,
     InterpolatedTable,
-    add_tables,
+    TableFormat,
 )
 from app.errors import BadInput
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import LINEAR
 
 
-class SiemensLec(CompensationFormat):
-    """Positioning of each axis, one INI file."""
+class Siemens(TableFormat):
+    """One INI file of tables that hold the error.
+
+    area : that the file loads; variable : of the control, a table or a setting of it
+    """
+
+    suffix = ".ini"
+    area: ClassVar[str]
+    variable: ClassVar[str]
+
+    @abstractmethod
+    def write_tables(self, tables: Sequence[AxisTable]) -> Iterable[str]:
+        """Return the lines of all tables."""
+
+    def write(self, content: CompensationTables) -> dict[str, str]:
+        """Return one file for all axes."""
+        lines = [f"%_N_{self.area}_INI", *(f"; {s}" for s in content.stamp)]
+        lines += ["CHANDATA(1)", *self.write_tables(content.tables), "M17", ""]
+        return {f"{content.stem}{self.suffix}": "\n".join(lines)}
+
+    def read_tables(
+        self, files: Mapping[str, str], machine: Machine
+    ) -> Iterator[InterpolatedTable]:
+        """Yield the negative of the tables."""
+        for table in _read_settings(files, self.variable):
+            yield _make_table(*table)
+
+
+class SiemensLec(Siemens):
+    """Positioning of each axis."""
 
     control = "Siemens 840D, leadscrew error compensation"
-    suffix = ".ini"
+    area, variable = "AX_EEC", "ENC_COMP"
     most_points = 1000
     carries = "positioning of each axis, mean of both directions"
     not_carried = "backlash (MD32450 has it), straightness, angular errors, squareness"
@@ -44,24 +73,23 @@ class SiemensLec(CompensationFormat):
         "with MD32700 = 0, set it to 1, reference the axes"
     )
 
-    def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return one file for all axes."""
-        lines = ["%_N_AX_EEC_INI", *(f"; {s}" for s in content.stamp), "CHANDATA(1)"]
-        for table in content.tables:
-            lines += _write_leadscrew(table)
-        return {f"{content.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
+    def write_tables(self, tables: Sequence[AxisTable]) -> Iterator[str]:
+        """Yield a table an axis."""
+        for table in tables:
+            axis = f"{table.axis.name}1"
+            for index, value in enumerate(table.mean_mm[:, table.own]):
+                yield f"$AA_ENC_COMP[0,{index},{axis}]={value:z.6f}"
+            yield f"$AA_ENC_COMP_STEP[0,{axis}]={table.spacing_mm:.9g}"
+            yield f"$AA_ENC_COMP_MIN[0,{axis}]={table.position_mm[0]:.6f}"
+            yield f"$AA_ENC_COMP_MAX[0,{axis}]={table.position_mm[-1]:.6f}"
+            yield f"$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"
 
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the negative of the interpolated tables."""
-        tables = [_read_leadscrew(*item) for item in _read_settings(files, "ENC_COMP")]
-        return add_tables(tables, machine)
 
-
-class SiemensCec(CompensationFormat):
-    """What each axis does across itself, one INI file of cross tables."""
+class SiemensCec(Siemens):
+    """What each axis does across itself: cross tables."""
 
     control = "Siemens 840D, cross error compensation"
-    suffix = ".ini"
+    area, variable = "NC_CEC", "CEC"
     most_points = 500
     carries = "straightness and squareness, along the middle of the travel"
     not_carried = (
@@ -74,41 +102,20 @@ class SiemensCec(CompensationFormat):
         "licensed option; verify by a probe move that the tables act at all"
     )
 
-    def write(self, content: CompensationTables) -> dict[str, str]:
-        """Return one file with two tables an axis."""
-        lines = ["%_N_NC_CEC_INI", *(f"; {s}" for s in content.stamp), "CHANDATA(1)"]
-        pairs = [(t, out) for t in content.tables for out in range(3) if out != t.own]
+    def write_tables(self, tables: Sequence[AxisTable]) -> Iterator[str]:
+        """Yield two tables an axis."""
+        pairs = [(t, out) for t in tables for out in range(3) if out != t.own]
         for number, (table, out) in enumerate(pairs):
-            lines += _write_cross(number, table, out)
-        return {f"{content.stem}{self.suffix}": "\n".join([*lines, "M17", ""])}
-
-    def read(self, files: Mapping[str, str], machine: Machine) -> Correction:
-        """Return the negative of the interpolated tables."""
-        tables = [_read_cross(*item) for item in _read_settings(files, "CEC")]
-        return add_tables(tables, machine)
-
-
-def _write_leadscrew(table: AxisTable) -> Iterator[str]:
-    axis, own = f"{table.axis.name}1", table.own
-    for index, value in enumerate(table.mean_mm[:, own]):
-        yield f"$AA_ENC_COMP[0,{index},{axis}]={value:z.6f}"
-    yield f"$AA_ENC_COMP_STEP[0,{axis}]={table.spacing_mm:.9g}"
-    yield f"$AA_ENC_COMP_MIN[0,{axis}]={table.position_mm[0]:.6f}"
-    yield f"$AA_ENC_COMP_MAX[0,{axis}]={table.position_mm[-1]:.6f}"
-    yield f"$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"
-
-
-def _write_cross(number: int, table: AxisTable, out: int) -> Iterator[str]:
-    for index, value in enumerate(table.mean_mm[:, out]):
-        yield f"$AN_CEC[{number},{index}]={value:z.6f}"
-    yield f"$AN_CEC_INPUT_AXIS[{number}]=(AX{table.own + 1})"
-    yield f"$AN_CEC_OUTPUT_AXIS[{number}]=(AX{out + 1})"
-    yield f"$AN_CEC_STEP[{number}]={table.spacing_mm:.9g}"
-    yield f"$AN_CEC_MIN[{number}]={table.position_mm[0]:.6f}"
-    yield f"$AN_CEC_MAX[{number}]={table.position_mm[-1]:.6f}"
-    yield f"$AN_CEC_DIRECTION[{number}]=0"
-    yield f"$AN_CEC_MULT_BY_TABLE[{number}]=0"
-    yield f"$AN_CEC_IS_MODULO[{number}]=0"
+            for index, value in enumerate(table.mean_mm[:, out]):
+                yield f"$AN_CEC[{number},{index}]={value:z.6f}"
+            yield f"$AN_CEC_INPUT_AXIS[{number}]=(AX{table.own + 1})"
+            yield f"$AN_CEC_OUTPUT_AXIS[{number}]=(AX{out + 1})"
+            yield f"$AN_CEC_STEP[{number}]={table.spacing_mm:.9g}"
+            yield f"$AN_CEC_MIN[{number}]={table.position_mm[0]:.6f}"
+            yield f"$AN_CEC_MAX[{number}]={table.position_mm[-1]:.6f}"
+            yield f"$AN_CEC_DIRECTION[{number}]=0"
+            yield f"$AN_CEC_MULT_BY_TABLE[{number}]=0"
+            yield f"$AN_CEC_IS_MODULO[{number}]=0"
 
 
 _SETTING = re.compile(
@@ -142,31 +149,22 @@ def _read_settings(
     return [(table, names[table], values[table]) for table in values]
 
 
-def _read_leadscrew(
-    axis: str, settings: dict[str, str], values: dict[int, float]
-) -> InterpolatedTable:
-    name = axis.rstrip("0123456789")
-    return _make_table(name, LINEAR.index(name), settings, values)
-
-
-def _read_cross(
-    _number: str, settings: dict[str, str], values: dict[int, float]
-) -> InterpolatedTable:
-    axis, out = (
-        int(settings[word].removeprefix("AX")) - 1
-        for word in ("_INPUT_AXIS", "_OUTPUT_AXIS")
-    )
-    return _make_table(LINEAR[axis], out, settings, values)
-
-
 def _make_table(
-    axis: str, out: int, settings: dict[str, str], values: dict[int, float]
+    name: str, settings: dict[str, str], values: dict[int, float]
 ) -> InterpolatedTable:
-    """Return a table with the sign of what is added: minus the error."""
+    """Return a table with the sign of what is added: minus the error.
+
+    name : a leadscrew table has that of its axis, a cross table a number
+    """
+    if "_INPUT_AXIS" in settings:
+        words = settings["_INPUT_AXIS"], settings["_OUTPUT_AXIS"]
+        own, out = (int(word.removeprefix("AX")) - 1 for word in words)
+    else:
+        own = out = LINEAR.index(name.rstrip("0123456789"))
     step, low = float(settings["_STEP"]), float(settings["_MIN"])
     count = round((float(settings["_MAX"]) - low) / step) + 1
     if sorted(values) != list(range(count)):
-        raise BadInput(f"the table of {axis} lacks points between MIN and MAX")
+        raise BadInput(f"the table of {LINEAR[own]} lacks points between MIN and MAX")
     added = -np.array([values[index] for index in range(count)])
     at = low + step * np.arange(count)
-    return InterpolatedTable(axis, out, at, added, added)
+    return InterpolatedTable(LINEAR[own], out, at, added)

@@ -31,8 +31,9 @@ def source(loaded):
 def with_backlash(source):
     """The same machine, 8 µm of lost motion in X: half of it each way."""
     axis = source.axes[0]
-    half = np.array([axis.low, axis.high]), np.full(2, 0.004)
-    return replace(source, half_tables={"X": half})
+    half_um = np.array([axis.low, axis.high]), np.full(2, 4.0)
+    result = replace(source.result, half_difference_um={"X": half_um})
+    return replace(source, result=result)
 
 
 def along(source, axis, at):

@@ -40,8 +40,8 @@ DWELL_S = [0.5, 0.0, 0.3, 0.0, 0.2, 0.4]
 def source(loaded):
     """A result whose machine has 8 µm of lost motion in X."""
     axis = loaded.machine.linear_axes[0]
-    half = {"X": (np.array([axis.low, axis.high]), np.full(2, 0.004))}
-    return replace(map_errors(loaded), half_tables=half)
+    half_um = {"X": (np.array([axis.low, axis.high]), np.full(2, 4.0))}
+    return map_errors(replace(loaded, half_difference_um=half_um))
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import ClassVar
 
 from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion
 
-CHECK_WAY = "ROW 1 IS APPROACHED STRAIGHT. WAY FREE - CYCLE START"
-START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"
-STOP_RECORDING = "END. AFTER 2 S STOP THE RECORDING"
+_CHECK_WAY = "ROW 1 IS APPROACHED STRAIGHT. WAY FREE - CYCLE START"
+_START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"
+_STOP_RECORDING = "END. AFTER 2 S STOP THE RECORDING"
 
 
 class Dialect(ABC):
@@ -57,29 +58,47 @@ class Dialect(ABC):
         """
 
 
-def arrange_blocks(
-    rows: Iterable[ProgramRow],
-    *,
-    write_stop: Callable[[str], Iterable[str]],
-    write_motion: Callable[[ProgramRow], Iterable[str]],
-    write_dwell: Callable[[float], Iterable[str]],
-) -> Iterator[str]:
-    """Yield the blocks of all rows, with the stops at which the operator acts.
+def _write_nothing(_row: ProgramRow) -> Iterable[str]:
+    return ()
 
-    write_stop : the blocks of a program stop with its message
-    write_dwell : the blocks of a dwell in s, which may be 0
+
+@dataclass(frozen=True, slots=True)
+class BlockForms:
+    """The blocks of a control, as formats, and their order.
+
+    motion : of a `row` to its `ends`; number : of a position in them
+    dwell : blocks of a dwell in s
+    message : to the operator; stop : until the operator continues
     """
-    yield from write_stop(CHECK_WAY)
-    for row in rows:
-        if row.target_change:
-            yield from write_stop(row.target_change)
-        yield from write_motion(row)
-        if row.number == 1:
-            yield from write_stop(START_RECORDING)
-        yield from write_dwell(row.dwell_s)
 
+    motion: str
+    dwell: tuple[str, ...]
+    message: str
+    stop: str = "M0"
+    number: str = ".4f"
 
-def format_position(content: ProgramContent, row: ProgramRow, form: str) -> str:
-    """Return the axis words of a row; `form` is the format of a number."""
-    words = zip(content.axes, row.position, strict=True)
-    return " ".join(f"{axis}{value:{form}}" for axis, value in words)
+    def write_rows(
+        self,
+        content: ProgramContent,
+        write_before: Callable[[ProgramRow], Iterable[str]] = _write_nothing,
+    ) -> Iterator[str]:
+        """Yield the blocks of all rows, with the stops at which the operator acts.
+
+        write_before : blocks before the motion of a row
+        """
+        yield from self._write_stop(_CHECK_WAY)
+        for row in content.rows:
+            if row.target_change:
+                yield from self._write_stop(row.target_change)
+            yield from write_before(row)
+            words = zip(content.axes, row.position, strict=True)
+            ends = " ".join(f"{axis}{value:{self.number}}" for axis, value in words)
+            yield self.motion.format(row=row, ends=ends)
+            if row.number == 1:
+                yield from self._write_stop(_START_RECORDING)
+            if row.dwell_s > 0:
+                yield from (form.format(row.dwell_s) for form in self.dwell)
+        yield self.message.format(_STOP_RECORDING)
+
+    def _write_stop(self, message: str) -> tuple[str, str]:
+        return self.message.format(message), self.stop

@@ -14,24 +14,21 @@ feed per minute with rotary axes; system variables of the current position).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import (
-    STOP_RECORDING,
-    Dialect,
-    arrange_blocks,
-    format_position,
-)
+from app.motion.nc_programs.dialect import BlockForms, Dialect
 from app.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
-from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import (
-    AXES,
-    ProgrammedMotion,
-    line_error,
-)
+from app.motion.nc_programs.program_content import ProgramContent
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion, line_error
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "G61")
+_FORMS = BlockForms(
+    motion="N{row.number} G1 {ends} F{row.path_feed:.3f}",
+    dwell=("G4 X{:.3f}",),
+    message="({})",
+    number=".3f",
+)
 _MACHINE, _WORK = 5021, 5041  # position of the first axis; the others follow
 _LARGEST_NUMBER = 7999  # those above may be protected
 
@@ -53,7 +50,11 @@ class Fanuc(Dialect):
 
     def write(self, content: ProgramContent) -> str:
         """Return the program from `%` to `%`."""
-        return "\n".join(_write_blocks(content)) + "\n"
+        check_way, stop, *rows = _FORMS.write_rows(content)
+        guards = [_write_guard(*axis) for axis in enumerate(content.axes)]
+        head = ["%", f"{content.name} (TRUEPATH)", *(f"({s})" for s in content.header)]
+        head += [*_SAFE_START, check_way, stop, *guards]
+        return "\n".join([*head, *rows, "M30", "%", ""])
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
@@ -68,29 +69,6 @@ class Fanuc(Dialect):
         for line, block in path[:-1]:
             reader.read_block(line, block)
         return reader.control.finish()
-
-
-def _write_blocks(content: ProgramContent) -> Iterator[str]:
-    def write_motion(row: ProgramRow) -> Iterator[str]:
-        ends = format_position(content, row, ".3f")
-        yield f"N{row.number} G1 {ends} F{row.path_feed:.3f}"
-
-    yield "%"
-    yield f"{content.name} (TRUEPATH)"
-    yield from (f"({line})" for line in content.header)
-    yield from _SAFE_START
-    blocks = arrange_blocks(
-        content.rows,
-        write_stop=lambda message: (f"({message})", "M0"),
-        write_motion=write_motion,
-        write_dwell=lambda dwell_s: (f"G4 X{dwell_s:.3f}",) if dwell_s > 0 else (),
-    )
-    yield from (next(blocks), next(blocks))  # the stop before the first row
-    yield from (_write_guard(i, name) for i, name in enumerate(content.axes))
-    yield from blocks
-    yield f"({STOP_RECORDING})"
-    yield "M30"
-    yield "%"
 
 
 def _write_guard(index: int, name: str) -> str:
@@ -131,22 +109,24 @@ class _Reader(GCodeReader):
         if guard:
             self._note_guard(line, int(guard.group(1)), int(guard.group(2)))
             return
-        words = split_words(line, block)
-        codes = {w.code for w in words if w.letter in "GM"}
-        self.apply_codes(line, codes)
-        values = {w.letter: w for w in words if w.letter not in "GM"}
-        if "F" in values:
-            self.feed = values["F"].value  # with or without a point, mm/min
-        if "G4" in codes:
-            self.control.dwell(line, _read_dwell(line, values))
-            return
-        ends = {n: _read_millimetres(w) for n, w in values.items() if n in AXES}
-        if ends:
-            self.check_motion(line, codes)
-            if not set(range(len(ends))) <= self._checked:
-                raise line_error(line, "a position in G54 whose offset is not checked")
-            row = int(values["N"].value) if "N" in values else 0
-            self.drive(line, ends, row)
+        super().read_block(line, block)
+
+    def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
+        if "X" in words:
+            return self.read_end(words.pop("X"))
+        if "P" in words and "." not in words["P"].digits:
+            return words["P"].value * 1e-3
+        raise line_error(
+            line, "a dwell needs X in seconds with a point, or P in milliseconds"
+        )
+
+    def read_end(self, word: Word) -> float:
+        """Return a length; without a decimal point it counts least increments."""
+        return word.value * (1.0 if "." in word.digits else _INCREMENT)
+
+    def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
+        if not set(range(len(ends))) <= self._checked:
+            raise line_error(line, "a position in G54 whose offset is not checked")
 
     def _note_guard(self, line: int, machine: int, work: int) -> None:
         if machine - _MACHINE != work - _WORK:
@@ -159,18 +139,3 @@ def _read_number(block: str) -> str:
     if number is None or int(number.group(1)) == 0:
         raise line_error(2, "an O-number is needed after the first %")
     return block
-
-
-def _read_millimetres(word: Word) -> float:
-    """Return a length; without a decimal point it counts least increments."""
-    return word.value * (1.0 if "." in word.digits else _INCREMENT)
-
-
-def _read_dwell(line: int, values: dict[str, Word]) -> float:
-    if "X" in values:
-        return _read_millimetres(values["X"])
-    if "P" in values and "." not in values["P"].digits:
-        return values["P"].value * 1e-3
-    raise line_error(
-        line, "a dwell needs X in seconds with a point, or P in milliseconds"
-    )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from app.motion.nc_programs.programmed_motion import (
+    AXES,
     ProgrammedMotion,
     SimulatedControl,
     line_error,
@@ -53,7 +53,7 @@ def split_words(line: int, text: str) -> list[Word]:
     return words
 
 
-class GCodeReader(ABC):
+class GCodeReader:
     """Runs a program block by block.
 
     groups : modal groups; no code is active until the program states it
@@ -61,14 +61,19 @@ class GCodeReader(ABC):
     frame : codes that make a position one of the machine, the usual first; each motion
         needs one of them, unless there are none
     passive : codes that change no mode
+    dwell_letter : of the seconds of a dwell
     end : the code that ends the program, where it may stand in any block
+    modal, keywords : letters and words of codes
     """
 
     groups: ClassVar[Groups]
     path_modes: ClassVar[Sequence[str]]
     frame: ClassVar[Sequence[str]] = ()
     passive: ClassVar[Sequence[str]]
+    dwell_letter: ClassVar[str]
     end: ClassVar[str] = ""
+    modal: ClassVar[str] = "GM"
+    keywords: ClassVar[re.Pattern[str]] = re.compile(r"(?!)")
 
     def __init__(self, text: str, name: str, *, counts_degrees: bool = False) -> None:
         self.control = SimulatedControl(text, name, counts_degrees=counts_degrees)
@@ -78,9 +83,36 @@ class GCodeReader(ABC):
         self.feed: float | None = None
         self.ended = False
 
-    @abstractmethod
     def read_block(self, line: int, block: str) -> None:
         """Run a block without its comment; lines count from 1."""
+        every = split_words(line, self.keywords.sub("", block))
+        codes = {word.code for word in every if word.letter in self.modal}
+        codes |= set(self.keywords.findall(block))
+        words = {word.letter: word for word in every}
+        self.apply_codes(line, codes)
+        if "G4" in codes:
+            self.control.dwell(line, self.take_dwell_s(line, words))
+        if "F" in words:
+            self.feed = words["F"].value
+        ends = {n: self.read_end(word) for n, word in words.items() if n in AXES}
+        if ends:
+            self.check_motion(line, codes)
+            self.check_ends(line, ends)
+            exact_stop = self._active.get("the path mode") == self.path_modes[0]
+            row = int(words["N"].value) if "N" in words else 0
+            self.control.move(line, ends, self.feed, exact_stop=exact_stop, row=row)
+
+    def take_dwell_s(self, line: int, words: dict[str, Word]) -> float:
+        """Take the word of a dwell from the words of its block."""
+        word = words.pop(self.dwell_letter, None)
+        return -1.0 if word is None else word.value
+
+    def read_end(self, word: Word) -> float:
+        """Return the position that an axis word states, mm or deg."""
+        return word.value
+
+    def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
+        """Refuse a motion that this control does not drive as the path says."""
 
     def apply_codes(self, line: int, codes: set[str]) -> None:
         """Stop, end or change modes, as the codes of a block say."""
@@ -108,11 +140,6 @@ class GCodeReader(ABC):
                 raise line_error(
                     line, f"a motion while {name} is {active}; {allowed[0]} is needed"
                 )
-
-    def drive(self, line: int, ends: Mapping[str, float], row: int) -> None:
-        """Drive to `ends` in a straight line."""
-        exact_stop = self._active.get("the path mode") == self.path_modes[0]
-        self.control.move(line, ends, self.feed, exact_stop=exact_stop, row=row)
 
     def finish(self) -> ProgrammedMotion:
         """Return what was driven. Raises PlanningError if the program has no end."""

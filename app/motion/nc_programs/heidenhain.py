@@ -11,20 +11,22 @@ Source: iTNC 530 and TNC 640 user's manuals (M91; cycle 9; M116 for the feed).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
-from app.motion.nc_programs.dialect import (
-    STOP_RECORDING,
-    Dialect,
-    arrange_blocks,
-    format_position,
-)
-from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
+from app.motion.nc_programs.dialect import BlockForms, Dialect
+from app.motion.nc_programs.program_content import ProgramContent
 from app.motion.nc_programs.programmed_motion import (
     AXES,
     ProgrammedMotion,
     SimulatedControl,
     line_error,
+)
+
+_FORMS = BlockForms(
+    motion="L {ends} R0 F{row.path_feed:.3f} M91 ; ROW {row.number}",
+    dwell=("CYCL DEF 9.0 DWELL TIME", "CYCL DEF 9.1 DWELL {:.3f}"),
+    message="; {}",
+    stop="STOP",
+    number="+.4f",
 )
 
 
@@ -39,33 +41,18 @@ class Heidenhain(Dialect):
 
     def write(self, content: ProgramContent) -> str:
         """Return the program; blocks are numbered without a gap."""
-        blocks = [f"{n} {block}" for n, block in enumerate(_write_blocks(content))]
-        return "\n".join(blocks) + "\n"
+        blocks = [
+            f"BEGIN PGM {content.name} MM",
+            *(f"; {line}" for line in content.header),
+            *_FORMS.write_rows(content),
+            "M30",
+            f"END PGM {content.name} MM",
+        ]
+        return "".join(f"{number} {block}\n" for number, block in enumerate(blocks))
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
         return _Reader(text).finish()
-
-
-def _write_blocks(content: ProgramContent) -> Iterator[str]:
-    def write_motion(row: ProgramRow) -> Iterator[str]:
-        ends = format_position(content, row, "+.4f")
-        yield f"L {ends} R0 F{row.path_feed:.3f} M91 ; ROW {row.number}"
-
-    yield f"BEGIN PGM {content.name} MM"
-    yield from (f"; {line}" for line in content.header)
-    yield from arrange_blocks(
-        content.rows,
-        write_stop=lambda message: (f"; {message}", "STOP"),
-        write_motion=write_motion,
-        write_dwell=lambda dwell_s: (
-            "CYCL DEF 9.0 DWELL TIME",
-            f"CYCL DEF 9.1 DWELL {dwell_s:.3f}",
-        ),
-    )
-    yield f"; {STOP_RECORDING}"
-    yield "M30"
-    yield f"END PGM {content.name} MM"
 
 
 _BLOCK = re.compile(r"(\d+) (.+)")

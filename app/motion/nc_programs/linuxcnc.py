@@ -10,23 +10,19 @@ Source: LinuxCNC documentation, G-code reference (G53, G61.1, G94), and its inte
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import (
-    STOP_RECORDING,
-    Dialect,
-    arrange_blocks,
-    format_position,
-)
-from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name, split_words
-from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import (
-    AXES,
-    ProgrammedMotion,
-)
+from app.motion.nc_programs.dialect import BlockForms, Dialect
+from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
+from app.motion.nc_programs.program_content import ProgramContent
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
+_FORMS = BlockForms(
+    motion="N{row.number} G53 G1 {ends} F{row.feed:.3f}",
+    dwell=("G4 P{:.3f}",),
+    message="(MSG, {})",
+)
 
 
 class LinuxCnc(Dialect):
@@ -38,7 +34,8 @@ class LinuxCnc(Dialect):
 
     def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
-        return "\n".join(_write_blocks(content)) + "\n"
+        lines = [f"({line})" for line in (f"PROGRAM {content.name}", *content.header)]
+        return "\n".join([*lines, *_SAFE_START, *_FORMS.write_rows(content), "M2", ""])
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
@@ -47,24 +44,6 @@ class LinuxCnc(Dialect):
             if not reader.ended:
                 reader.read_block(number, _COMMENT.sub(" ", line))
         return reader.finish()
-
-
-def _write_blocks(content: ProgramContent) -> Iterator[str]:
-    def write_motion(row: ProgramRow) -> Iterator[str]:
-        ends = format_position(content, row, ".4f")
-        yield f"N{row.number} G53 G1 {ends} F{row.feed:.3f}"
-
-    yield f"(PROGRAM {content.name})"
-    yield from (f"({line})" for line in content.header)
-    yield from _SAFE_START
-    yield from arrange_blocks(
-        content.rows,
-        write_stop=lambda message: (f"(MSG, {message})", "M0"),
-        write_motion=write_motion,
-        write_dwell=lambda dwell_s: (f"G4 P{dwell_s:.3f}",) if dwell_s > 0 else (),
-    )
-    yield f"(MSG, {STOP_RECORDING})"
-    yield "M2"
 
 
 _NAME = re.compile(r"^\(PROGRAM (\w+)\)$", re.MULTILINE)
@@ -84,17 +63,5 @@ class _Reader(GCodeReader):
     path_modes = ("G61.1", "G61", "G64")
     frame = ("G53",)
     passive = ("G1", "G4")
+    dwell_letter = "P"
     end = "M2"
-
-    def read_block(self, line: int, block: str) -> None:
-        words = split_words(line, block)
-        values = {w.letter: w.value for w in words}
-        codes = {w.code for w in words if w.letter in "GM"}
-        self.feed = values.get("F", self.feed)
-        self.apply_codes(line, codes)
-        if "G4" in codes:
-            self.control.dwell(line, values.get("P", -1.0))
-        ends = {letter: v for letter, v in values.items() if letter in AXES}
-        if ends:
-            self.check_motion(line, codes)
-            self.drive(line, ends, int(values.get("N", 0)))

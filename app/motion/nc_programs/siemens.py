@@ -10,24 +10,20 @@ Source: SINUMERIK 840D sl programming manual, fundamentals (frames; feed control
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import (
-    STOP_RECORDING,
-    Dialect,
-    arrange_blocks,
-    format_position,
-)
-from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name, split_words
+from app.motion.nc_programs.dialect import BlockForms, Dialect
+from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
 from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
-from app.motion.nc_programs.programmed_motion import (
-    AXES,
-    ProgrammedMotion,
-    line_error,
-)
+from app.motion.nc_programs.programmed_motion import ProgrammedMotion, line_error
 
 _SAFE_START = ("G17 G40 G90 G94", "G710", "G500 D0", "TRAFOOF", "TRANS", "G60 G601")
+_FORMS = BlockForms(
+    motion="N{row.number} G1 SUPA {ends} F{row.feed:.3f}",
+    dwell=("G4 F{:.3f}",),
+    message='MSG("{}")',
+)
 
 
 class Siemens(Dialect):
@@ -55,26 +51,18 @@ class Siemens(Dialect):
 def _write_blocks(content: ProgramContent) -> Iterator[str]:
     group = content.linear
 
-    def write_motion(row: ProgramRow) -> Iterator[str]:
+    def write_group(row: ProgramRow) -> Iterator[str]:
         nonlocal group
         wanted = content.rotary if row.rotary_only else content.linear
         if wanted != group:
             group = wanted
             yield _write_feed_group(group)
-        ends = format_position(content, row, ".4f")
-        yield f"N{row.number} G1 SUPA {ends} F{row.feed:.3f}"
 
     yield f"; PROGRAM {content.name}"
     yield from (f"; {line}" for line in content.header)
     yield from _SAFE_START
     yield _write_feed_group(group)
-    yield from arrange_blocks(
-        content.rows,
-        write_stop=lambda message: (f'MSG("{message}")', "M0"),
-        write_motion=write_motion,
-        write_dwell=lambda dwell_s: (f"G4 F{dwell_s:.3f}",) if dwell_s > 0 else (),
-    )
-    yield f'MSG("{STOP_RECORDING}")'
+    yield from _FORMS.write_rows(content, write_group)
     yield "M30"
 
 
@@ -85,7 +73,6 @@ def _write_feed_group(axes: tuple[str, ...]) -> str:
 _NAME = re.compile(r"^; PROGRAM (\w+)$", re.MULTILINE)
 _MESSAGE = re.compile(r'MSG\s*\(("[^"]*")?\)')
 _FEED_GROUP = re.compile(r"FGROUP\(([A-Z](?:,[A-Z])*)\)")
-_KEYWORDS = re.compile(r"\b(?:SUPA|TRAFOOF|TRAORI|TRANS)\b")
 
 
 class _Reader(GCodeReader):
@@ -102,8 +89,11 @@ class _Reader(GCodeReader):
     }
     path_modes = ("G60", "G64", "G641", "G642")
     frame = ("SUPA", "G153")
-    passive = ("G1", "G601", "G602", "G603")
+    passive = ("G1", "G4", "G601", "G602", "G603")
+    dwell_letter = "F"
     end = "M30"
+    modal = "GMD"
+    keywords = re.compile(r"\b(?:SUPA|TRAFOOF|TRAORI|TRANS)\b")
     feed_group = ""
 
     def read_block(self, line: int, block: str) -> None:
@@ -111,22 +101,9 @@ class _Reader(GCodeReader):
         if group:
             self.feed_group = group.group(1).replace(",", "")
             return
-        words = split_words(line, _KEYWORDS.sub("", block))
-        codes = {w.code for w in words if w.letter in "GMD"}
-        codes |= set(_KEYWORDS.findall(block))
-        values = {w.letter: w.value for w in words}
-        if "G4" in codes:
-            self.control.dwell(line, values.get("F", -1.0))
-            return
-        self.feed = values.get("F", self.feed)
-        self.apply_codes(line, codes)
-        ends = {letter: v for letter, v in values.items() if letter in AXES}
-        if ends:
-            self.check_motion(line, codes)
-            self._check_feed_group(line, ends)
-            self.drive(line, ends, int(values.get("N", 0)))
+        super().read_block(line, block)
 
-    def _check_feed_group(self, line: int, ends: dict[str, float]) -> None:
+    def check_ends(self, line: int, ends: Mapping[str, float]) -> None:
         """Refuse a motion whose feed is that of axes that stand still."""
         has_linear = any(name in "XYZ" for name in self.feed_group)
         rotary_only = self.control.moves_rotary_only(ends)
