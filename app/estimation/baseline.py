@@ -24,7 +24,7 @@ from app.estimation.prior import BendingPrior, fit_prior, guess_prior
 from app.estimation.runs import RunInput
 from app.kinematics.coarse_model import LONGEST_NOISE_S, add_effects
 from app.kinematics.effects.base import Effect
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 

@@ -21,8 +21,7 @@ from app.alignment.observations import Observations, find_lines
 from app.alignment.reduction import beam_frame
 from app.estimation.noise import NoiseModel, cell_noise
 from app.kinematics.effects.base import Effect, EffectOfRun, Parameter
-from app.kinematics.effects.timing_law import TimingLaw
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TimingLaw, TrackerPose
 from app.kinematics.model import MachineModel
 from app.numerics.correlated_noise import Whitener, factorise
 from app.numerics.rigid import RigidTransform

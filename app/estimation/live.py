@@ -41,7 +41,7 @@ from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.effects.base import Effect, Parameter, Role
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel

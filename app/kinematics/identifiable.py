@@ -27,12 +27,12 @@ from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import find_arm, make_error_motion
-from app.kinematics.effects.squareness import list_squarenesses
-from app.kinematics.effects.target_placement import (
+from app.kinematics.effects.nuisance import (
+    TrackerPose,
     find_tool_orientation,
     list_workpiece_placements,
 )
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.squareness import list_squarenesses
 from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions

@@ -22,7 +22,7 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations, add_surroundings
 from app.estimation.prior import diagonal_precision
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.machine import Machine
 from app.motion.motion_times import Drive, Legs, Stops, travel_time_s
 from app.motion.travel import DECIMALS, add_resting_axes, check_travel, inner_travel

@@ -33,7 +33,7 @@ from app.estimation.observability import (
 from app.estimation.prior import diagonal_precision
 from app.estimation.separation import describe_confounded
 from app.estimation.volumetric_map import compute_volumetric_gram
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel

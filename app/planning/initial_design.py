@@ -17,8 +17,8 @@ from app.estimation.prior import diagonal_precision
 from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths
 from app.kinematics.conditions import make_standstill
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.effects.servo_mismatch import ServoMismatch
-from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.kinematics.model import MachineModel

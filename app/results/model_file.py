@@ -29,7 +29,7 @@ from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run, digest_run
 from app.files.units import unit_of
-from app.kinematics.effects.target_placement import find_tool_orientation
+from app.kinematics.effects.nuisance import find_tool_orientation
 from app.kinematics.model import MachineModel
 from app.results.discovery_json import effect_json
 from app.results.error_table_files import observability_json, tables_json

@@ -15,7 +15,7 @@ from app.alignment.streaming import StreamingAlignment
 from app.errors import AlignmentError
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
-from app.kinematics.effects.timing_law import TimingLaw
+from app.kinematics.effects.nuisance import TimingLaw
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import parse_machine

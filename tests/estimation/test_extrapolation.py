@@ -12,7 +12,7 @@ from app.estimation.extrapolation import (
 )
 from app.files.bundle import read_bundle
 from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.results.error_tables import build_error_tables
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files

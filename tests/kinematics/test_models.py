@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.effects.screw_cyclic import ScrewCyclic
-from app.kinematics.effects.tracker_pose import TrackerPose
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.symbols import is_straightness, is_turn
 from app.results.error_tables import build_error_tables, choose_table_positions
 

@@ -13,7 +13,7 @@ from app.files.machine_file import machine_from_json
 from app.files.model_file import model_to_json
 from app.files.result_file import result_from_json
 from app.kinematics.effects.base import Role
-from app.kinematics.effects.tracker_pose import TrackerPose
+from app.kinematics.effects.nuisance import TrackerPose
 from app.results.error_tables import restore_error_tables
 from app.results.findings import state_findings
 from app.results.prediction import predict

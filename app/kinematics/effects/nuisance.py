@@ -1,10 +1,11 @@
-"""How the measured targets of a Run sit on tool and workpiece.
+"""What every estimate of a Run has beside the machine: pose, timing, seat of targets.
 
-On the tool: a turn of their offsets as a whole. With one target this is a shift, which
+How the measured targets of a Run sit on tool and workpiece is its own in every Run. On
+the tool: a turn of their offsets as a whole. With one target this is a shift, which
 the tracker's pose takes; with several, the turn of the last axis at its zero shows, and
 the gauge of the tables has no place for it. On the workpiece, seen by a tracker on the
 base: at the axis zero they need not be where the file says to a micrometre; relative to
-the tool they may be shifted and turned as a whole. In every Run anew.
+the tool they may be shifted and turned as a whole.
 """
 
 from __future__ import annotations
@@ -17,7 +18,72 @@ from jaxtyping import Float64
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Parameter, Role, name_in_run
 from app.kinematics.machine import Machine
-from app.numerics.rigid import cross_matrix
+from app.numerics.rigid import RigidTransform, cross_matrix
+
+
+@dataclass(frozen=True)
+class TrackerPose(Effect):
+    """A small shift, and a small turn about a centre, of all measured points."""
+
+    kind = "tracker-pose"
+    role = Role.NUISANCE
+    centre_mm: tuple[float, float, float]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Three shifts, three turns."""
+        shifts = [Parameter(f"pose-shift-{d}", "mm") for d in "xyz"]
+        turns = [Parameter(f"pose-turn-{d}", "rad") for d in "xyz"]
+        return tuple(shifts + turns)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return shift + turn × (point − centre)."""
+        columns = np.zeros((len(at), 3, 6))
+        columns[:, :, :3] = np.eye(3)
+        columns[:, :, 3:] = cross_matrix(at.point_mm - np.array(self.centre_mm))
+        return columns
+
+    def correct(
+        self, pose: RigidTransform, theta: Float64[np.ndarray, " p"]
+    ) -> RigidTransform:
+        """Return a pose with these parameters in it."""
+        translation, rotation = theta[:3], theta[3:]
+        centre = np.array(self.centre_mm)
+        return pose.precede_small(rotation, translation - np.cross(rotation, centre))
+
+
+@dataclass(frozen=True)
+class TimingLaw(Effect):
+    """Along each line the machine is late by a constant, off its speed by another.
+
+    No clock is shared: when it was where is a phase and a speed.
+    """
+
+    kind = "timing-law"
+    role = Role.NUISANCE
+    lines: tuple[int, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Phase and speed of the first line, of the second, ..."""
+        return tuple(
+            Parameter(f"line-{line}-{what}", unit)
+            for line in self.lines
+            for what, unit in (("phase", "mm"), ("speed", "mm/s"))
+        )
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the direction of travel, and the same times the time from mid line."""
+        columns = np.zeros((len(at), 3, 2 * len(self.lines)))
+        speed = np.linalg.norm(at.velocity_mm_s, axis=1)
+        moving = np.flatnonzero(speed)
+        column = np.searchsorted(np.array(self.lines), at.line[moving])
+        # On an arc the target's own speed changes along the line.
+        usual = speed if at.line_speed_mm_s is None else at.line_speed_mm_s
+        direction = at.velocity_mm_s[moving] / usual[moving, None]
+        columns[moving, :, 2 * column] = direction
+        columns[moving, :, 2 * column + 1] = direction * at.line_time_s[moving, None]
+        return columns
 
 
 @dataclass(frozen=True)
