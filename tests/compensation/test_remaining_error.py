@@ -11,7 +11,7 @@ from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
 from app.kinematics.effects.backlash import BacklashFamily
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
-from app.kinematics.effects.screw_cyclic import ScrewCyclicFamily
+from app.kinematics.effects.position_wave import ScrewCyclicFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel, restore_effect
 from app.results.error_tables import compute_half_differences

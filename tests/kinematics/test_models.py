@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.effects.screw_cyclic import ScrewCyclic
+from app.kinematics.effects.position_wave import ScrewCyclic
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from app.kinematics.conditions import RecordedState, make_standstill
-from app.kinematics.effects.position_wave import PositionWave
-from app.kinematics.effects.screw_cyclic import ScrewCyclic
+from app.kinematics.effects.position_wave import PositionWave, ScrewCyclic
 from app.kinematics.effects.sinusoid import find_amplitude_and_phase
 from app.kinematics.effects.time_wave import TimeWave, Vibration
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise

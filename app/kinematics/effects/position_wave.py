@@ -1,9 +1,10 @@
-"""A periodic behaviour along an axis, across it, that no cause explains."""
+"""Periodic errors along an axis: of screw or scale, and across it without a cause."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,17 +12,35 @@ from jaxtyping import Float64
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Role, columns_along
 from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, read_words
+from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION
-from app.kinematics.effects.sinusoid import (
-    Sinusoid,
-    SinusoidFamily,
-    is_resolved,
-    list_wave_numbers,
-)
+from app.kinematics.effects.sinusoid import Sinusoid, SinusoidFamily
 from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import LINEAR
 
-_SHORTEST_MM, _LONGEST_MM = 4.0, 60.0
+_SECOND = 0.2  # usual share of the second harmonic
+_FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
+
+
+@dataclass(frozen=True)
+class ScrewCyclic(Sinusoid):
+    """Positioning of an axis as sin and cos of its position over a lead and half of it.
+
+    A screw that errs every turn hardly does so as a pure sine.
+    """
+
+    kind = "screw-cyclic"
+    units = dict.fromkeys(("sin", "cos", "sin2", "cos2"), "mm")
+    harmonics = (1, 2)
+    period_name = "lead_mm"
+    axis: LinearAxis
+    lead_mm: float
+
+    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+        """Return the wave of the axis' position."""
+        name = self.axis.name
+        arm = find_arm(f"E{name}{name}", at)
+        return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
 
 
 @dataclass(frozen=True)
@@ -30,14 +49,10 @@ class PositionWave(Sinusoid):
 
     kind = "position-wave"
     role = Role.STRUCTURE
+    period_name = "period_mm"
     axis: LinearAxis
     direction: str
     period_mm: float
-
-    @property
-    def wave_number(self) -> float:
-        """Waves a millimetre."""
-        return 1.0 / self.period_mm
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
         """Return the wave of the axis' position."""
@@ -46,13 +61,69 @@ class PositionWave(Sinusoid):
         return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
 
 
-class PositionWaveFamily(SinusoidFamily):
+class _FamilyOfAxes(SinusoidFamily):
+    """Waves of the position of a straight axis, between two periods."""
+
+    shortest_mm: ClassVar[float]
+    longest_mm: ClassVar[float]
+
+    def is_resolved(self, axis: LinearAxis, at: Conditions) -> bool:
+        """Tell whether positions tell waves apart: travel enough, and places in it."""
+        places = np.unique(np.round(at.axis_mm(axis.name)))
+        return len(places) >= _FEWEST_PLACES and np.ptp(places) > 2.0 * self.longest_mm
+
+    def list_waves(
+        self, candidate: Candidate, at: Conditions
+    ) -> Float64[np.ndarray, " v"]:
+        """Return waves a millimetre, four steps to one wave over the travel."""
+        # In a further Run the axis may stand.
+        travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
+        step = 0.25 / max(travel, self.longest_mm)
+        return np.arange(1.0 / self.longest_mm, 1.0 / self.shortest_mm, step)
+
+
+class ScrewCyclicFamily(_FamilyOfAxes):
+    """Candidates of every straight axis, the lead scanned."""
+
+    name = "screw-cyclic"
+    value_name = "lead_mm"
+    numbers = ("lead_mm",)
+    shortest_mm, longest_mm = 2.5, 45.0
+    makes = ScrewCyclic
+    keys = {"axis": AXIS}
+    words = read_words("""
+        [en]
+        title = Cyclic error of screw or scale
+        cause = A ball screw, its bearing or a scale that errs alike every turn.
+        looks_like = A wave along one axis, the same at every feed, with the period of
+            the screw's lead or of the scale's pitch.
+        remedy = Enter a cyclic compensation for the axis; look at the screw's thrust
+            bearing and coupling, or at the scale's head.
+        [de]
+        title = Zyklischer Fehler von Spindel oder Maßstab
+        cause = Eine Kugelgewindespindel, ihr Lager oder ein Maßstab, der bei jeder
+            Umdrehung gleich irrt.
+        looks_like = Eine Welle entlang einer Achse, bei jedem Vorschub gleich, mit der
+            Steigung der Spindel oder der Teilung des Maßstabs als Periode.
+        remedy = Für die Achse eine zyklische Kompensation eintragen; Axiallager und
+            Kupplung der Spindel oder den Abtastkopf des Maßstabs ansehen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one an axis."""
+        usual = USUAL_MM * np.array([1.0, 1.0, _SECOND, _SECOND])
+        axes = [a for a in at.machine.linear_axes if self.is_resolved(a, at)]
+        return [self.offer(ScrewCyclic(axis, 10.0), usual) for axis in axes]
+
+
+class PositionWaveFamily(_FamilyOfAxes):
     """Every axis and direction across it, the period scanned."""
 
     name = "position-wave"
     role = Role.STRUCTURE
     value_name = "period_mm"
     numbers = ("period_mm",)
+    shortest_mm, longest_mm = 4.0, 60.0
     makes = PositionWave
     keys = {"axis": replace(AXIS, phrase="({})"), "direction": DIRECTION}
     covariates = ("{axis}",)
@@ -77,15 +148,8 @@ class PositionWaveFamily(SinusoidFamily):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one for each axis and direction across it."""
         return [
-            self.offer(PositionWave(axis, d, 20.0), [USUAL_MM] * 2)
+            self.offer(PositionWave(axis, direction, 20.0), [USUAL_MM] * 2)
             for axis in at.machine.linear_axes
-            for d in LINEAR
-            if d != axis.name and is_resolved(at, axis.name, _LONGEST_MM)
+            for direction in LINEAR
+            if direction != axis.name and self.is_resolved(axis, at)
         ]
-
-    def list_waves(
-        self, candidate: Candidate, at: Conditions
-    ) -> Float64[np.ndarray, " v"]:
-        """Return waves, four steps to one over the travel."""
-        axis = candidate.keys["axis"]
-        return list_wave_numbers(at, axis, _SHORTEST_MM, _LONGEST_MM)

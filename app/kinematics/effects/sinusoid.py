@@ -19,22 +19,22 @@ from app.kinematics.effects.catalogue import (
     Wave,
 )
 
-_FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
-
 
 class Sinusoid(Effect):
     """Sine and cosine of 2π coordinate · waves along an arm, averaged over each cell.
 
     harmonics : multiples of the waves, a sine and a cosine each
+    period_name : of the field that holds the period
     """
 
     units = {"sin": "mm", "cos": "mm"}
     harmonics: ClassVar[tuple[int, ...]] = (1,)
+    period_name: ClassVar[str]
 
     @property
-    @abstractmethod
     def wave_number(self) -> float:
         """Waves in a unit of the coordinate."""
+        return 1.0 / float(getattr(self, self.period_name))
 
     @property
     def origin(self) -> float:
@@ -108,22 +108,6 @@ def attenuate_wave(
 ) -> Float64[np.ndarray, " n"]:
     """Return what is left of a wave after averaging it over each span."""
     return np.sinc(angular_rate * span_s / (2.0 * np.pi))
-
-
-def is_resolved(at: Conditions, axis: str, longest_mm: float) -> bool:
-    """Tell whether positions tell waves apart: travel enough, and places in it."""
-    places = np.unique(np.round(at.axis_mm(axis)))
-    travel = float(np.ptp(places))
-    return len(places) >= _FEWEST_PLACES and travel > 2.0 * longest_mm
-
-
-def list_wave_numbers(
-    at: Conditions, axis: str, shortest_mm: float, longest_mm: float
-) -> Float64[np.ndarray, " v"]:
-    """Return waves a millimetre, four steps to one wave over the travel."""
-    # In a further Run the axis may stand.
-    travel = max(float(np.ptp(at.axis_mm(axis))), longest_mm)
-    return np.arange(1.0 / longest_mm, 1.0 / shortest_mm, 0.25 / travel)
 
 
 def find_amplitude_and_phase(

@@ -46,14 +46,10 @@ class TimeWave(SinusoidOfTime):
 
     kind = "time-wave"
     role = Role.STRUCTURE
+    period_name = "period_s"
     direction: str
     period_s: float
     middle_s: float
-
-    @property
-    def wave_number(self) -> float:
-        """Waves a second."""
-        return 1.0 / self.period_s
 
 
 @dataclass(frozen=True)
