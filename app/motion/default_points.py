@@ -17,30 +17,23 @@ from app.motion.workspace import moving_targets
 
 DEFAULT_POINTS = 60  # some four minutes on a small mill
 POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
+_DWELL_S = 1.0
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 
 
-def default_points(
-    machine: Machine,
-    *,
-    count: int | None = None,
-    dwell_s: float = 1.0,
-    seed: int = 0,
-) -> Configurations:
+def default_points(machine: Machine, *, count: int | None = None) -> Configurations:
     """Return standstill points: the eight corners, the rest spread evenly inside.
 
-    They stand in an order of short moves. The same seed gives the same points. Where
-    there are rotary axes, the points are spread over all axes and over the targets.
+    They stand in an order of short moves, and are always the same. Where there are
+    rotary axes, the points are spread over all axes and over the targets.
 
     count : 60 where it is left out, 180 with rotary axes
     """
     turning = bool(machine.rotary_axes)
     count = count or (POINTS_WITH_ROTARY_AXES if turning else DEFAULT_POINTS)
-    if count < 8 or dwell_s <= 0:
-        raise PlanningError(
-            f"{count} points, dwell {dwell_s:g} s: 8 points or more, a dwell above 0"
-        )
-    rng, target = np.random.default_rng(seed), ()
+    if count < 8:
+        raise PlanningError(f"{count} points: it must be 8 points or more")
+    rng, target = np.random.default_rng(0), ()
     if turning:
         position = _turn_all_axes(machine, count, rng)
         names = [t.name for t in moving_targets(machine)]
@@ -48,7 +41,9 @@ def default_points(
             target = tuple(names[k * len(names) // count] for k in range(count))
     else:
         position = _spread(machine, count, rng)
-    return Configurations(machine.axis_names, position, np.full(count, dwell_s), target)
+    return Configurations(
+        machine.axis_names, position, np.full(count, _DWELL_S), target
+    )
 
 
 def _spread(
@@ -56,10 +51,11 @@ def _spread(
 ) -> Float64[np.ndarray, "n a"]:
     """Return corners, then a Latin hypercube: a point in each slice of each axis."""
     low, high = inner_travel(machine)
-    corners = unit_corners()
     inside = count - 8
     slices = np.stack([rng.permutation(inside) for _ in range(3)], axis=1)
-    unit = np.vstack([corners, (slices + rng.random((inside, 3))) / max(inside, 1)])
+    unit = np.vstack(
+        [unit_corners(), (slices + rng.random((inside, 3))) / max(inside, 1)]
+    )
     points = np.round(low + unit * (high - low), DECIMALS)
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     return points[find_short_order(apart)]

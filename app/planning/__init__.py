@@ -14,7 +14,7 @@ second; then each is moved where that lowers J · T, which repeating a measureme
 as it is (exchange algorithm: Fedorov 1972). On one axis the best place is exact, a root
 of a polynomial (eq. 27).
 
-    design_state          what is known, and what legs add; line_design_state
+    design_state          what is known, and what lines or standstills add
     initial_design        the state before the first leg, from the estimator's own prior
     leg_choice, planner   stops within a time and limits, from where the machine is
     next_configuration    the paper's own question: the best place to measure next

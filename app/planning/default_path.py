@@ -20,15 +20,16 @@ from app.motion.configurations import join_rows
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace, moving_targets
+from app.planning.design_state import LineDesignState
 from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import SearchEffort
-from app.planning.line_design_state import LineDesignState
 from app.planning.planner import Planner, PlanShare, plan_in_turn
 from drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
 LINES_WITH_ROTARY_AXES = 72
 FASTEST_DEG_MIN = 1800.0  # of a rotary axis
+_DWELL_S = 0.35
 _LONG = 0.55  # of the diagonal of the travel: no line is shorter
 _SHORTEST_MM = 100.0  # way of a target on a line while rotary axes turn
 _CHANGE_S = 5.0  # for the tracker to turn to another target
@@ -39,7 +40,6 @@ def default_path(
     feed_mm_min: float = DEFAULT_FEED_MM_MIN,
     *,
     lines: int | None = None,
-    dwell_s: float = 0.35,
     seed: int = 0,
 ) -> Path:
     """Return a path of long lines through the travel, of all axes.
@@ -50,22 +50,21 @@ def default_path(
 
     lines : 22 where it is left out, 72 with rotary axes
 
-    Raises PlanningError if a feed, a dwell or a number of lines cannot be driven, or if
+    Raises PlanningError if a feed or a number of lines cannot be driven, or if
     no target moves where the tracker stands.
     """
     targets = moving_targets(machine) if machine.rotary_axes else machine.targets[:1]
     if lines is None:
         lines = LINES_WITH_ROTARY_AXES if machine.rotary_axes else DEFAULT_LINES
-    if feed_mm_min <= 0 or dwell_s < 0 or lines < 1:
+    if feed_mm_min <= 0 or lines < 1:
         raise PlanningError(
-            f"feed {feed_mm_min:g} mm/min, dwell {dwell_s:g} s, {lines} lines: "
-            "feed and lines must be above 0, the dwell not below"
+            f"feed {feed_mm_min:g} mm/min, {lines} lines: both must be above 0"
         )
     # Where stops were moved all axes would go on every line.
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
     shares = [
-        PlanShare(_make_planner(machine, target, dwell_s, feed_mm_min), legs=count)
+        PlanShare(_make_planner(machine, target, feed_mm_min), legs=count)
         for target, count in zip(targets, counts, strict=True)
         if count
     ]
@@ -86,13 +85,11 @@ def default_path(
     )
 
 
-def _make_planner(
-    machine: Machine, target: Target, dwell_s: float, feed_mm_min: float
-) -> Planner:
+def _make_planner(machine: Machine, target: Target, feed_mm_min: float) -> Planner:
     low, high = inner_travel(machine)
     long_mm = _LONG * float(np.linalg.norm(high - low))
     drive = replace(
-        Drive.of(machine.axis_names, dwell_s),
+        Drive.of(machine.axis_names, _DWELL_S),
         least_mm=_SHORTEST_MM if machine.rotary_axes else long_mm,
         fastest_deg_min=FASTEST_DEG_MIN,
     )

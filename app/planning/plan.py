@@ -19,14 +19,13 @@ from app.motion.configurations import Commanded, join_rows
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive, row_times_s
 from app.motion.workspace import Workspace, moves_where_seen, moving_targets
-from app.planning.design_state import DesignState, PointDesignState
+from app.planning.design_state import DesignState, LineDesignState, PointDesignState
 from app.planning.forecast import Assumptions, Forecast, forecast
 from app.planning.initial_design import (
     choose_station,
     predict_lag_sigmas_s,
     start_design,
 )
-from app.planning.line_design_state import LineDesignState
 from app.planning.planner import Planner, PlanShare, plan_in_turn
 from app.progress import Progress, ignore_progress
 

@@ -19,9 +19,8 @@ from app.kinematics.machine import (
 from app.motion.motion_times import Drive, Legs, travel_time_s
 from app.motion.travel import check_travel
 from app.planning.default_path import FASTEST_DEG_MIN, default_path
-from app.planning.design_state import inverse
+from app.planning.design_state import LineDesignState, inverse
 from app.planning.initial_design import start_design
-from app.planning.line_design_state import LineDesignState
 from drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])
@@ -146,7 +145,7 @@ def test_rows_of_the_default_path_survive_four_decimals():
     np.testing.assert_array_equal(position, np.round(position, 4))
 
 
-@pytest.mark.parametrize("bad", [{"feed_mm_min": 0.0}, {"lines": 0}, {"dwell_s": -1.0}])
+@pytest.mark.parametrize("bad", [{"feed_mm_min": 0.0}, {"lines": 0}])
 def test_a_path_that_cannot_be_driven_is_refused(bad):
     with pytest.raises(PlanningError, match="must be above 0"):
         default_path(mill_of(), **bad)
