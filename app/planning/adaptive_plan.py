@@ -19,7 +19,6 @@ from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded, append_part, select_rows
 from app.motion.motion_times import Legs, row_times_s
 from app.planning.design_state import DesignState
-from app.planning.forecast import Assumptions
 from app.planning.initial_design import start_design
 from app.planning.plan import PlanOrder
 from app.planning.planner import Planner
@@ -57,7 +56,7 @@ class AdaptivePlanner:
         self.commanded = commanded
         self._machine, self._order = machine, order
         self._moving, self._drive = order.moving(machine), order.drive(machine)
-        self._known = order.known(machine)
+        self._assumed = order.assume(machine)
         self._number = 0
 
     def next(self, found: LiveFindings, sigma_mm: float) -> Part:
@@ -101,11 +100,10 @@ class AdaptivePlanner:
         # Few lines may show no jitter of the feed at all; there is always some.
         least_mm = _LEAST_JITTER * EXPECTED_NOISE.along_sigma_mm
         along_mm = max(found.noise.along_sigma_mm, least_mm)
-        assumed = Assumptions(
-            self._known,
-            self._order.perpendicular_only,
-            replace(found.noise, along_sigma_mm=along_mm),
-            found.prior_precision,
+        assumed = replace(
+            self._assumed,
+            noise=replace(found.noise, along_sigma_mm=along_mm),
+            prior_precision=found.prior_precision,
         )
         target = None
         if not self._order.is_on_the_fly:

@@ -24,7 +24,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
+from app.estimation.design_matrix import linearise
 from app.estimation.information import Information, compute_posterior
+from app.estimation.noise import NoiseModel
+from app.estimation.normal_equations import compute_information
 from app.estimation.observability import (
     PoorlyObservableShape,
     find_poorly_observable,
@@ -38,10 +41,10 @@ from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Commanded
+from app.planning.forecast import Assumptions
 from app.planning.predicted_cells import (
     assume_stations_mm,
     predict_cells,
-    predict_information,
 )
 from app.planning.remedies import Remedy, append_line, find_best_line
 
@@ -135,7 +138,7 @@ class _Criterion:
 
     model: MachineModel
     gram: Float64[np.ndarray, "p p"]
-    perpendicular_only: bool
+    noise: NoiseModel
 
     def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
         cells = [one.predict() for one in set_ups]
@@ -151,9 +154,8 @@ class _Criterion:
 
     def _marginalise_pose(self, cells: Observations) -> Float64[np.ndarray, "p p"]:
         """Return what one Run tells of the machine whatever the tracker's pose."""
-        matrix = predict_information(
-            cells, self.model, perpendicular_only=self.perpendicular_only
-        ).matrix
+        base = linearise(cells, self.model, cells.pose, self.noise)
+        matrix = compute_information(cells, base).matrix
         p, pose = self.model.size, TrackerPose((0.0, 0.0, 0.0)).parameters
         own = matrix[p:, p:] + diagonal_precision(pose, _ROUGH_POSE)
         cross = matrix[:p, p:]
@@ -200,7 +202,8 @@ def _grade_stations(
     model, confounded = build_identifiable_model(
         machine, offsets_mm, intervals=_INTERVALS
     )
-    criterion = _Criterion(model, compute_volumetric_gram(model), perpendicular_only)
+    noise = Assumptions(perpendicular_only=perpendicular_only).used_noise
+    criterion = _Criterion(model, compute_volumetric_gram(model), noise)
     every = [criterion.evaluate(set_ups) for set_ups in candidates]
     worst = max(every, key=lambda one: one.number)
     weakest, improved = _find_weakest(worst, criterion), None

@@ -74,6 +74,10 @@ class PlanOrder:
         model = self.model
         return KnownEffects() if model is None else model.select_effects(machine)
 
+    def assume(self, machine: Machine) -> Assumptions:
+        """Return what is believed of a machine before the plan."""
+        return Assumptions(self.known(machine), self.perpendicular_only)
+
     def moving(self, machine: Machine) -> Machine:
         """Return the machine without its rotary axes on the fly: there they stand."""
         return remove_rotary_axes(machine) if self.is_on_the_fly else machine
@@ -150,8 +154,7 @@ def make_plan(
     order.refuse_nonsense()
     on_progress(0.0, "planning")
     station_mm = choose_station(machine, order.workspace)
-    assumed = Assumptions(order.known(machine), order.perpendicular_only)
-    attempt = _PlanAttempt(machine, order, assumed, station_mm)
+    attempt = _PlanAttempt(machine, order, order.assume(machine), station_mm)
     if order.corner_path:
         return attempt.plan_corners()
     minutes = order.minutes

@@ -16,13 +16,9 @@ from jaxtyping import Float64
 from app.alignment.cell_blocks import approach_signs, offsets_mm, on_workpiece
 from app.alignment.observations import Observations, add_surroundings
 from app.errors import PlanningError
-from app.estimation.design_matrix import linearise
-from app.estimation.information import Information
 from app.estimation.noise import NoiseModel
-from app.estimation.normal_equations import compute_information
 from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.model import MachineModel
 from app.motion.configurations import Commanded, Configurations
 from app.motion.motion_times import ACCELERATION_MM_S2, Drive, Stops, row_times_s
 from app.numerics.rigid import RigidTransform
@@ -87,15 +83,6 @@ def predict_cells(
         int(count.sum()),
     )
     return add_surroundings(seen, commanded)
-
-
-def predict_information(
-    seen: Observations, model: MachineModel, *, perpendicular_only: bool = False
-) -> Information:
-    """Return what the cells would tell of model and tracker pose, timing left out."""
-    along = np.inf if perpendicular_only else EXPECTED_NOISE.along_sigma_mm
-    noise = replace(EXPECTED_NOISE, along_sigma_mm=along)
-    return compute_information(seen, linearise(seen, model, seen.pose, noise))
 
 
 def _lines(path: Path) -> Iterator[_Stretch]:

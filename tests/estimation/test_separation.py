@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from app.estimation import separation
+from app.estimation.design_matrix import linearise
 from app.estimation.information import compute_posterior
+from app.estimation.normal_equations import compute_information
 from app.estimation.observability import usual_precision_matrix
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import (
@@ -19,7 +21,7 @@ from app.kinematics.machine import (
 )
 from app.planning.default_path import default_path
 from app.planning.grade import grade
-from app.planning.predicted_cells import predict_cells, predict_information
+from app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 SAID = re.compile(r"at least (\d+) mm .* separates them \(to ([\d.]+) µrad, k = 2")
@@ -41,7 +43,8 @@ def statements(machine, **options):
 def table_sigma(machine, path, symbol):
     seen = predict_cells(machine, path, STATION_MM)
     model, _ = build_identifiable_model(machine, seen.at.offset_mm, intervals=10)
-    data = predict_information(seen, model)
+    base = linearise(seen, model, seen.pose, EXPECTED_NOISE)
+    data = compute_information(seen, base)
     prior = np.diag(np.full(model.size + 6, 1e-2))
     prior[: model.size, : model.size] = usual_precision_matrix(model)
     part = model.slices[symbol]
