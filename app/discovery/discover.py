@@ -10,7 +10,7 @@ import numpy as np
 from app.alignment.align import align
 from app.alignment.observations import Observations, add_surroundings
 from app.discovery.findings import Finding, Gap, measure_gap, state_findings
-from app.discovery.residual_location import RunResidual, locate_residuals
+from app.discovery.residual_location import RunResidual, locate_residual
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import TermSearch
 from app.estimation.baseline import (
@@ -152,10 +152,16 @@ def _state(
 ) -> Discovery:
     without = fitter.fit([]) if best.terms else best
     findings = state_findings(fitter, without, best)
-    residuals = locate_residuals(
-        [run.observations for run in fitter.run_data],
-        fitter.residuals(without),
-        fitter.residuals(best),
+    each = zip(
+        fitter.run_data, fitter.residuals(without), fitter.residuals(best), strict=True
+    )
+    residuals = tuple(
+        RunResidual(
+            run.observations,
+            locate_residual(run.observations, before.residual_mm),
+            locate_residual(run.observations, after.residual_mm),
+        )
+        for run, before, after in each
     )
     gap = measure_gap(fitter.run_data, without, best)
     aligned = tuple(

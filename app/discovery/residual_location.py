@@ -6,7 +6,6 @@ groups hold: an effect that follows the line's number shows there and not elsewh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations, find_lines
-from app.estimation.line_blocks import Residual
+from app.kinematics.machine import position_unit
 
 _BINS, _SIDE = 8, 4
 
@@ -37,43 +36,60 @@ class Segment:
 
 @dataclass(frozen=True)
 class ResidualLocation:
-    """Segments, the worst first, and the share that each grouping explains."""
+    """Segments, the worst first, and the share that each grouping explains.
 
+    residual_mm : (n, 3) of the cells, in the frame that the tracker stands on
+    """
+
+    residual_mm: Float64[np.ndarray, "n 3"]
     segments: tuple[Segment, ...]
     shares: dict[str, float]
 
 
 @dataclass(frozen=True)
 class RunResidual:
-    """The residual of one Run, before the effects are in the model and with them.
-
-    before_mm, after_mm : (n, 3) of its cells, in the frame that the tracker stands on
-    before, after : where they are
-    """
+    """The residual of one Run, before the effects are in the model and with them."""
 
     observations: Observations
-    before_mm: Float64[np.ndarray, "n 3"]
-    after_mm: Float64[np.ndarray, "n 3"]
     before: ResidualLocation
     after: ResidualLocation
 
 
-def locate_residuals(
-    observations: Sequence[Observations],
-    before: Sequence[Residual],
-    after: Sequence[Residual],
-) -> tuple[RunResidual, ...]:
-    """Return the residuals of each Run, and where they are."""
-    return tuple(
-        RunResidual(
-            seen,
-            old.residual_mm,
-            new.residual_mm,
-            locate_residual(seen, old.residual_mm),
-            locate_residual(seen, new.residual_mm),
-        )
-        for seen, old, new in zip(observations, before, after, strict=True)
-    )
+@dataclass(frozen=True)
+class Covariate:
+    """A number of each cell that the disagreement may depend on.
+
+    label : with its unit; is_class : cells are grouped by the number as it is
+    """
+
+    name: str
+    label: str
+    values: Float64[np.ndarray, " n"]
+    is_class: bool = False
+
+
+def list_covariates(seen: Observations) -> list[Covariate]:
+    """Return what a disagreement is located by, under the names of its shares."""
+    at, recorded = seen.at, seen.at.recorded
+    length_mm = np.linalg.norm(seen.tracker_mm, axis=1)
+    speed = np.linalg.norm(at.velocity_mm_s, axis=1)
+    found = [
+        Covariate("line", "row of the path", seen.row.astype(float), is_class=True),
+        Covariate("time", "time, s", at.time_s - float(at.time_s.min())),
+        Covariate("beam", "length of the beam, mm", length_mm),
+    ]
+    if np.ptp(speed) > 0.01 * max(float(speed.max()), 1e-9):
+        found.append(Covariate("feed", "feed, mm/min", 60.0 * speed))
+    for column, axis in enumerate(at.machine.axes):
+        label, place = f"{axis.name}, {position_unit(axis)}", at.position_mm[:, column]
+        found.append(Covariate(f"position of {axis.name}", label, place))
+        name = f"direction of {axis.name}"
+        found.append(Covariate(name, name, at.approach[:, column], is_class=True))
+    if recorded is not None and recorded.temperature_degc is not None:
+        celsius = recorded.temperature_degc.T
+        for name, column in zip(recorded.sensors, celsius, strict=True):
+            found.append(Covariate(f"temperature of {name}", f"{name}, °C", column))
+    return found
 
 
 def locate_residual(
@@ -88,7 +104,7 @@ def locate_residual(
         for name, group in _list_groups(seen).items()
     }
     ordered = dict(sorted(shares.items(), key=lambda item: -item[1]))
-    return ResidualLocation(tuple(segments), ordered)
+    return ResidualLocation(residual_mm, tuple(segments), ordered)
 
 
 def _describe_segment(
@@ -126,23 +142,15 @@ def _describe_region(seen: Observations, part: slice) -> str:
 
 def _list_groups(seen: Observations) -> dict[str, Int64[np.ndarray, " n"]]:
     at = seen.at
-    distance = np.linalg.norm(seen.tracker_mm, axis=1)
-    groups = {"line": seen.row, "time": _bin(at.time_s), "beam": _bin(distance)}
-    speed = np.linalg.norm(at.velocity_mm_s, axis=1)
-    if np.ptp(speed) > 0.01 * max(float(speed.max()), 1e-9):
-        groups["feed"] = _bin(speed)
-    for column, name in enumerate(at.machine.axis_names):
-        groups[f"position of {name}"] = _bin(at.position_mm[:, column])
-        groups[f"direction of {name}"] = at.approach[:, column].astype(np.int64)
+    groups = {
+        one.name: one.values.astype(np.int64) if one.is_class else _bin(one.values)
+        for one in list_covariates(seen)
+    }
     for one, two in combinations(at.machine.linear_axes, 2):
         row, column = (_bin(at.axis_mm(a.name), _SIDE) for a in (one, two))
         groups[f"region of {one.name} and {two.name}"] = _SIDE * row + column
     if at.recorded is not None:
         groups["moving axis"] = _main_axis(at.recorded.rate)
-    if at.recorded is not None and at.recorded.temperature_degc is not None:
-        celsius = at.recorded.temperature_degc.T
-        for name, column in zip(at.recorded.sensors, celsius, strict=True):
-            groups[f"temperature of {name}"] = _bin(column)
     return groups
 
 

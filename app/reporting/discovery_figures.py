@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
-from app.alignment.observations import Observations
 from app.discovery.findings import Gap
-from app.discovery.residual_location import RunResidual, Segment
-from app.kinematics.machine import position_unit
+from app.discovery.residual_location import (
+    Covariate,
+    RunResidual,
+    Segment,
+    list_covariates,
+)
 from app.reporting.chart import EDGE, LEFT, TOP, Frame, Scale, make_panel
 from app.reporting.svg import (
     NUMBER,
@@ -30,39 +32,6 @@ _HEIGHT, _ROW = 104.0, 150.0
 _BARS, _NAMES = 16.0, 130.0
 _POINTS, _BINS, _PROFILES = 240, 24, 6
 _COLOURS = (Colour.ACCENT, Colour.SECOND, Colour.THIRD)
-
-
-@dataclass(frozen=True)
-class Covariate:
-    """What the disagreement may depend on: a number of each cell."""
-
-    name: str
-    label: str
-    values: Float64[np.ndarray, " n"]
-
-
-def list_covariates(observations: Observations) -> dict[str, Covariate]:
-    """Return what the disagreement is located by, under the names of its shares."""
-    at, around = observations.at, observations.at.recorded
-    begin = float(at.time_s.min())
-    listed = [
-        Covariate("line", "row of the path", observations.row.astype(np.float64)),
-        Covariate("time", "time, s", at.time_s - begin),
-        Covariate(
-            "beam", "length of the beam, mm", _measure_lengths(observations.tracker_mm)
-        ),
-        Covariate("feed", "feed, mm/min", 60.0 * _measure_lengths(at.velocity_mm_s)),
-    ]
-    for column, axis in enumerate(at.machine.axes):
-        unit = f"{axis.name}, {position_unit(axis)}"
-        position, approach = at.position_mm[:, column], at.approach[:, column]
-        listed.append(Covariate(f"position of {axis.name}", unit, position))
-        name = f"direction of {axis.name}"
-        listed.append(Covariate(name, f"direction of {axis.name}", approach))
-    if around is not None and around.temperature_degc is not None:
-        for name, column in zip(around.sensors, around.temperature_degc.T, strict=True):
-            listed.append(Covariate(f"temperature of {name}", f"{name}, °C", column))
-    return {c.name: c for c in listed}
 
 
 def draw_gap(gap: Gap) -> Markup:
@@ -105,7 +74,7 @@ def draw_along_run(residual: RunResidual) -> Markup:
     edges = np.linspace(0.0, float(time_s.max()) + 1e-9, _POINTS + 1)
     drawn = [
         _bin_means(time_s, 1e3 * residual_mm, observations.count, edges)
-        for residual_mm in (residual.before_mm, residual.after_mm)
+        for residual_mm in (residual.before.residual_mm, residual.after.residual_mm)
     ]
     reach = 1.05 * max(float(np.abs(mean).max()) for _, mean in drawn)
     parts: list[Markup] = []
@@ -170,7 +139,7 @@ def draw_shares(before: dict[str, float], after: dict[str, float]) -> Markup:
 
 def draw_profiles(residual: RunResidual) -> Markup:
     """Draw the mean disagreement against what explains most of it, before."""
-    by_name = list_covariates(residual.observations)
+    by_name = {c.name: c for c in list_covariates(residual.observations)}
     chosen = [by_name[name] for name in residual.before.shares if name in by_name][
         :_PROFILES
     ]
@@ -191,7 +160,7 @@ def _draw_profile(frame: Frame, residual: RunResidual, covariate: Covariate) -> 
         edges = np.concatenate([[own[0] - 1.0], middle, [own[-1] + 1.0]])
     edges[-1] += 1e-9 * max(abs(float(edges[-1])), 1.0)
     at, mean = _bin_means(
-        covariate.values, 1e3 * residual.before_mm, observations.count, edges
+        covariate.values, 1e3 * residual.before.residual_mm, observations.count, edges
     )
     reach = 1.05 * max(float(np.abs(mean).max()), 0.1)
     low, high = float(covariate.values.min()), float(covariate.values.max())
@@ -244,10 +213,6 @@ def _bin_means(
     sums = [np.bincount(index, weight * v, len(total)) for v in (at, *values.T)]
     place, *means = (s[filled] / total[filled] for s in sums)
     return place, np.stack(means, axis=1)
-
-
-def _measure_lengths(vector: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    return np.linalg.norm(vector, axis=1)
 
 
 def _place(scale: Scale, value: float) -> float:

@@ -70,7 +70,8 @@ class _FamilyOfAxes(SinusoidFamily):
     def is_resolved(self, axis: LinearAxis, at: Conditions) -> bool:
         """Tell whether positions tell waves apart: travel enough, and places in it."""
         places = np.unique(np.round(at.axis_mm(axis.name)))
-        return len(places) >= _FEWEST_PLACES and np.ptp(places) > 2.0 * self.longest_mm
+        travel = float(np.ptp(places))
+        return len(places) >= _FEWEST_PLACES and travel > 2.0 * self.longest_mm
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
