@@ -12,20 +12,18 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.discovery.discover import Discovery, Finding
+from app.files.model_file import EstimatedModel
 from app.kinematics.effects.base import Effect
 from app.kinematics.model import MachineModel, restore_effect
 
 
 @dataclass(frozen=True)
-class ExtendedModel:
+class ExtendedModel(EstimatedModel):
     """A model of the machine with its parameters and their covariance.
 
     added : the findings that are part of it, with their effects
     """
 
-    model: MachineModel
-    theta: Float64[np.ndarray, " p"]
-    covariance: Float64[np.ndarray, "p p"]
     added: tuple[tuple[Finding, Effect], ...]
 
     def holds(self, finding: Finding) -> bool:

@@ -22,6 +22,7 @@ from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.prior import BendingPrior, fit_prior, guess_prior
 from app.estimation.runs import RunInput
+from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import LONGEST_NOISE_S, add_effects
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.nuisance import TrackerPose
@@ -75,12 +76,8 @@ class KnownMachine:
 
 
 @dataclass(frozen=True)
-class ReferenceModel:
+class ReferenceModel(EstimatedModel):
     """A model from a file: effects, their parameters and covariance."""
-
-    model: MachineModel
-    theta: Float64[np.ndarray, " p"]
-    covariance: Float64[np.ndarray, "p p"]
 
     def prior(self) -> KnownMachine:
         """Return the precision; a parameter without variance is known to rounding."""

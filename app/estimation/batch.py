@@ -19,11 +19,11 @@ from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.observability import Observability, assess_observability
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInformation, RunInput
+from app.files.model_file import EstimatedModel
 from app.files.one_machine import one_machine
 from app.kinematics.coarse_model import build_coarse_model
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import TrackerNoise
-from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
 
@@ -71,7 +71,7 @@ class RunEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(EstimatedModel):
     """The machine's error motions, and everything that was solved together with them.
 
     model : effects of the machine proper, in the order of theta
@@ -88,9 +88,6 @@ class Estimate:
     fit : what it was solved from, if that was to be kept
     """
 
-    model: MachineModel
-    theta: Float64[np.ndarray, " p"]
-    covariance: Float64[np.ndarray, "p p"]
     prior_precision: dict[str, float]
     observability: Observability
     direction: str

@@ -39,12 +39,12 @@ from app.estimation.prior import (
 )
 from app.estimation.runs import RunInput
 from app.estimation.volumetric_map import compute_volumetric_gram
+from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
-from app.kinematics.model import MachineModel
 from app.motion.configurations import Configurations
 from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path, TrackerSamples
@@ -58,7 +58,7 @@ _WEAK_SPEED = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class LiveEstimate:
+class LiveEstimate(EstimatedModel):
     """What is known so far.
 
     volumetric_sigma_mm : root mean square over the axis travel of the standard
@@ -67,9 +67,6 @@ class LiveEstimate:
     done : finished lines or points; cells : of them; time_s : tracker's clock
     """
 
-    model: MachineModel
-    theta: Float64[np.ndarray, " p"]
-    covariance: Float64[np.ndarray, "p p"]
     volumetric_sigma_mm: float
     done: int
     cells: int

@@ -217,22 +217,19 @@ def model_from_json(content: object, machine: Machine, *, file: str) -> Estimate
     return stated.estimated_model(machine)
 
 
-def model_to_json(
-    model: MachineModel,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-) -> dict[str, Any]:
+def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
     """Return the model as JSON, lengths in mm, errors in µm and µrad.
 
     What belongs to the measurement (how the targets sit in the spindle) is integrated
     out: to the map of one target it adds a shift, which is no machine error.
     """
+    model = estimated.model
     own = tuple(e for e in model.effects if e.role is Role.MACHINE)
     kept = np.concatenate([np.arange(model.size)[model.slices[e.name]] for e in own])
     model = MachineModel(model.machine, own)
-    theta, covariance = theta[kept], covariance[np.ix_(kept, kept)]
+    covariance = estimated.covariance[np.ix_(kept, kept)]
     G = build_number_rows(model)
-    values = G @ theta
+    values = G @ estimated.theta[kept]
     catalogued = {e.name: e for e in model.catalogue_effects}
     ends = np.cumsum([len(_build_rows(effect)) for effect in model.effects])
     stated = zip(model.effects, np.split(values, ends[:-1]), strict=True)

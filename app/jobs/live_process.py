@@ -185,7 +185,7 @@ def estimate_json(now: Any) -> dict[str, Any]:
     """Return a LiveEstimate in the words of `result.json`."""
     from app.results.error_tables import build_error_tables
 
-    tables = build_error_tables(now.model, now.theta, now.covariance)
+    tables = build_error_tables(now)
     places = {
         place.symbol: _number(place, f"_{place.unit}") for place in tables.locations
     }

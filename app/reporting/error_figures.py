@@ -66,15 +66,12 @@ def draw_legend(
 
 def _make_fine_table(findings: Findings, symbol: str) -> ErrorTable | None:
     """Return an error motion as densely as it is drawn."""
-    estimate = findings.estimate
-    part = estimate.model.slices.get(symbol)
-    motions = {m.symbol: m for m in estimate.model.error_motions}
-    motion = motions.get(symbol)
-    if part is None or motion is None:
+    motions = {m.symbol: m for m in findings.estimate.model.error_motions}
+    if symbol not in motions:
         return None
-    at_mm = np.linspace(motion.axis.low, motion.axis.high, _DRAWN)
-    theta, covariance = estimate.theta[part], estimate.covariance[part, part]
-    return build_error_table(motion, theta, covariance, at_mm)
+    axis = motions[symbol].axis
+    at_mm = np.linspace(axis.low, axis.high, _DRAWN)
+    return build_error_table(findings.estimate, motions[symbol], at_mm)
 
 
 def _draw_motion(frame: Frame, table: ErrorTable, name: str) -> Markup:

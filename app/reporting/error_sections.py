@@ -75,9 +75,7 @@ def describe_squareness(findings: Findings) -> View:
 def describe_direction(findings: Findings) -> View:
     """Return half the difference between + and − direction where it is significant."""
     estimate = findings.estimate
-    halves = compute_half_differences(
-        estimate.model, estimate.theta, estimate.covariance
-    )
+    halves = compute_half_differences(estimate)
     rows: list[tuple[str, str, str]] = []
     for half in halves:
         if np.any(np.abs(half.value) > 2.0 * half.uncertainty):
@@ -130,8 +128,7 @@ def describe_effects(findings: Findings) -> View:
     if used is None:
         raise ValueError("the analysis has no model")
     estimate = findings.estimate
-    parts = estimate.model, estimate.theta, estimate.covariance
-    effects = list_updated_effects(estimate.known, *parts, estimate.chances)
+    effects = list_updated_effects(estimate.known, estimate, estimate.chances)
     return {
         "version": used.version,
         "source": used.source,

@@ -39,7 +39,7 @@ from app.results.direct_error import (
     find_merged_shares,
     index_motions,
 )
-from app.results.error_tables import evaluate, restore_error_tables
+from app.results.error_tables import build_error_tables, evaluate
 
 K = 2.0
 GRID = 9  # positions an axis
@@ -188,10 +188,8 @@ def _compare_error(
         theirs = theirs.plus(direct[other], share)
     gauge = build_convention(symbol, axis, theirs.position_mm)
     removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
-    motion, (theta, covariance) = motions[symbol], result.part(symbol)
-    value, sigma = evaluate(
-        symbol, gauge @ motion.rows(theirs.position_mm), theta, covariance
-    )
+    rows = gauge @ motions[symbol].rows(theirs.position_mm)
+    value, sigma = evaluate(symbol, rows, *result.part(symbol))
     return ComparedError(
         symbol=symbol,
         unit=find_unit(symbol),
@@ -214,7 +212,7 @@ def _compare_numbers(
     result: CalibrationResult, direct: dict[str, DirectError]
 ) -> Iterator[ComparedNumber]:
     """Compare what belongs to no position."""
-    tables = restore_error_tables(result)
+    tables = build_error_tables(result)
     ours = {e.symbol: e for e in (*tables.squareness, *tables.locations)}
     for symbol, theirs in direct.items():
         if symbol not in ours or not (symbol in SQUARENESS or is_location(symbol)):

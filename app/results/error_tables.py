@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.estimation.extrapolation import Ranges
-from app.files.result_file import CalibrationResult
+from app.files.model_file import EstimatedModel
 from app.files.units import scale_of
 from app.kinematics.effects.base import ErrorCurve
 from app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
-from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, find_unit
 
 STEP_MM = 25.0
@@ -80,27 +79,23 @@ class ErrorTables:
 
 
 def build_error_tables(
-    model: MachineModel,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-    measured: Ranges | None = None,
+    estimated: EstimatedModel, measured: Ranges | None = None
 ) -> ErrorTables:
-    """Return the tables of an estimate's parameters.
+    """Return the tables of an estimate, or of a result or model file.
 
     measured : by axis, the range that was measured, if it is known
     """
-    ranges = measured or {}
+    ranges, model = measured or {}, estimated.model
     tables: list[ErrorTable] = []
     squareness: list[SingleError] = []
     locations: list[SingleError] = []
     for effect in model.effects:
-        part = model.slices[effect.name]
-        own = theta[part], covariance[part, part]
         if motion := effect.motion:
-            table = build_error_table(motion, *own, choose_table_positions(motion.axis))
+            at_mm = choose_table_positions(motion.axis)
+            table = build_error_table(estimated, motion, at_mm)
             tables.append(replace(table, measured=ranges.get(motion.axis.name)))
         elif symbol := effect.iso_symbol:
-            value, sigma = evaluate(symbol, np.eye(1), *own)
+            value, sigma = evaluate(symbol, np.eye(1), *estimated.part(effect.name))
             single = SingleError(
                 symbol, find_unit(symbol), float(value[0]), float(sigma[0])
             )
@@ -114,13 +109,6 @@ def build_error_tables(
     )
 
 
-def restore_error_tables(result: CalibrationResult) -> ErrorTables:
-    """Return the error tables of a result or model file."""
-    return build_error_tables(
-        result.model, result.theta, result.covariance, result.measured
-    )
-
-
 def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
     """Return equidistant positions about 25 mm or 10 deg apart, both ends included."""
     step = STEP_DEG if isinstance(axis, RotaryAxis) else STEP_MM
@@ -129,13 +117,13 @@ def choose_table_positions(axis: Axis) -> Float64[np.ndarray, " n"]:
 
 
 def build_error_table(
+    estimated: EstimatedModel,
     motion: ErrorCurve,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
-    """Return one error motion at given positions, from its own parameters."""
-    stated = evaluate(motion.symbol, motion.rows(position_mm), theta, covariance)
+    """Return one error motion at given positions."""
+    part = estimated.part(motion.symbol)
+    stated = evaluate(motion.symbol, motion.rows(position_mm), *part)
     return ErrorTable(
         motion.symbol,
         find_unit(motion.symbol),
@@ -145,16 +133,13 @@ def build_error_table(
     )
 
 
-def compute_half_differences(
-    model: MachineModel,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-) -> tuple[ErrorTable, ...]:
+def compute_half_differences(estimated: EstimatedModel) -> tuple[ErrorTable, ...]:
     """Return half the difference of both directions of each error motion that has one.
 
     Going up an axis errs by its table plus the half difference, coming down by the
     table less it.
     """
+    model = estimated.model
     parts = [
         (effect.name, half)
         for effect in model.effects
@@ -167,7 +152,7 @@ def compute_half_differences(
         for name, half in parts:
             if half.symbol == symbol:
                 rows[:, model.slices[name]] = half.rows(at_mm)
-        stated = evaluate(symbol, rows, theta, covariance)
+        stated = evaluate(symbol, rows, estimated.theta, estimated.covariance)
         tables.append(ErrorTable(symbol, find_unit(symbol), at_mm, *stated))
     return tuple(tables)
 

@@ -104,12 +104,11 @@ def state_findings(
     grade: Grade | None = None,
 ) -> Findings:
     """Return what is stated of an estimate."""
-    parts = estimate.model, estimate.theta, estimate.covariance
     return Findings(
         estimate,
         provenance,
-        build_error_tables(*parts, estimate.measured),
-        compute_volumetric_error(*parts),
+        build_error_tables(estimate, estimate.measured),
+        compute_volumetric_error(estimate),
         tuple(
             RunFindings(
                 number,

@@ -101,8 +101,8 @@ def _list_motion_changes(
     before: EstimatedModel, after: EstimatedModel, old: ErrorCurve, new: ErrorCurve
 ) -> Iterator[Change]:
     at_mm = choose_table_positions(new.axis)
-    was = build_error_table(old, *before.part(old.symbol), at_mm)
-    now = build_error_table(new, *after.part(new.symbol), at_mm)
+    was = build_error_table(before, old, at_mm)
+    now = build_error_table(after, new, at_mm)
     moved = now.value - was.value
     excess = np.abs(moved) / np.maximum(now.uncertainty, 1e-9)
     worst = int(np.argmax(excess))

@@ -71,7 +71,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     parent : what the Run was held against; None for the rigid-body model fitted to it
     """
     grown = extend_model(found)
-    parts, machine = (grown.model, grown.theta, grown.covariance), grown.model.machine
+    machine = grown.model.machine
     before, origin = _describe_parent(found, parent)
     measured = find_measured_ranges(*(one.observations for one in found.aligned))
     runs = [
@@ -84,15 +84,13 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
             "schema": MODEL_SCHEMA,
             "version": origin["version"] + 1,
             "parent": origin,
-            "difference": [
-                asdict(c) for c in list_differences(before, EstimatedModel(*parts))
-            ],
+            "difference": [asdict(c) for c in list_differences(before, grown)],
             "machine": machine_to_json(machine),
             "mode": found.aligned[0].run.mode,
             "effects": [_effect_json(f, grown) for f in found.findings],
             **tables_json(
-                build_error_tables(*parts, measured),
-                compute_half_differences(*parts),
+                build_error_tables(grown, measured),
+                compute_half_differences(grown),
                 "none",
                 measured,
                 machine,
@@ -108,7 +106,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
                 "input_sha256": runs[0]["input_sha256"],
                 "runs": [*(parent.runs if parent else ()), *runs],
             },
-            "model": model_to_json(*parts),
+            "model": model_to_json(grown),
         },
     )
 
@@ -117,8 +115,7 @@ def _describe_parent(
     found: Discovery, parent: PriorModel | None
 ) -> tuple[EstimatedModel, dict[str, Any]]:
     if parent is None:
-        base = baseline_model(found)
-        before = EstimatedModel(base.model, base.theta, base.covariance)
+        before = baseline_model(found)
         version, source = 1, f"rigid-body model fitted to {found.run_names}"
         sha256 = None
     else:

@@ -39,9 +39,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "predicted": {
             **_state_both(planned.uncertainty_um),
             "errors": _errors(planned),
-            "effects": predicted_effects_json(
-                found.known, found.model, found.covariance
-            ),
+            "effects": predicted_effects_json(found),
             "servo_mismatch": {
                 axis: {"uncertainty_ms": 1e3 * sigma}
                 for axis, sigma in planned.lag_sigma_s.items()

@@ -33,8 +33,7 @@ from app.results.updated_effects import (
 def result_json(found: Findings) -> dict[str, Any]:
     """Return the content of the result file."""
     estimate, machine = found.estimate, found.estimate.model.machine
-    parts = estimate.model, estimate.theta, estimate.covariance
-    halves = compute_half_differences(*parts)
+    halves = compute_half_differences(estimate)
     return {
         "schema": RESULT_SCHEMA,
         "machine": machine_to_json(machine),
@@ -43,7 +42,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),
         "effects": updated_effects_json(
-            list_updated_effects(estimate.known, *parts, estimate.chances),
+            list_updated_effects(estimate.known, estimate, estimate.chances),
             found.provenance.model,
         ),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
@@ -64,7 +63,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "observability": observability_json(estimate.observability),
         "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
-        "model": model_to_json(*parts),
+        "model": model_to_json(estimate),
     }
 
 

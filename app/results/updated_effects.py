@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from app.estimation.known_effects import KnownEffects
+from app.files.model_file import EstimatedModel
 from app.kinematics.effects.catalogue import Quantity
-from app.kinematics.model import CatalogueEffect, MachineModel
+from app.kinematics.model import CatalogueEffect
+from app.planning.forecast import Forecast
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
 
@@ -63,11 +64,7 @@ class UpdatedEffect:
 
 
 def list_updated_effects(
-    known: KnownEffects,
-    model: MachineModel,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-    chances: Sequence[float | None],
+    known: KnownEffects, estimated: EstimatedModel, chances: Sequence[float | None]
 ) -> tuple[UpdatedEffect, ...]:
     """Return the known effects, with the parameters that the model has now.
 
@@ -77,9 +74,9 @@ def list_updated_effects(
     begin = 0
     for effect, chance in zip(known.effects, chances, strict=True):
         own = slice(begin, begin + len(effect.parameters))
-        now, begin = model.slices[effect.name], own.stop
+        begin = own.stop
         before = effect.state(known.theta[own], known.covariance[own, own])
-        after = effect.state(theta[now], covariance[now, now])
+        after = effect.state(*estimated.part(effect.name))
         found.append(UpdatedEffect(effect, before, after, chance))
     return tuple(found)
 
@@ -110,21 +107,15 @@ def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
     return stated
 
 
-def predicted_effects_json(
-    known: KnownEffects,
-    model: MachineModel,
-    covariance: Float64[np.ndarray, "p p"],
-) -> list[dict[str, Any]]:
-    """Return effects as a plan states them: as known, and as it is foretold to leave.
-
-    covariance : of the model's parameters, once the plan is measured
-    """
+def predicted_effects_json(found: Forecast) -> list[dict[str, Any]]:
+    """Return effects as a plan states them: as known, and as it will leave them."""
+    known, model = found.known, found.model
     theta = np.zeros(model.size)
     parameters = np.arange(model.size)
     places = [parameters[model.slices[effect.name]] for effect in known.effects]
     theta[np.concatenate([*places, np.empty(0, int)])] = known.theta
-    nobody = [None] * len(places)
-    effects = list_updated_effects(known, model, theta, covariance, nobody)
+    after = EstimatedModel(model, theta, found.covariance)
+    effects = list_updated_effects(known, after, [None] * len(places))
     return [_effect_json(one, parameters_json(one.before)) for one in effects]
 
 

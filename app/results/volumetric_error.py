@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.estimation.volumetric_map import build_volumetric_map
+from app.files.model_file import EstimatedModel
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis, Machine
-from app.kinematics.model import MachineModel
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both
@@ -59,18 +59,15 @@ class VolumetricError:
     after: Spread
 
 
-def compute_volumetric_error(
-    model: MachineModel,
-    theta: Float64[np.ndarray, " p"],
-    covariance: Float64[np.ndarray, "p p"],
-) -> VolumetricError:
+def compute_volumetric_error(estimated: EstimatedModel) -> VolumetricError:
     """Return the volumetric error of the first target over the axis travel."""
+    model, covariance = estimated.model, estimated.covariance
     linear = _FEW if model.machine.rotary_axes else _GRID
     position_mm = make_grid(model.machine, linear, _FEWEST)
     J = UM_PER_MM * build_volumetric_map(model).jacobian(
         make_standstill(model.machine, position_mm)
     )
-    error = J @ theta
+    error = J @ estimated.theta
     drawn = J.reshape(-1, model.size) @ _draw_parameters(covariance)
     left = drawn.reshape(*error.shape, -1)
     after = _measure_lengths(left)

@@ -8,6 +8,7 @@ import pytest
 from app.compensation.error_map import map_errors
 from app.compensation.export import export_result
 from app.files.machine_file import machine_from_json
+from app.files.model_file import EstimatedModel
 from app.files.result_file import CalibrationResult
 from app.kinematics.effects.backlash import BacklashFamily
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
@@ -39,7 +40,7 @@ def source():
     covariance = 1e-12 * np.eye(len(theta))
     half = {
         one.symbol[2]: (one.position_mm, one.value)
-        for one in compute_half_differences(model, theta, covariance)
+        for one in compute_half_differences(EstimatedModel(model, theta, covariance))
     }
     result = CalibrationResult(model, theta, covariance, half_difference_um=half)
     return map_errors(result)

@@ -34,7 +34,7 @@ def with_backlash(seen, shape=lambda y: np.ones_like(y)):
 
 
 def halves(result):
-    found = compute_half_differences(result.model, result.theta, result.covariance)
+    found = compute_half_differences(result)
     return {half.symbol: half for half in found}
 
 

@@ -1,5 +1,7 @@
 """Beyond what was measured: intervals that hold the truth, bounded slopes, growth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,9 +71,8 @@ def true_theta(model, truth):
 
 def held(found, true):
     """Tell of every extrapolated table value whether its 95 % interval holds truth."""
-    parts = (found.covariance, found.measured)
-    mine = build_error_tables(found.model, found.theta, *parts).tables
-    exact = build_error_tables(found.model, true, *parts).tables
+    mine = build_error_tables(found, found.measured).tables
+    exact = build_error_tables(replace(found, theta=true), found.measured).tables
     hits = []
     for table, truth in zip(mine, exact, strict=True):
         # Where the gauge of the tables fixes a value there is nothing to hold.

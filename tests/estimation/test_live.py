@@ -47,13 +47,11 @@ def test_the_last_live_tables_are_those_of_the_batch(record, mode):
     run, _ = record(31, mode, rows=32 if mode == "otf" else 60)
     _, last = followed(run)
     batch = estimate(align(run))
-    live = build_error_tables(last.model, last.theta, last.covariance)
+    live = build_error_tables(last)
     off = [
         (live.table(table.symbol).value - table.value)
         / np.maximum(table.uncertainty, 0.05)
-        for table in build_error_tables(
-            batch.model, batch.theta, batch.covariance
-        ).tables
+        for table in build_error_tables(batch).tables
     ]
     assert np.abs(np.concatenate(off)).max() < 1.0
     assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 0.3

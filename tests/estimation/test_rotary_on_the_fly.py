@@ -130,13 +130,11 @@ def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
     live.finish()
     last = live.estimate()
     assert early.volumetric_sigma_mm > 10 * last.volumetric_sigma_mm
-    tables = build_error_tables(last.model, last.theta, last.covariance)
+    tables = build_error_tables(last)
     off = [
         (tables.table(table.symbol).value - table.value)
         / np.maximum(table.uncertainty, 0.05)
-        for table in build_error_tables(
-            batch.model, batch.theta, batch.covariance
-        ).tables
+        for table in build_error_tables(batch).tables
     ]
     assert np.abs(np.concatenate(off)).max() < 1.5
     assert np.sqrt(np.mean(np.concatenate(off) ** 2)) < 0.4

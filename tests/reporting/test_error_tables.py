@@ -1,8 +1,11 @@
 """Tables in the gauge of the file formats, with the uncertainty of the covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from app.files.model_file import EstimatedModel
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.symbols import is_straightness, is_turn
 from app.results.error_tables import build_error_tables, choose_table_positions
@@ -10,7 +13,7 @@ from app.results.error_tables import build_error_tables, choose_table_positions
 
 @pytest.fixture
 def tables(estimate):
-    return build_error_tables(estimate.model, estimate.theta, estimate.covariance)
+    return build_error_tables(estimate)
 
 
 def test_straightness_is_zero_at_both_ends_of_the_travel(tables):
@@ -68,9 +71,7 @@ def test_uncertainty_is_the_spread_of_tables_drawn_from_the_covariance(
     drawn = rng.multivariate_normal(
         estimate.theta, estimate.covariance, 1500, method="eigh"
     )
-    of_draws = [
-        build_error_tables(estimate.model, t, estimate.covariance) for t in drawn
-    ]
+    of_draws = [build_error_tables(replace(estimate, theta=t)) for t in drawn]
     for k, table in enumerate(tables.tables):
         spread = np.std([d.tables[k].value for d in of_draws], axis=0)
         assert table.uncertainty == pytest.approx(spread, rel=0.09, abs=1e-9)
@@ -98,7 +99,7 @@ def test_what_merges_has_no_table_and_is_named_instead(estimate, tables):
 
 def test_three_targets_off_one_line_give_tables_for_any_tool(construct, three_targets):
     estimate = construct(three_targets)
-    tables = build_error_tables(estimate.model, estimate.theta, estimate.covariance)
+    tables = build_error_tables(estimate)
     assert len(tables.tables) == 18
     assert tables.any_tool
     assert tables.targets == three_targets
@@ -106,10 +107,8 @@ def test_three_targets_off_one_line_give_tables_for_any_tool(construct, three_ta
 
 def test_an_effect_that_is_no_error_motion_has_no_table(estimate, tables):
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
-    more = build_error_tables(
-        model,
-        np.append(estimate.theta, np.ones(6)),
-        np.pad(estimate.covariance, (0, 6)),
-    )
+    theta = np.append(estimate.theta, np.ones(6))
+    covariance = np.pad(estimate.covariance, (0, 6))
+    more = build_error_tables(EstimatedModel(model, theta, covariance))
     assert [t.symbol for t in more.tables] == [t.symbol for t in tables.tables]
     assert len(more.squareness) == 3

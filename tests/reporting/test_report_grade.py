@@ -13,7 +13,7 @@ from app.planning.default_path import default_path
 from app.planning.grade import grade
 from app.reporting.calibration_report import render_calibration_report
 from app.results.error_table_files import error_tables_csv
-from app.results.error_tables import restore_error_tables
+from app.results.error_tables import build_error_tables
 from app.results.findings import state_findings
 from app.results.grade_json import grade_json, in_words
 from app.results.prediction import predict
@@ -58,7 +58,7 @@ def test_the_result_marks_them_and_a_reader_finds_them_again(graded):
     assert content["measured_range"]["Z"] == {"from_mm": 20.0, "to_mm": 290.0}
     loaded = result_from_json(content)
     assert loaded.measured == MEASURED
-    again = restore_error_tables(loaded).table("EYX")
+    again = build_error_tables(loaded, loaded.measured).table("EYX")
     assert again.extrapolated.tolist() == beyond.tolist()
 
 
@@ -67,7 +67,9 @@ def test_a_result_without_a_measured_range_marks_nothing(graded):
     del content["measured_range"]
     loaded = result_from_json(content)
     assert loaded.measured == {}
-    assert not restore_error_tables(loaded).table("EYX").extrapolated.any()
+    assert (
+        not build_error_tables(loaded, loaded.measured).table("EYX").extrapolated.any()
+    )
 
 
 def test_weak_shapes_stand_beside_what_cannot_be_seen(graded):

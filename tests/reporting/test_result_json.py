@@ -10,11 +10,11 @@ import pytest
 from app.errors import BundleError
 from app.files.covariance_file import pack_symmetric
 from app.files.machine_file import machine_from_json
-from app.files.model_file import model_to_json
+from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import result_from_json
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.nuisance import TrackerPose
-from app.results.error_tables import restore_error_tables
+from app.results.error_tables import build_error_tables
 from app.results.findings import state_findings
 from app.results.prediction import predict
 from app.results.result_json import result_json
@@ -132,7 +132,7 @@ def test_parameters_come_back_whatever_basis_the_gauge_had(estimate, content):
 
 
 def test_tables_of_a_read_result_are_those_that_were_written(found, content):
-    read = restore_error_tables(result_from_json(content))
+    read = build_error_tables(result_from_json(content))
     for before, after in zip(found.tables.tables, read.tables, strict=True):
         assert after.symbol == before.symbol
         assert after.value == pytest.approx(before.value, abs=1e-9)
@@ -225,8 +225,10 @@ def test_what_belongs_to_the_measurement_is_integrated_out(estimate):
     model = estimate.model.with_effects(TrackerPose((0.0, 0.0, 0.0)))
     covariance = np.pad(estimate.covariance, (0, 6))
     covariance[:, -6:] = covariance[-6:, :] = 0.5
-    stated = model_to_json(model, np.append(estimate.theta, np.ones(6)), covariance)
-    assert stated == model_to_json(estimate.model, estimate.theta, estimate.covariance)
+    stated = model_to_json(
+        EstimatedModel(model, np.append(estimate.theta, np.ones(6)), covariance)
+    )
+    assert stated == model_to_json(estimate)
 
 
 def test_an_effect_without_a_form_in_the_file_is_not_dropped_silently(estimate):
@@ -237,4 +239,4 @@ def test_an_effect_without_a_form_in_the_file_is_not_dropped_silently(estimate):
 
     model = estimate.model.with_effects(Unknown((0.0, 0.0, 0.0)))
     with pytest.raises(TypeError, match="tracker-pose has no form"):
-        model_to_json(model, np.zeros(model.size), np.eye(model.size))
+        model_to_json(EstimatedModel(model, np.zeros(model.size), np.eye(model.size)))

@@ -1,5 +1,7 @@
 """What the errors do at the tool point, before and after compensation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from app.results.volumetric_error import compute_volumetric_error
 
 @pytest.fixture
 def seen(estimate):
-    return compute_volumetric_error(estimate.model, estimate.theta, estimate.covariance)
+    return compute_volumetric_error(estimate)
 
 
 def test_the_grid_spans_the_travel(estimate, seen):
@@ -44,16 +46,14 @@ def test_after_is_what_the_stated_uncertainty_leaves(seen):
 
 
 def test_a_certain_estimate_leaves_nothing(estimate):
-    certain = compute_volumetric_error(
-        estimate.model, estimate.theta, np.zeros_like(estimate.covariance)
-    )
+    covariance = np.zeros_like(estimate.covariance)
+    certain = compute_volumetric_error(replace(estimate, covariance=covariance))
     assert certain.after.largest.value_um == 0.0
     assert certain.before.mean.uncertainty_um == pytest.approx(0.0, abs=1e-9)
 
 
 def test_half_the_uncertainty_leaves_half(estimate, seen):
-    halved = compute_volumetric_error(
-        estimate.model, estimate.theta, estimate.covariance / 4
-    )
+    covariance = estimate.covariance / 4
+    halved = compute_volumetric_error(replace(estimate, covariance=covariance))
     assert halved.after.mean.value_um == pytest.approx(seen.after.mean.value_um / 2)
     assert halved.before.mean.value_um == pytest.approx(seen.before.mean.value_um)

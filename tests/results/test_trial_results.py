@@ -46,7 +46,7 @@ def named(held, name):
 
 
 def test_every_table_and_squareness_is_held_where_it_is_stated(estimated, held):
-    stated = build_error_tables(estimated.model, estimated.theta, estimated.covariance)
+    stated = build_error_tables(estimated)
     for table in stated.tables:
         quantity = named(held, table.symbol)
         np.testing.assert_array_equal(quantity.position[:, 0], table.position_mm)
