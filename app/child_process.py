@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 
-from app.service_log import LogSettings, receive_log, send_log
+from app.service_log import read_log_settings, receive_log, send_log
 from app.thread_limits import choose_thread_limits
 
 BACKGROUND_NICENESS = 10
@@ -28,11 +28,6 @@ BACKGROUND_NICENESS = 10
 _END_S = 5.0
 _SPAWN = get_context("spawn")
 _ENVIRONMENT = threading.Lock()
-
-
-def open_pipe() -> tuple[Connection, Connection]:
-    """Return the two ends of a pipe, one of them for a child."""
-    return _SPAWN.Pipe()
 
 
 class ChildProcess:
@@ -54,12 +49,12 @@ class ChildProcess:
         niceness: int = 0,
         ends_with_parent: bool = True,
     ) -> None:
-        self.link, self._child_link = open_pipe()
+        self.link, self._child_link = _SPAWN.Pipe()
         self._records, self._child_records = _SPAWN.Pipe(duplex=False)
         setup = (niceness, ends_with_parent, self._child_records)
         self._process: BaseProcess = _SPAWN.Process(
             target=_run_child,
-            args=(setup, LogSettings.current(), run, (*arguments, self._child_link)),
+            args=(setup, read_log_settings(), run, (*arguments, self._child_link)),
             name=name,
         )
         self._log = threading.Thread(
@@ -68,12 +63,12 @@ class ChildProcess:
             name=f"log-of-{name}",
             daemon=True,
         )
-        self._is_started = self._is_closed = False
+        self._is_closed = False
 
     @property
     def alive(self) -> bool:
         """Whether the process lives."""
-        return self._is_started and not self._is_closed and self._process.is_alive()
+        return not self._is_closed and self._process.is_alive()
 
     @property
     def process_id(self) -> int | None:
@@ -89,7 +84,6 @@ class ChildProcess:
         """Start the process."""
         with _child_environment():
             self._process.start()
-        self._is_started = True
         self._log.start()
         self._child_link.close()
         self._child_records.close()
@@ -113,7 +107,7 @@ class ChildProcess:
         """Release the process, ended by force where it still lives. Idempotent."""
         if self._is_closed:
             return
-        if self._is_started:
+        if self.process_id is not None:
             self.kill()
             self._process.join(_END_S)
             self._log.join(_END_S)
@@ -146,7 +140,7 @@ def _child_environment() -> Iterator[None]:
 
 def _run_child(
     setup: tuple[int, bool, Connection],
-    log_settings: LogSettings,
+    log_settings: tuple[int, bool],
     run: Callable[..., None],
     arguments: tuple[object, ...],
 ) -> None:

@@ -57,10 +57,6 @@ class JobError(TruepathError):
     """A job that cannot do what was asked of it."""
 
 
-class Busy(JobError):
-    """The cell is in use."""
-
-
 class IllegalTransition(JobError):
     """The job's state does not allow that verb."""
 

@@ -82,10 +82,8 @@ def open_service(settings: Settings) -> Iterator[Service]:
         database = Database(settings.database)
         stack.callback(database.close)
         database.migrate()
-        machine, config = _load_machine(settings, stack)
-        context, event_bus = _make_context(
-            settings, folder, database, machine, config, stack
-        )
+        event_bus = EventBus()
+        context = _make_context(settings, database, event_bus, stack)
         dispatcher = Dispatcher(context, event_bus)
         stack.callback(dispatcher.close)
         dispatcher.interrupt_unfinished_jobs()
@@ -100,7 +98,7 @@ def open_service(settings: Settings) -> Iterator[Service]:
             results=context.results,
             dispatcher=dispatcher,
             event_bus=event_bus,
-            machine=machine,
+            machine=context.machine,
             cell=context.cell,
             max_upload_bytes=settings.max_upload_mb << 20,
             max_streams=settings.max_streams,
@@ -110,14 +108,9 @@ def open_service(settings: Settings) -> Iterator[Service]:
 
 
 def _make_context(
-    settings: Settings,
-    folder: Path,
-    database: Database,
-    machine: Machine | None,
-    config: CellConfig | None,
-    stack: ExitStack,
-) -> tuple[JobContext, EventBus]:
-    event_bus = EventBus()
+    settings: Settings, database: Database, event_bus: EventBus, stack: ExitStack
+) -> JobContext:
+    machine, config = _load_machine(settings, stack)
     workers = workers_of(settings)
     workers.check()
     executor = ProcessExecutor(settings.analysis_workers, prepare)
@@ -127,11 +120,11 @@ def _make_context(
     if config is not None:
         cell = CellSupervisor(lambda: Cell(config))
         stack.callback(cell.close)
-    results = folder / "results"
+    results = settings.data_dir / "results"
     results.mkdir(exist_ok=True)
-    context = JobContext(
+    return JobContext(
         store=Store(database, event_bus.publish),
-        runs=RunCatalogue(database, folder / "runs"),
+        runs=RunCatalogue(database, settings.data_dir / "runs"),
         results=results,
         executor=executor,
         science=analyse_recorded,
@@ -140,7 +133,6 @@ def _make_context(
         cell=cell,
         live=LiveEstimation,
     )
-    return context, event_bus
 
 
 def _load_machine(

@@ -16,7 +16,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 import structlog
@@ -53,33 +52,26 @@ def configure_log(level: str, log_format: str) -> None:
         logging.getLogger(name).setLevel(quiet)
 
 
-@dataclass(frozen=True, slots=True)
-class LogSettings:
-    """What a child has to know of its parent's log.
-
-    is_structured : structlog writes to the log; where it is not set up, it prints
-    """
-
-    level: int
-    is_structured: bool
-
-    @classmethod
-    def current(cls) -> LogSettings:
-        """Return the settings of this process."""
-        return cls(logging.getLogger().level, structlog.is_configured())
+def read_log_settings() -> tuple[int, bool]:
+    """Return the level of the log, and whether structlog writes to it or prints."""
+    return logging.getLogger().level, structlog.is_configured()
 
 
 @contextmanager
-def send_log(records: Connection, settings: LogSettings) -> Iterator[None]:
-    """Send what this process logs to its parent until the end of the block."""
+def send_log(records: Connection, settings: tuple[int, bool]) -> Iterator[None]:
+    """Send what this process logs to its parent until the end of the block.
+
+    settings : of the parent, as `read_log_settings` returns them
+    """
+    level, is_structured = settings
     waiting: queue.SimpleQueue[logging.LogRecord | None] = queue.SimpleQueue()
     sender = threading.Thread(
         target=_send_records, args=(waiting, records), name="log-sender", daemon=True
     )
     root = logging.getLogger()
     root.handlers = [_QueueHandler(waiting)]
-    root.setLevel(settings.level)
-    if settings.is_structured:
+    root.setLevel(level)
+    if is_structured:
         _configure_structlog(*_SHARED, structlog.processors.format_exc_info)
     sender.start()
     try:

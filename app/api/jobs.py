@@ -24,7 +24,7 @@ from app.api.problems import declare_problems
 from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job
-from app.jobs.rows import IdempotencyKey
+from app.jobs.store import IdempotencyKey
 from app.jobs.transitions import State
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])

@@ -20,7 +20,8 @@ from app.cli.terminal import (
 from app.errors import BadInput
 from app.files.bundle import write_bundle
 from app.files.commanded_file import read_set_up
-from app.measurement.recorder import ClosedRun, Recorder
+from app.measurement.messages import RunClosed
+from app.measurement.recorder import Recorder
 from app.measurement.run_file import RunHeader
 from app.measurement.run_reading import open_run
 from app.measurement.stream_reader import StreamState, record_stream
@@ -65,13 +66,13 @@ def record_bundle(
     )
     output.mkdir(parents=True, exist_ok=True)
     closed = _record_run(tracker, header, output / RUN_FILE, seconds)
-    write_bundle(open_run(closed.file), output)
+    write_bundle(open_run(closed.run_file), output)
     _print_summary(closed, output, as_json=as_json)
 
 
 def _record_run(
     tracker: Tracker, header: RunHeader, file: Path, seconds: float | None
-) -> ClosedRun:
+) -> RunClosed:
     """Record, and close the Run whatever happens."""
     with (
         tracker,
@@ -120,7 +121,7 @@ def _watch_for_end(seconds: float | None) -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _print_summary(closed: ClosedRun, output: Path, *, as_json: bool) -> None:
+def _print_summary(closed: RunClosed, output: Path, *, as_json: bool) -> None:
     files = list_files(output)
     if as_json:
         counts = {"samples": closed.samples, "lost_samples": closed.lost_samples}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -20,7 +21,6 @@ from app.jobs.job import (
     Json,
     Progress,
     Stage,
-    encode_progress,
 )
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb, apply_verb, may_follow
@@ -38,14 +38,18 @@ PUBLISH_EVERY_S = 0.1
 
 
 class ActiveJob:
-    """One job under way. Request threads ask, the job's thread obeys at checkpoints."""
+    """One job under way. Request threads ask, the job's thread obeys at checkpoints.
+
+    state : stored last
+    wants_pause : whether a user has asked for a pause and for nothing since
+    """
 
     def __init__(self, job: Job, store: Store, event_bus: EventBus) -> None:
         self.job_id, self.kind = job.id, job.kind
         self._store, self._event_bus = store, event_bus
         self._changed = threading.Condition()
-        self._state, self._since = job.state, time.monotonic()
-        self._wants_pause = job.wants_pause
+        self.state, self._since = job.state, time.monotonic()
+        self.wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
         self._computation: Computation | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
@@ -55,16 +59,6 @@ class ActiveJob:
     def is_cancelled(self) -> bool:
         """Whether the job has to end now."""
         return self._aborted or self._interrupted
-
-    @property
-    def state(self) -> State:
-        """The state that was stored last."""
-        return self._state
-
-    @property
-    def wants_pause(self) -> bool:
-        """Whether a user has asked for a pause and for nothing since."""
-        return self._wants_pause
 
     @property
     def state_lasts_s(self) -> float:
@@ -80,7 +74,7 @@ class ActiveJob:
                 return job
             return replace(job, state=state, desired_state=desired)
 
-        return self._remember(self._store.change(self.job_id, change, version=version))
+        return self._change(change, version)
 
     def arm(self) -> None:
         """Let a ready job begin to move."""
@@ -151,7 +145,7 @@ class ActiveJob:
 
         if stage is not self._stage:
             self._stage, self._progress = stage, Progress()
-        return self._remember(self._store.change(self.job_id, change))
+        return self._change(change)
 
     def show_failure(self, failure: Failure | None) -> None:
         """Store why the machine stands, held if it was resuming; None when it moves."""
@@ -164,7 +158,7 @@ class ActiveJob:
                 return replace(job, **held, failure=failure)
             return job if job.failure == failure else replace(job, failure=failure)
 
-        self._remember(self._store.change(self.job_id, change))
+        self._change(change)
 
     def end(self, state: State, failure: Failure | None) -> Job:
         """Enter a final state; an abort under way wins over success and failure."""
@@ -184,15 +178,11 @@ class ActiveJob:
                 health=self._health,
             )
 
-        return self._remember(self._store.change(self.job_id, change))
+        return self._change(change)
 
     def store_values(self, **values: Any) -> None:
         """Store fields of the job, unless it has ended."""
-
-        def change(job: Job) -> Job:
-            return job if job.is_final else replace(job, **values)
-
-        self._store.change(self.job_id, change)
+        self._change(lambda job: job if job.is_final else replace(job, **values))
 
     def report_progress(
         self,
@@ -210,13 +200,19 @@ class ActiveJob:
             self._published_at = now
             body = {
                 "stage": str(self._stage),
-                "progress": encode_progress(self._progress),
+                "progress": asdict(self._progress),
                 "health": asdict(self._health),
             }
             self.publish("progress", body)
         if is_new_stage or now - self._stored_at >= STORE_EVERY_S:
             self._stored_at = now
-            self._store_progress()
+            try:
+                self._store.keep_progress(
+                    self.job_id, self._stage, progress, self._health
+                )
+            except StorageUnavailable as error:
+                # Progress is a convenience: the measurement goes on without it.
+                log.warning("progress not kept", job_id=self.job_id, reason=str(error))
 
     def set_sample_counts(self, samples: int, lost_samples: int) -> None:
         """Set what the Run holds: the last progress may be a little older."""
@@ -226,21 +222,13 @@ class ActiveJob:
         """Publish an event that is not stored: `live`, `estimate`, `plan`."""
         self._event_bus.publish(JobEvent(type_, self.job_id, body))
 
-    def _remember(self, job: Job) -> Job:
+    def _change(self, change: Callable[[Job], Job], version: int | None = None) -> Job:
+        job = self._store.change(self.job_id, change, version=version)
         with self._changed:
-            if job.state is not self._state:
-                self._state, self._since = job.state, time.monotonic()
-            self._wants_pause = job.wants_pause
+            if job.state is not self.state:
+                self.state, self._since = job.state, time.monotonic()
+            self.wants_pause = job.wants_pause
         return job
-
-    def _store_progress(self) -> None:
-        try:
-            self._store.keep_progress(
-                self.job_id, self._stage, self._progress, self._health
-            )
-        except StorageUnavailable as error:
-            # Progress is a convenience: the measurement goes on without it.
-            log.warning("progress not kept", job_id=self.job_id, reason=str(error))
 
     def _cancel(self) -> None:
         with self._changed:

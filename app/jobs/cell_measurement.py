@@ -17,18 +17,18 @@ from app.errors import MeasurementFailed
 from app.jobs.active_job import ActiveJob
 from app.jobs.cell_supervisor import MOVING, CellSupervisor
 from app.jobs.errors import Aborted, MachineFault, MeasurementEnded
-from app.jobs.job import EarlyEnd, Failure, Health, Progress, Stage
-from app.jobs.live_estimation import LiveEstimation, PartSupplier
+from app.jobs.job import Failure, Health, Progress, Stage
+from app.jobs.live_estimation import LiveSteering
 from app.jobs.transitions import State
+from app.measurement.measurement_state import ENDS
 from app.measurement.messages import (
-    BlockRecorded,
     CellEvent,
     CellState,
+    CellVerb,
     FaultReported,
     LivePoints,
     MeasurementOrder,
     MeasurementProgress,
-    PartRequested,
     RunClosed,
     StateChanged,
 )
@@ -44,9 +44,6 @@ CLOSE_RUN_S = 60.0
 REPEAT_S = 1.0
 _POLL_S = 0.1
 
-_ENDS = frozenset(
-    {CellState.FINISHED, CellState.ABORTED, CellState.FAILED, CellState.FAULTED}
-)
 _INSPECT_MACHINE = (
     "Make sure that the machine stands, look at the log for the cause, then measure "
     "again; what was recorded is kept."
@@ -61,14 +58,10 @@ class CellMeasurement:
         job: ActiveJob,
         cell: CellSupervisor,
         *,
-        confirm_s: Mapping[State, float] = CONFIRM_S,
-        live: LiveEstimation | None = None,
-        target_um: float | None = None,
-        supplier: PartSupplier | None = None,
+        confirm_s: Mapping[State, float],
+        steering: LiveSteering | None,
     ) -> None:
-        self._supplier = supplier
-        self._target_um, self._is_concluded = target_um, False
-        self._job, self._cell, self._live = job, cell, live
+        self._job, self._cell, self._steering = job, cell, steering
         self._confirm_s = confirm_s
         self._events: queue.SimpleQueue[CellEvent | None] = queue.SimpleQueue()
         self._fault: FaultReported | None = None
@@ -89,7 +82,7 @@ class CellMeasurement:
         try:
             self._follow_events()
         except Exception:
-            self._cell.abort()
+            self._cell.send(CellVerb.ABORT)
             self._wait_until_closed()
             raise
         finally:
@@ -99,9 +92,9 @@ class CellMeasurement:
     def _follow_events(self) -> None:
         while True:
             self._repeat_command()
-            self._conclude_at_target()
-            if self._supplier is not None and not self._is_concluded:
-                self._supplier.pass_on()
+            if self._steering is not None:
+                is_running = self._job.state is State.RUNNING
+                self._steering.advance(may_conclude=is_running)
             self._check_deadlines()
             try:
                 event = self._events.get(timeout=_POLL_S)
@@ -136,14 +129,12 @@ class CellMeasurement:
                 self._report_progress(event)
             case LivePoints():
                 self._job.publish("live", asdict(event))
-            case BlockRecorded(samples) if self._live is not None:
-                self._live.offer(samples)
-            case PartRequested() if self._supplier is not None:
-                self._supplier.ask()
             case FaultReported():
                 self._show_fault(event)
             case StateChanged(state):
                 self._follow_state(state)
+            case _ if self._steering is not None:
+                self._steering.handle(event)
 
     def _report_progress(self, event: MeasurementProgress) -> None:
         progress = Progress(
@@ -166,7 +157,7 @@ class CellMeasurement:
         )
 
     def _follow_state(self, reported: CellState) -> None:
-        if reported in _ENDS:
+        if reported in ENDS:
             self._outcome = reported
             self._close_by = time.monotonic() + CLOSE_RUN_S
             return
@@ -191,24 +182,9 @@ class CellMeasurement:
             return
         self._repeat_at = now + REPEAT_S
         if self._job.is_cancelled:
-            self._cell.abort()
+            self._cell.send(CellVerb.ABORT)
         elif self._job.state is State.PAUSING and self._job.wants_pause:
-            self._cell.pause()
-
-    def _conclude_at_target(self) -> None:
-        """Conclude as soon as the volumetric uncertainty has reached the target."""
-        if self._is_concluded or self._target_um is None or self._live is None:
-            return
-        newest = self._live.newest
-        if newest is None or self._job.state is not State.RUNNING:
-            return
-        reached_um = newest["volumetric_uncertainty_um"]
-        if reached_um <= self._target_um:
-            log.info("target reached", reached_um=reached_um, target_um=self._target_um)
-            self._is_concluded = True
-            self._cell.conclude()
-            early_end = EarlyEnd(reached_um, newest["done"], newest["total"])
-            self._job.store_values(early_end=early_end)
+            self._cell.send(CellVerb.PAUSE)
 
     def _check_deadlines(self) -> None:
         state = self._job.state

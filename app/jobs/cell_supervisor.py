@@ -25,6 +25,7 @@ from app.measurement.cell import Cell
 from app.measurement.messages import (
     CellEvent,
     CellState,
+    CellVerb,
     FaultReported,
     MeasurementOrder,
     StateChanged,
@@ -73,6 +74,7 @@ class CellSupervisor:
 
     make : returns a new cell, not yet started
     first_pause_s : before another cell is started
+    status : the cell's last known state, for any thread
     """
 
     def __init__(
@@ -82,17 +84,12 @@ class CellSupervisor:
         self._commands: queue.SimpleQueue[tuple[Command, Future[Any]]]
         self._commands = queue.SimpleQueue()
         self._on_event: EventHandler | None = None
-        self._status = CellStatus()
+        self.status = CellStatus()
         self._closing = threading.Event()
         self._must_kill = threading.Event()
         self._thread = threading.Thread(
             target=self._run, name="cell-supervisor", daemon=True
         )
-
-    @property
-    def status(self) -> CellStatus:
-        """The cell's last known state. Never waits."""
-        return self._status
 
     def start(self) -> None:
         """Start the first cell."""
@@ -126,25 +123,13 @@ class CellSupervisor:
         """Pass the events of the measurement on no longer."""
         self._on_event = None
 
-    def pause(self) -> None:
-        """Ask for a feed hold."""
-        self._put(lambda cell: cell.pause())
-
-    def resume(self) -> None:
-        """Ask to go on after a hold."""
-        self._put(lambda cell: cell.resume())
-
-    def conclude(self) -> None:
-        """Ask to finish the line under way and to leave out the rest."""
-        self._put(lambda cell: cell.conclude())
+    def send(self, verb: CellVerb) -> Future[None]:
+        """Send a verb to the cell. Does not wait."""
+        return self._put(lambda cell: cell.send(verb))
 
     def extend(self, part: Commanded) -> Future[None]:
-        """Ask to go on with a further part."""
+        """Ask to go on with a further part. Does not wait."""
         return self._put(lambda cell: cell.extend(part))
-
-    def abort(self) -> Future[None]:
-        """Ask to stop now and forget the path, whatever happens there."""
-        return self._put(lambda cell: cell.abort())
 
     def kill(self) -> None:
         """Kill the cell process; another takes its place."""
@@ -212,7 +197,7 @@ class CellSupervisor:
             for event in events:
                 self._handle(event)
             if not alive and not events:
-                log.error("the cell process has died", state=self._status.state)
+                log.error("the cell process has died", state=self.status.state)
                 return
 
     def _handle(self, event: CellEvent) -> None:
@@ -220,25 +205,24 @@ class CellSupervisor:
             case StateChanged(state):
                 self._follow_state(state)
             case FaultReported(text=text):
-                self._status = replace(self._status, text=text)
+                self.status = replace(self.status, text=text)
         if self._on_event is not None:
             self._on_event(event)
 
     def _follow_state(self, state: CellState) -> None:
         is_well = state in MOVING or state is CellState.READY
-        text = "" if is_well else self._status.text
-        devices = {} if state is CellState.FAULTED else self._status.devices
+        text = "" if is_well else self.status.text
+        devices = {} if state is CellState.FAULTED else self.status.devices
         self._set_status(str(state), text, devices)
 
     def _set_status(
         self, state: str, text: str = "", devices: Devices | None = None
     ) -> None:
-        restarts = self._status.restarts
-        self._status = CellStatus(state, text, restarts, devices or {})
+        self.status = CellStatus(state, text, self.status.restarts, devices or {})
 
     def _connect(self, cell: Cell) -> Devices:
         if self._on_event is not None:
-            return self._status.devices
+            return self.status.devices
         self._set_status("connecting")
         try:
             found = cell.connect()
@@ -262,8 +246,7 @@ class CellSupervisor:
                 future.set_exception(error)
 
     def _go_down(self, text: str) -> None:
-        restarts = self._status.restarts + 1
-        self._status = CellStatus("down", text, restarts)
+        self.status = CellStatus("down", text, self.status.restarts + 1)
         on_event, self._on_event = self._on_event, None
         if on_event is not None:
             on_event(None)
@@ -283,4 +266,4 @@ class CellSupervisor:
         while (left_s := deadline - time.monotonic()) > 0:
             if self._closing.wait(min(left_s, POLL_S)):
                 return
-            self._refuse_commands(self._status.text)
+            self._refuse_commands(self.status.text)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from app.jobs.cell_measurement import CONFIRM_S
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.errors import NoMachine
 from app.jobs.executor import ProcessExecutor, Task
@@ -29,7 +30,7 @@ class JobContext:
         `discover_recorded`
     workers : who computes what an analysis can cut into blocks
     results : folder of results, one folder a job
-    confirm_s : time in which the cell has to confirm each state; None for the usual
+    confirm_s : time in which the cell has to confirm each state
     live : makes what estimates while the machine moves; None for no live estimate
     """
 
@@ -41,7 +42,7 @@ class JobContext:
     workers: Workers = field(default_factory=Workers)
     machine: Machine | None = None
     cell: CellSupervisor | None = None
-    confirm_s: Mapping[State, float] | None = None
+    confirm_s: Mapping[State, float] = field(default_factory=lambda: CONFIRM_S)
     live: Callable[[LiveEstimateOrder, Show], LiveEstimation] | None = None
     planner: Task = plan_measurement
     discoverer: Task = discover_recorded

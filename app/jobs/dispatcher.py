@@ -17,9 +17,10 @@ from app.jobs.errors import CellDown, Interrupted, QueueFull
 from app.jobs.event_bus import EventBus
 from app.jobs.job import Failure, Job, Stage
 from app.jobs.requested_job import RequestedJob, check_requested_job
-from app.jobs.rows import IdempotencyKey
+from app.jobs.store import IdempotencyKey
 from app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
 from app.jobs.workflow import run_job
+from app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 
@@ -53,12 +54,12 @@ class Dispatcher:
         earlier = self._context.store.find_by_key(key) if key is not None else None
         if earlier is not None:
             return earlier, False
-        new = check_requested_job(request, self._context)
+        new, plan = check_requested_job(request, self._context)
         if self._closing:
             raise CellDown("the service is ending")
         if len(self._active) >= MAX_WAITING:
             raise QueueFull(f"{MAX_WAITING} jobs are under way already")
-        job, is_new = self._context.store.create(new, key)
+        job, is_new = self._context.store.create(new, key, plan)
         if is_new:
             self._begin(job)
         return job, is_new
@@ -83,14 +84,14 @@ class Dispatcher:
             )
         job = active.apply_verb(Verb.PAUSE)
         if job.state in PAUSE_STATES:
-            self._command_cell(Verb.PAUSE)
+            self._command_cell(CellVerb.PAUSE)
         return job
 
     def resume(self, job_id: str, version: int) -> Job:
         """Go on after a hold. Raises StaleVersion, IllegalTransition."""
         job = self._find_active(job_id, Verb.RESUME).apply_verb(Verb.RESUME, version)
         if job.state is State.RESUMING:
-            self._command_cell(Verb.RESUME)
+            self._command_cell(CellVerb.RESUME)
         return job
 
     def abort(self, job_id: str) -> Job:
@@ -101,12 +102,12 @@ class Dispatcher:
         # First the machine, then the catalogue, which may make this thread wait.
         active.abort()
         if active.kind.measures:
-            self._command_cell(Verb.ABORT)
+            self._command_cell(CellVerb.ABORT)
         return active.apply_verb(Verb.ABORT)
 
     def stop(self) -> list[Job]:
         """Stop all motion, whichever job it belongs to, and those jobs with it."""
-        self._command_cell(Verb.ABORT)
+        self._command_cell(CellVerb.ABORT)
         under_way = list(self._active.values())
         return [self.abort(c.job_id) for c in under_way if c.kind.measures]
 
@@ -117,7 +118,7 @@ class Dispatcher:
             under_way, threads = list(self._active.values()), list(self._threads)
         for active in under_way:
             active.interrupt()
-        stopped = self._command_cell(Verb.ABORT)
+        stopped = self._command_cell(CellVerb.ABORT)
         deadline = time.monotonic() + timeout_s
         if stopped is not None:
             with suppress(CellDown, TimeoutError):
@@ -152,12 +153,8 @@ class Dispatcher:
         raise IllegalTransition(f"cannot {verb} a job that is not under way any more")
 
     def _interrupt(self, job: Job) -> None:
-        record = None
-        if job.kind.measures:
-            try:
-                record = self._context.runs.add_measured(job.id)
-            except Exception:
-                log.exception("the Run cannot be read; its file is kept")
+        runs = self._context.runs
+        record = runs.add_measured(job.id) if job.kind.measures else None
         text = f"the service ended while the job was {job.state}"
         after = replace(
             job,
@@ -168,9 +165,6 @@ class Dispatcher:
         self._context.store.change(job.id, lambda _: after, version=job.version)
         log.warning("job found unfinished", job_id=job.id, was=str(job.state))
 
-    def _command_cell(self, verb: Verb) -> Future[None] | None:
+    def _command_cell(self, verb: CellVerb) -> Future[None] | None:
         cell = self._context.cell
-        if cell is None:
-            return None
-        commands = {Verb.PAUSE: cell.pause, Verb.RESUME: cell.resume}
-        return commands.get(verb, cell.abort)()
+        return cell and cell.send(verb)

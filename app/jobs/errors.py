@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.errors import Busy, JobError, MeasurementFailed, TruepathError
+from app.errors import JobError, MeasurementFailed, TruepathError
 
 
 class StaleVersion(JobError):
@@ -39,7 +39,7 @@ class QueueFull(JobError):
     """More jobs wait than the service takes on."""
 
 
-class CellBusy(Busy):
+class CellBusy(JobError):
     """One measuring job at a time: `job_id` holds the cell."""
 
     def __init__(self, job_id: str, state: str) -> None:

@@ -14,7 +14,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
@@ -109,48 +109,44 @@ class ProcessExecutor:
         )
 
 
+@dataclass(eq=False, slots=True)
 class Computation:
     """A task under way, driven by the thread of `result`."""
 
-    def __init__(
-        self,
-        executor: ProcessExecutor,
-        call: Callable[..., Any],
-        on_progress: Progress,
-        started: Callable[[], object],
-    ) -> None:
-        self._executor, self._call = executor, call
-        self._on_progress, self._started = on_progress, started
-        self._cancelled = threading.Event()
-        self._process: WorkerProcess | None = None
+    executor: ProcessExecutor
+    call: Callable[..., Any]
+    on_progress: Progress
+    started: Callable[[], object]
+    _cancelled: threading.Event = field(default_factory=threading.Event, init=False)
+    _process: WorkerProcess | None = field(default=None, init=False)
 
     def result(self) -> Any:
         """Wait for the value; raises TaskFailed, Aborted, or WorkerDied."""
-        process = self._process = self._executor.take(self._cancelled)
+        process = self._process = self.executor.take(self._cancelled)
         keep = True
         try:
-            self._started()
+            self.started()
             if self._cancelled.is_set():
                 process.kill()
             keep = False
-            value = process.call(self._call, self._on_progress)
+            value = process.call(self.call, self.on_progress)
             keep = True
             return value
         except TaskFailed:
             keep = True
             raise
         except WorkerDied as error:
-            if self._cancelled.is_set() or self._executor.is_closed:
+            if self._cancelled.is_set() or self.executor.is_closed:
                 raise Aborted("the computation was cancelled") from error
             raise
         finally:
             self._process = None
-            self._executor.give_back(process, keep=keep)
+            self.executor.give_back(process, keep=keep)
 
     def cancel(self) -> None:
         """End it now, whatever it does. Idempotent, any thread."""
         self._cancelled.set()
-        self._executor.wake()
+        self.executor.wake()
         if (process := self._process) is not None:
             process.kill()
 
@@ -162,19 +158,6 @@ def _run_task(task: Task, *arguments: object, on_progress: Progress) -> Any:
         # Not every error can be packed and unpacked again; its name and text can.
         trace = traceback.format_exc()
         raise TaskFailed(type(error).__name__, str(error), trace) from None
-
-
-@dataclass(frozen=True, slots=True)
-class Ready:
-    """From the process: it is prepared."""
-
-
-@dataclass(frozen=True, slots=True)
-class Progressed:
-    """From the process: how far the call is."""
-
-    share: float
-    stage: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +221,7 @@ class WorkerProcess:
             message = self._exchange(self._process.link.recv)
             self._is_ready = True
             match message:
-                case Progressed(share, stage) if on_progress is not None:
+                case (share, stage) if on_progress is not None:  # how far it is
                     try:
                         on_progress(share, stage)
                     except Exception as error:
@@ -264,7 +247,7 @@ def _compute(prepare: Callable[[], None] | None, link: Connection) -> None:
         except Exception:
             log.exception("the worker process is not prepared; tasks run all the same")
     with suppress(EOFError, OSError):
-        link.send(Ready())
+        link.send(None)  # it is prepared
         while True:
             answer = _answer(link)
             try:
@@ -282,8 +265,7 @@ def _answer(link: Connection) -> Answer:
     except Exception as error:  # what was sent cannot be imported here
         return Answer(error=error)
     if reports_progress:
-        report = lambda *done: link.send(Progressed(*done))  # noqa: E731
-        function = partial(function, on_progress=report)
+        function = partial(function, on_progress=lambda *done: link.send(done))
     try:
         return Answer(function())
     except Exception as error:

@@ -115,6 +115,7 @@ class Failure:
 class Job:
     """One job. `seq` orders jobs; wall-clock times are for people.
 
+    seq, id, desired_state, created : given by the store
     run_id : the Run that it made, or the first that it analyses
     further_run_ids : those that are analysed together with it; of extra lines, those
         of the discovery that asks for them
@@ -122,14 +123,14 @@ class Job:
     monte_carlo : the trials that an analysis holds its uncertainty against
     """
 
-    seq: int
-    id: str
     kind: JobKind
-    state: State
-    desired_state: str
-    version: int
-    stage: Stage
-    created: str
+    seq: int = 0
+    id: str = ""
+    state: State = State.QUEUED
+    desired_state: str = ""
+    version: int = 1
+    stage: Stage = Stage.WAITING
+    created: str = ""
     started: str | None = None
     ended: str | None = None
     run_id: str | None = None
@@ -172,22 +173,6 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class NewJob:
-    """What a job starts with.
-
-    plan : as `commanded_to_json` makes it, and the `request` of a job that plans
-    """
-
-    kind: JobKind
-    run_id: str | None = None
-    perpendicular_only: bool = False
-    target_um: float | None = None
-    plan: Json | None = None
-    monte_carlo: TrialPlan | None = None
-    further_run_ids: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class JobEvent:
     """One event of a job.
 
@@ -201,7 +186,7 @@ class JobEvent:
     id: int | None = None
 
 
-_JOB, _PROGRESS = TypeAdapter(Job), TypeAdapter(Progress)
+_JOB = TypeAdapter(Job)
 
 
 def encode_job(job: Job) -> dict[str, Any]:
@@ -212,11 +197,6 @@ def encode_job(job: Job) -> dict[str, Any]:
 def decode_job(content: Json) -> Job:
     """Return the record that `encode_job` wrote."""
     return _JOB.validate_python({k: v for k, v in content.items() if v is not None})
-
-
-def encode_progress(progress: Progress) -> dict[str, Any]:
-    """Return the progress as a JSON column keeps it."""
-    return _PROGRESS.dump_python(progress, mode="json")
 
 
 def make_id() -> str:

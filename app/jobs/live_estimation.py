@@ -16,11 +16,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
 from app.child_process import BACKGROUND_NICENESS, ChildProcess
+from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.live_process import (
     ChoosePart,
     EndOfStream,
@@ -30,6 +32,8 @@ from app.jobs.live_process import (
     PartChosen,
     estimate_live,
 )
+from app.measurement.cell import Cell
+from app.measurement.messages import BlockRecorded, CellEvent, CellVerb, PartRequested
 from app.motion.configurations import Commanded, append_part
 from drivers.interfaces.records import Path, TrackerSamples
 
@@ -150,62 +154,77 @@ class LiveEstimation:
             self._show({**self.newest, **more})
 
 
-class PartSupplier:
-    """Further parts of an adaptive measurement: from the live estimate to the cell.
+@dataclass(slots=True)
+class LiveSteering:
+    """Steers a measurement by its live estimate: further parts, or an early end.
 
     Where the estimate has nothing to add, or says nothing in time, the measurement ends
     in order. One thread.
 
-    commanded : the first part
-    extend, conclude : of the cell
+    commanded : the first part of an adaptive measurement; None for one planned whole
+    target_um : volumetric uncertainty (k = 1) at which the rest is left out
     on_part : receives all rows after each part, and the body of the event `plan`
+    on_target : receives the estimate that has reached the target
     """
 
-    def __init__(
-        self,
-        live: LiveEstimation,
-        commanded: Commanded,
-        extend: Callable[[Commanded], object],
-        conclude: Callable[[], object],
-        on_part: Callable[[Commanded, Mapping[str, Any]], None],
-    ) -> None:
-        self._live, self._commanded = live, commanded
-        self._extend, self._conclude, self._on_part = extend, conclude, on_part
-        self._answer_by: float | None = None
-        self._parts = 1
+    live: LiveEstimation
+    cell: Cell | CellSupervisor
+    commanded: Commanded | None
+    target_um: float | None
+    on_part: Callable[[Commanded, Mapping[str, Any]], None]
+    on_target: Show = lambda _: None
+    _answer_by: float | None = None
+    _parts: int = 1
+    _is_concluded: bool = False
 
-    def ask(self) -> None:
-        """Let the next part be chosen: the machine stands."""
-        self._answer_by = time.monotonic() + ANSWER_S
-        self._live.ask()
+    def handle(self, event: CellEvent) -> None:
+        """Pass recorded blocks on; ask for the part that the machine waits for."""
+        match event:
+            case BlockRecorded(samples):
+                self.live.offer(samples)
+            case PartRequested() if self.commanded is not None:
+                self._answer_by = time.monotonic() + ANSWER_S
+                self.live.ask()
+            case _:
+                pass
 
-    def pass_on(self) -> None:
-        """Pass on the part that was asked for, if it is there. Never waits."""
-        if self._answer_by is None:
+    def advance(self, *, may_conclude: bool = True) -> None:
+        """Conclude at the target, else pass on the next part. Never waits."""
+        if self._is_concluded:
             return
-        part = self._live.take_part()
+        newest = self.live.newest if may_conclude else None
+        target_um = self.target_um or 0.0
+        if newest and newest["volumetric_uncertainty_um"] <= target_um:
+            self._is_concluded = True
+            self.cell.send(CellVerb.CONCLUDE)
+            self.on_target(newest)
+        elif self._answer_by is not None and self.commanded is not None:
+            self._pass_on_part(self.commanded, self._answer_by)
+
+    def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
+        part = self.live.take_part()
         if part is not None:
             self._answer_by = None
-            self._add(part)
-        elif self._live.is_over or time.monotonic() > self._answer_by:
+            self._add(part, commanded)
+        elif self.live.is_over or time.monotonic() > answer_by:
             self._answer_by = None
             log.warning("nobody says what to measure next; the measurement ends")
-            self._conclude()
+            self.cell.send(CellVerb.CONCLUDE)
 
-    def _add(self, part: Part) -> None:
+    def _add(self, part: Part, commanded: Commanded) -> None:
         if part.commanded is None:
             log.info("no further part", parts=self._parts)
-            self._conclude()
+            self.cell.send(CellVerb.CONCLUDE)
             return
-        self._commanded = append_part(self._commanded, part.commanded)
+        self.commanded = commanded = append_part(commanded, part.commanded)
         self._parts += 1
         body = {
             "part": self._parts,
             "rows": part.rows,
-            "total": len(self._commanded) - isinstance(self._commanded, Path),
+            "total": len(commanded) - isinstance(commanded, Path),
             "duration_s": round(part.duration_s, 3),
             "predicted_um": round(_MICRO * part.predicted_sigma_mm, 4),
         }
         log.info("further part", **body)
-        self._extend(part.commanded)
-        self._on_part(self._commanded, body)
+        self.cell.extend(part.commanded)
+        self.on_part(commanded, body)

@@ -159,14 +159,12 @@ class _Stream:
         """Return the blocks of a moment; waits for the first one."""
         blocks = self._receive()
         until_s = time.monotonic() + _GATHER_S
-        while not self._is_cut and (left_s := until_s - time.monotonic()) > 0:
+        while (left_s := until_s - time.monotonic()) > 0:
+            if self.is_over or self.is_asked:
+                break
             if self._link.poll(left_s):
                 blocks += self._receive()
         return blocks
-
-    @property
-    def _is_cut(self) -> bool:
-        return self.is_over or self.is_asked
 
     def _receive(self) -> list[TrackerSamples]:
         match self._link.recv():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from app.errors import IllegalTransition, NotFound
 from app.files.commanded_file import commanded_to_json
 from app.jobs.context import JobContext
-from app.jobs.job import JobKind, Json, NewJob
+from app.jobs.job import Job, JobKind, Json
 from app.jobs.plan_orders import (
     driven_plan,
     plan_extra_lines,
@@ -48,35 +48,27 @@ class RequestedJob:
     plan_request: Json | None = None
 
 
-def check_requested_job(request: RequestedJob, context: JobContext) -> NewJob:
-    """Return the job that a request asks for. Raises BadInput, NotFound, NoMachine."""
-    match request.kind:
-        case JobKind.ANALYSE | JobKind.DISCOVER:
-            return _make_science_job(request, context)
-        case JobKind.MEASURE_EXTRA:
-            return _make_extra_job(request, context)
-        case _:
-            return _make_planned_job(request, context)
+def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
+    """Return the job that a request asks for, and its plan as the store keeps it.
 
-
-def _make_science_job(request: RequestedJob, context: JobContext) -> NewJob:
+    Raises BadInput, NotFound, NoMachine.
+    """
+    kind, only = request.kind, request.perpendicular_only
+    if kind is JobKind.MEASURE_EXTRA:
+        return _make_extra_job(request, context)
+    if kind.measures or kind is JobKind.PLAN:
+        job = Job(kind, perpendicular_only=only, target_um=request.target_um)
+        order = _make_plan_order(request, context)
+        return job, {**_find_rows(request, context), "request": order}
     first, *further = [context.runs.get(run_id).id for run_id in request.run_ids]
-    return NewJob(
-        request.kind,
-        first,
-        request.perpendicular_only,
-        plan={"request": _make_plan_order(request, context)},
-        monte_carlo=request.monte_carlo,
+    job = Job(
+        kind,
+        run_id=first,
         further_run_ids=tuple(further),
+        perpendicular_only=only,
+        monte_carlo=request.monte_carlo,
     )
-
-
-def _make_planned_job(request: RequestedJob, context: JobContext) -> NewJob:
-    """Return a job that plans, or drives rows that are known from the start."""
-    order = _make_plan_order(request, context)
-    plan = {**_find_rows(request, context), "request": order}
-    only, target_um = request.perpendicular_only, request.target_um
-    return NewJob(request.kind, None, only, target_um, plan)
+    return job, {"request": _make_plan_order(request, context)}
 
 
 def _find_rows(request: RequestedJob, context: JobContext) -> Json:
@@ -108,7 +100,7 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
     return driven_plan(machine, kind, plan)
 
 
-def _make_extra_job(request: RequestedJob, context: JobContext) -> NewJob:
+def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
     """Return the job that drives the extra lines and discovers in all Runs."""
     machine = context.require_machine()
     context.require_cell()
@@ -117,8 +109,8 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> NewJob:
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) has no discovery")
     model_id = context.store.read_plan_request(job.id).get("model_id")
     rows = plan_extra_lines(machine, context.results / job.id, job.id)
-    plan = {**rows, "request": {"model_id": model_id}}
-    return NewJob(JobKind.MEASURE_EXTRA, plan=plan, further_run_ids=job.run_ids)
+    extra = Job(JobKind.MEASURE_EXTRA, further_run_ids=job.run_ids)
+    return extra, {**rows, "request": {"model_id": model_id}}
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:

@@ -7,16 +7,17 @@ truth; a row of the catalogue can be made from it again.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import tempfile
 import threading
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import structlog
 from sqlalchemy import insert, select
 
 from app.errors import NotFound
@@ -27,7 +28,10 @@ from app.files.whole_files import replace_file, sync_to_disk
 from app.jobs.database import Database
 from app.jobs.job import format_utc_now, make_id
 from app.jobs.schema import runs
+from app.measurement.run_file import hash_file
 from app.measurement.run_reading import open_run, repair_run
+
+log = structlog.get_logger(__name__)
 
 _NAME_LENGTH = 200
 
@@ -68,20 +72,25 @@ class RunCatalogue:
         return self._folder / f"{run_id}.sqlite"
 
     def add_measured(self, run_id: str) -> RunRecord | None:
-        """Catalogue what the cell has recorded, once; None if it never opened the file.
+        """Catalogue what the cell has recorded, once; None if nothing can be read.
 
         Nobody may be writing to it: what a killed writer has left is repaired first.
+        Raises nothing: how a measurement ended matters more than its file.
         """
         file = self.name_run_file(run_id)
         if not file.is_file():
             return None
         try:
-            return self.get(run_id)
-        except NotFound:
+            with suppress(NotFound):
+                return self.get(run_id)
             repair_run(file)
             run = open_run(file)
             complete = run.provenance.get("outcome") == "finished"
-            return self._insert(run_id, run, file, "measured", complete=complete)
+            own = {"id": run_id, "origin": "measured", "complete": complete}
+            return self._insert(run, file, run.name, **own)
+        except Exception:
+            log.exception("the Run cannot be read; its file is kept")
+            return None
 
     def add_uploaded(self, bundle: Path, name: str) -> RunRecord:
         """Check a zipped bundle, keep it and catalogue it. Raises BundleError.
@@ -92,7 +101,8 @@ class RunCatalogue:
         file = self._folder / f"{run_id}.zip"
         os.replace(bundle, file)
         sync_to_disk(self._folder)
-        return self._insert(run_id, run, file, "uploaded", complete=True, name=name)
+        own = {"id": run_id, "origin": "uploaded", "complete": True}
+        return self._insert(run, file, name or run.name, **own)
 
     def get(self, run_id: str) -> RunRecord:
         """Return a Run's row. Raises NotFound."""
@@ -143,41 +153,23 @@ class RunCatalogue:
         for left in self._folder.glob("*.upload"):
             left.unlink(missing_ok=True)
 
-    def _insert(
-        self,
-        run_id: str,
-        run: Run,
-        file: Path,
-        origin: str,
-        *,
-        complete: bool,
-        name: str = "",
-    ) -> RunRecord:
-        with file.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    def _insert(self, run: Run, file: Path, name: str, **own: Any) -> RunRecord:
         lost_samples = np.maximum(np.diff(run.tracker.sequence) - 1, 0).sum()
-        record = RunRecord(
-            seq=0,
-            id=run_id,
-            name=(name or run.name)[:_NAME_LENGTH],
-            origin=origin,
+        query = insert(runs).values(
+            **own,
+            name=name[:_NAME_LENGTH],
             file=file.name,
-            sha256=digest,
+            sha256=hash_file(file),
             bytes=file.stat().st_size,
             mode=run.mode,
             machine=run.machine.name[:_NAME_LENGTH],
             samples=len(run.tracker),
             lost_samples=int(lost_samples),
-            complete=complete,
             plan=commanded_to_json(run.commanded),
             created=format_utc_now(),
         )
-        values = asdict(record)
-        del values["seq"]
-        self._database.write(
-            lambda c: c.execute(insert(runs).values(**values)).rowcount
-        )
-        return self.get(run_id)
+        self._database.write(lambda connection: connection.execute(query).rowcount)
+        return self.get(own["id"])
 
 
 def open_recorded(file: Path) -> Run:

@@ -7,38 +7,55 @@ that an operator has read go stale.
 
 from __future__ import annotations
 
+import hashlib
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, delete, func, select, update
+from sqlalchemy import Connection, Select, delete, func, insert, select, update
 
-from app.jobs import rows
+from app.errors import NotFound
 from app.jobs.database import Database
-from app.jobs.errors import StaleVersion
+from app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from app.jobs.job import (
     Health,
     Job,
     JobEvent,
     JobKind,
-    NewJob,
+    Json,
     Progress,
     Stage,
     decode_job,
-    encode_progress,
+    encode_job,
     format_utc_now,
+    make_id,
 )
-from app.jobs.rows import JOBS, IdempotencyKey
 from app.jobs.schema import events, idempotency_keys, jobs
-from app.jobs.transitions import State, check_transition
+from app.jobs.transitions import FINAL, State, check_transition
 
 KEEP_KEYS_S = 24 * 3600
 KEEP_EVENTS = 20_000
 _MOST_EVENTS = 500
+_JOBS = select(*[column for column in jobs.c if column is not jobs.c.plan])
+_OPEN = [str(state) for state in State if state not in FINAL]
+_UNFINISHED = _JOBS.where(jobs.c.state.in_(_OPEN)).order_by(jobs.c.seq)
 
 
 Listener = Callable[[JobEvent], None]
+
+
+@dataclass(frozen=True, slots=True)
+class IdempotencyKey:
+    """An Idempotency-Key and the body it came with."""
+
+    value: str
+    body: bytes
+
+    @property
+    def body_sha256(self) -> str:
+        """Digest by which a repeated body is recognised."""
+        return hashlib.sha256(self.body).hexdigest()
 
 
 class Store:
@@ -48,23 +65,25 @@ class Store:
         self._database, self._listener = database, listener
 
     def create(
-        self, new: NewJob, key: IdempotencyKey | None = None
+        self, new: Job, key: IdempotencyKey | None = None, plan: Json | None = None
     ) -> tuple[Job, bool]:
         """Add a job; True if it is new, False if the key has made it before.
+
+        plan : as `commanded_to_json` makes it, and the `request` of a job that plans
 
         Raises KeyReused, CellBusy.
         """
 
         def change(connection: Connection) -> tuple[Job, JobEvent | None]:
-            earlier = rows.find_job_by_key(connection, key) if key else None
+            earlier = _find_job_by_key(connection, key) if key else None
             if earlier is not None:
                 return earlier, None
             if new.kind.measures:
-                rows.refuse_second_measurement(connection)
-            job = rows.insert_job(connection, new)
+                _refuse_second_measurement(connection)
+            job = _insert_job(connection, new, plan)
             if key is not None:
-                rows.insert_key(connection, key, job.id)
-            return job, rows.insert_event(connection, job)
+                _insert_key(connection, key, job.id)
+            return job, _insert_event(connection, job)
 
         job, event = self._database.write(change, self._publish)
         return job, event is not None
@@ -72,27 +91,25 @@ class Store:
     def find_by_key(self, key: IdempotencyKey) -> Job | None:
         """Return the job that a key has made, if any. Raises KeyReused."""
         with self._database.read() as connection:
-            return rows.find_job_by_key(connection, key)
+            return _find_job_by_key(connection, key)
 
     def get(self, job_id: str) -> Job:
         """Return a job. Raises NotFound."""
         with self._database.read() as connection:
-            return rows.read_job(connection, job_id)
+            return _read_job(connection, job_id)
 
-    def read_plan(self, job_id: str) -> Mapping[str, Any] | None:
+    def read_plan(self, job_id: str) -> Json | None:
         """Return what a job commands or has planned, None if nothing or not yet."""
         content = self._read_plan_content(job_id)
         return content if "kind" in content else None
 
-    def read_plan_request(self, job_id: str) -> Mapping[str, Any]:
+    def read_plan_request(self, job_id: str) -> Json:
         """Return what is asked of the plan of a job, nothing if nothing is."""
         return self._read_plan_content(job_id).get("request") or {}
 
-    def keep_plan(self, job_id: str, plan: Mapping[str, Any]) -> None:
+    def keep_plan(self, job_id: str, plan: Json) -> None:
         """Keep what has been planned beside what was asked."""
-        content = {"request": self.read_plan_request(job_id), **plan}
-        query = update(jobs).where(jobs.c.id == job_id).values(plan=content)
-        self._database.write(lambda connection: connection.execute(query).rowcount)
+        self._update(job_id, plan={"request": self.read_plan_request(job_id), **plan})
 
     def list_page(
         self,
@@ -103,20 +120,18 @@ class Store:
         kinds: Sequence[JobKind] = (),
     ) -> list[Job]:
         """Return jobs, the newest first, older than `before_seq`."""
-        query = JOBS.order_by(jobs.c.seq.desc()).limit(limit)
+        query = _JOBS.order_by(jobs.c.seq.desc()).limit(limit)
         if before_seq is not None:
             query = query.where(jobs.c.seq < before_seq)
         if states:
             query = query.where(jobs.c.state.in_([str(state) for state in states]))
         if kinds:
             query = query.where(jobs.c.kind.in_([str(kind) for kind in kinds]))
-        with self._database.read() as connection:
-            return [decode_job({**row}) for row in connection.execute(query).mappings()]
+        return self._read(query)
 
     def list_unfinished(self) -> list[Job]:
         """Return the jobs that have not ended, the oldest first."""
-        with self._database.read() as connection:
-            return rows.read_unfinished_jobs(connection)
+        return self._read(_UNFINISHED)
 
     def change(
         self, job_id: str, change: Callable[[Job], Job], *, version: int | None = None
@@ -127,7 +142,7 @@ class Store:
         """
 
         def apply(connection: Connection) -> tuple[Job, JobEvent | None]:
-            before = rows.read_job(connection, job_id)
+            before = _read_job(connection, job_id)
             if version is not None and before.version != version:
                 raise StaleVersion(version, before.version, before.state)
             after = change(before)
@@ -136,8 +151,8 @@ class Store:
             if after.state is not before.state:
                 check_transition(before.state, after.state)
             after = _stamp_times(before, replace(after, version=before.version + 1))
-            rows.update_job(connection, before, after)
-            return after, rows.insert_event(connection, after)
+            _update_job(connection, before, after)
+            return after, _insert_event(connection, after)
 
         return self._database.write(apply, self._publish)[0]
 
@@ -145,13 +160,8 @@ class Store:
         self, job_id: str, stage: Stage, progress: Progress, health: Health
     ) -> None:
         """Keep how far a job is, without a new version."""
-        values = {
-            "stage": str(stage),
-            "progress": encode_progress(progress),
-            "health": asdict(health),
-        }
-        query = update(jobs).where(jobs.c.id == job_id).values(**values)
-        self._database.write(lambda connection: connection.execute(query).rowcount)
+        done = {"progress": asdict(progress), "health": asdict(health)}
+        self._update(job_id, stage=str(stage), **done)
 
     def read_events_after(
         self, event_id: int, *, job_id: str | None = None
@@ -181,7 +191,15 @@ class Store:
 
         self._database.write(change)
 
-    def _read_plan_content(self, job_id: str) -> Mapping[str, Any]:
+    def _read(self, query: Select[Any]) -> list[Job]:
+        with self._database.read() as connection:
+            return _select_jobs(connection, query)
+
+    def _update(self, job_id: str, **values: Any) -> None:
+        query = update(jobs).where(jobs.c.id == job_id).values(**values)
+        self._database.write(lambda connection: connection.execute(query).rowcount)
+
+    def _read_plan_content(self, job_id: str) -> Json:
         query = select(jobs.c.plan).where(jobs.c.id == job_id)
         with self._database.read() as connection:
             return connection.execute(query).scalar() or {}
@@ -197,3 +215,71 @@ def _stamp_times(before: Job, after: Job) -> Job:
         return replace(after, started=format_utc_now())
     is_end = after.is_final and not before.is_final
     return replace(after, ended=format_utc_now()) if is_end else after
+
+
+def _select_jobs(connection: Connection, query: Select[Any]) -> list[Job]:
+    return [decode_job({**row}) for row in connection.execute(query).mappings()]
+
+
+def _read_job(connection: Connection, job_id: str) -> Job:
+    for job in _select_jobs(connection, _JOBS.where(jobs.c.id == job_id)):
+        return job
+    raise NotFound(f"there is no job {job_id}")
+
+
+def _refuse_second_measurement(connection: Connection) -> None:
+    for job in _select_jobs(connection, _UNFINISHED):
+        if job.kind.measures:
+            raise CellBusy(job.id, job.state)
+
+
+def _insert_job(connection: Connection, new: Job, plan: Json | None) -> Job:
+    goal = State.READY if new.kind.measures else State.SUCCEEDED
+    now = format_utc_now()
+    job = replace(new, id=make_id(), desired_state=str(goal), created=now)
+    query = insert(jobs).values(**_encode_columns(job), plan=plan)
+    done = connection.execute(query)
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return replace(job, seq=done.inserted_primary_key[0])
+
+
+def _update_job(connection: Connection, before: Job, after: Job) -> None:
+    """Write a job over its version before. Raises StaleVersion."""
+    same = (jobs.c.id == before.id) & (jobs.c.version == before.version)
+    query = update(jobs).where(same).values(**_encode_columns(after))
+    if connection.execute(query).rowcount != 1:
+        now = _read_job(connection, before.id)
+        raise StaleVersion(before.version, now.version, now.state)
+
+
+def _encode_columns(job: Job) -> dict[str, Any]:
+    content = encode_job(job)
+    del content["seq"]
+    return content
+
+
+def _insert_event(connection: Connection, job: Job) -> JobEvent:
+    body = encode_job(job)
+    row = {"job_id": job.id, "type": "job", "body": body, "created": format_utc_now()}
+    done = connection.execute(insert(events).values(**row))
+    assert done.inserted_primary_key is not None  # noqa: S101 (one row was inserted)
+    return JobEvent("job", job.id, body, done.inserted_primary_key[0])
+
+
+def _find_job_by_key(connection: Connection, key: IdempotencyKey) -> Job | None:
+    query = select(idempotency_keys).where(idempotency_keys.c.key == key.value)
+    row = connection.execute(query).mappings().first()
+    if row is None:
+        return None
+    if row["body_sha256"] != key.body_sha256:
+        raise KeyReused(
+            f"Idempotency-Key {key.value!r} has made job {row['job_id']} from another "
+            "body; use a new key for a new job"
+        )
+    return _read_job(connection, row["job_id"])
+
+
+def _insert_key(connection: Connection, key: IdempotencyKey, job_id: str) -> None:
+    row = {"key": key.value, "body_sha256": key.body_sha256, "job_id": job_id}
+    query = insert(idempotency_keys).values(**row, created_s=int(time.time()))
+    connection.execute(query)

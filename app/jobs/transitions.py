@@ -39,6 +39,7 @@ _RUN, _PSG, _PSD, _RES = State.RUNNING, State.PAUSING, State.PAUSED, State.RESUM
 _ABG = State.ABORTING
 
 _ENDS_BADLY = frozenset({State.FAILED, State.FAULTED, State.INTERRUPTED})
+FINAL = _ENDS_BADLY | {State.ABORTED, State.SUCCEEDED}
 
 TRANSITIONS: dict[State, frozenset[State]] = {
     _Q: frozenset({_P, _RUN, _ABG}) | _ENDS_BADLY,
@@ -52,14 +53,9 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     _RES: frozenset({_RUN, _PSG, _PSD, _ABG}) | _ENDS_BADLY,
     # An abort nobody confirms is a fault; one that loses its process is one as well.
     _ABG: frozenset({State.ABORTED, State.FAULTED, State.INTERRUPTED}),
-    State.ABORTED: frozenset(),
-    State.SUCCEEDED: frozenset(),
-    State.FAILED: frozenset(),
-    State.FAULTED: frozenset(),
-    State.INTERRUPTED: frozenset(),
+    **dict.fromkeys(FINAL, frozenset[State]()),
 }
 
-FINAL = frozenset(state for state, after in TRANSITIONS.items() if not after)
 PAUSE_STATES = frozenset({_PSG, _PSD})
 """A pause is on its way or in force."""
 

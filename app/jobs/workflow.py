@@ -16,7 +16,7 @@ import structlog
 from app.errors import MeasurementFailed, TruepathError
 from app.files.commanded_file import commanded_from_json, commanded_to_json
 from app.jobs.active_job import ActiveJob
-from app.jobs.cell_measurement import CONFIRM_S, CellMeasurement
+from app.jobs.cell_measurement import CellMeasurement
 from app.jobs.context import JobContext
 from app.jobs.errors import (
     Aborted,
@@ -27,8 +27,8 @@ from app.jobs.errors import (
     TaskFailed,
 )
 from app.jobs.executor import Task
-from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
-from app.jobs.live_estimation import LiveEstimation, PartSupplier
+from app.jobs.job import EarlyEnd, Failure, Job, JobKind, Json, Progress, Stage
+from app.jobs.live_estimation import LiveEstimation, LiveSteering
 from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import first_part
 from app.jobs.transitions import State, Verb
@@ -49,29 +49,10 @@ def run_job(job: Job, active: ActiveJob, context: JobContext) -> None:
         log.info("job begins", kind=str(job.kind))
         state, failure = State.SUCCEEDED, None
         try:
-            run_steps(JobSteps(job, active, context))
+            _JobSteps(job, active, context).run()
         except Exception as error:
             state, failure = classify_error(error)
         _store_end(active, state, failure)
-
-
-def run_steps(steps: JobSteps) -> None:
-    """Plan, measure, analyse, discover: what the kind of the job asks for."""
-    kind, run_ids = steps.job.kind, steps.job.run_ids
-    if kind.measures:
-        steps.enter_preparing()
-    if steps.needs_plan:
-        steps.plan()
-    if kind.measures:
-        commanded = steps.read_commanded()
-        steps.connect_cell()
-        steps.wait_until_armed()
-        steps.measure(commanded)
-        run_ids = (*run_ids, steps.job.id)
-    if kind.analyses:
-        steps.analyse(run_ids)
-    if kind.discovers:
-        steps.discover(run_ids)
 
 
 def classify_error(error: Exception) -> tuple[State, Failure | None]:
@@ -111,26 +92,32 @@ def _store_end(active: ActiveJob, state: State, failure: Failure | None) -> None
 
 
 @dataclass(frozen=True, slots=True)
-class JobSteps:
+class _JobSteps:
     """One job, the user's requests for it, and what it works with."""
 
     job: Job
     active: ActiveJob
     context: JobContext
 
-    def enter_preparing(self) -> None:
-        """Require a machine with devices and begin to prepare."""
-        self.context.require_cell()
-        self.active.enter(State.PREPARING, Stage.PLANNING)
+    def run(self) -> None:
+        """Plan, measure, analyse, discover: what the kind of the job asks for."""
+        job, context, run_ids = self.job, self.context, self.job.run_ids
+        if job.kind.measures:
+            context.require_cell()
+            self.active.enter(State.PREPARING, Stage.PLANNING)
+        chooses = job.kind.measures or job.kind is JobKind.PLAN
+        if chooses and context.store.read_plan(job.id) is None:
+            self._plan()
+        if job.kind.measures:
+            self._measure(self._wait_until_armed())
+            run_ids = (*run_ids, job.id)
+        if job.kind.analyses:
+            how = job.perpendicular_only, job.monte_carlo, context.workers
+            self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
+        if job.kind.discovers:
+            self._conclude(run_ids, Stage.DISCOVERING, context.discoverer)
 
-    @property
-    def needs_plan(self) -> bool:
-        """Whether what to drive has yet to be chosen."""
-        kind, store = self.job.kind, self.context.store
-        chooses = kind.measures or kind is JobKind.PLAN
-        return chooses and store.read_plan(self.job.id) is None
-
-    def plan(self) -> None:
+    def _plan(self) -> None:
         """Choose what to drive, or the first part of it, and store it with the job."""
         state = State.PREPARING if self.job.kind.measures else State.RUNNING
         machine, order = self.context.require_machine(), self._plan_order()
@@ -140,23 +127,17 @@ class JobSteps:
         plan = self._compute(state, Stage.PLANNING, planner, machine, order)
         self.context.store.keep_plan(self.job.id, plan)
 
-    def read_commanded(self) -> Commanded:
-        """Return what the machine will drive, checked against its travel."""
+    def _wait_until_armed(self) -> Commanded:
+        """Return what the user lets the machine drive, checked against its travel."""
         commanded = commanded_from_json(self.context.store.read_plan(self.job.id) or {})
         check_travel(self.context.require_machine(), commanded)
-        return commanded
-
-    def connect_cell(self) -> None:
-        """Open the ports of the devices."""
         self.context.require_cell().connect()
         self.active.checkpoint()
-
-    def wait_until_armed(self) -> None:
-        """Wait for the user to allow motion."""
         self.active.enter(State.READY, Stage.MEASURING)
         self.active.wait_until_armed()
+        return commanded
 
-    def measure(self, commanded: Commanded) -> None:
+    def _measure(self, commanded: Commanded) -> None:
         """Drive the machine; what was recorded is in the catalogue in any case."""
         live = self._start_live_estimate(commanded)
         try:
@@ -167,17 +148,9 @@ class JobSteps:
                 self._drive(commanded, live)
                 live.finish()
         finally:
-            self._catalogue_run()
-
-    def analyse(self, run_ids: Sequence[str]) -> None:
-        """Compute error tables from Runs."""
-        job, context = self.job, self.context
-        how = job.perpendicular_only, job.monte_carlo, context.workers
-        self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
-
-    def discover(self, run_ids: Sequence[str]) -> None:
-        """Find what a model of Runs lacks: the one named, or the one fitted to them."""
-        self._conclude(run_ids, Stage.DISCOVERING, self.context.discoverer)
+            record = self.context.runs.add_measured(self.job.id)
+            if record is not None:
+                self.active.store_values(run_id=record.id)
 
     @property
     def _is_adaptive(self) -> bool:
@@ -197,10 +170,8 @@ class JobSteps:
         CellMeasurement(
             self.active,
             self.context.require_cell(),
-            confirm_s=self.context.confirm_s or CONFIRM_S,
-            live=live,
-            target_um=self.job.target_um,
-            supplier=self._make_supplier(commanded, live),
+            confirm_s=self.context.confirm_s,
+            steering=self._make_steering(commanded, live),
         ).run(order)
 
     def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
@@ -221,18 +192,27 @@ class JobSteps:
             return None
         return live
 
-    def _make_supplier(
+    def _make_steering(
         self, commanded: Commanded, live: LiveEstimation | None
-    ) -> PartSupplier | None:
-        """Return what adds further parts; None for a job that is planned whole."""
-        if not self._is_adaptive:
-            return None
-        if live is None:
+    ) -> LiveSteering | None:
+        if live is not None:
+            return LiveSteering(
+                live,
+                self.context.require_cell(),
+                commanded if self._is_adaptive else None,
+                self.job.target_um,
+                self._store_part,
+                self._store_early_end,
+            )
+        if self._is_adaptive:
             raise MeasurementFailed("an adaptive measurement needs its live estimate")
-        cell = self.context.require_cell()
-        return PartSupplier(
-            live, commanded, cell.extend, cell.conclude, self._store_part
-        )
+        return None
+
+    def _store_early_end(self, estimate: Mapping[str, Any]) -> None:
+        reached_um = estimate["volumetric_uncertainty_um"]
+        log.info("target reached", reached_um=reached_um, target_um=self.job.target_um)
+        early_end = EarlyEnd(reached_um, estimate["done"], estimate["total"])
+        self.active.store_values(early_end=early_end)
 
     def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
         self.active.publish("plan", part)
@@ -240,17 +220,6 @@ class JobSteps:
             self.context.store.keep_plan(self.job.id, commanded_to_json(rows))
         except StorageUnavailable:
             log.exception("the extended plan is not stored; the Run holds it")
-
-    def _catalogue_run(self) -> None:
-        """Add to the catalogue what was recorded, complete or not."""
-        try:
-            record = self.context.runs.add_measured(self.job.id)
-        except Exception:
-            # How the measurement ended matters more than what became of its file.
-            log.exception("the Run cannot be read; its file is kept")
-            return
-        if record is not None:
-            self.active.store_values(run_id=record.id)
 
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object

@@ -14,7 +14,6 @@ from app.errors import MeasurementFailed, TruepathError
 from app.kinematics.machine import Machine
 from app.measurement.cell_process import run_cell
 from app.measurement.messages import (
-    Begin,
     CellCommand,
     CellConfig,
     CellEvent,
@@ -22,7 +21,6 @@ from app.measurement.messages import (
     CellVerb,
     Connected,
     ConnectRefused,
-    Extend,
     FaultReported,
     MeasurementOrder,
     StateChanged,
@@ -92,30 +90,14 @@ class Cell:
         """Begin to measure. Raises OutOfTravel before anything is sent."""
         check_travel(order.machine, order.commanded)
         self._machine = order.machine
-        self.send(Begin(order))
+        self.send(order)
 
     def extend(self, part: Commanded) -> None:
         """Go on with a further part. Raises OutOfTravel before anything is sent."""
         if self._machine is None:
             raise MeasurementFailed("no measurement is under way; begin one first")
         check_travel(self._machine, part)
-        self.send(Extend(part))
-
-    def pause(self) -> None:
-        """Feed hold; acknowledged by the state `paused`."""
-        self.send(CellVerb.PAUSE)
-
-    def resume(self) -> None:
-        """Go on; acknowledged by the state `running`."""
-        self.send(CellVerb.RESUME)
-
-    def conclude(self) -> None:
-        """Finish the line or point under way and end; acknowledged by `finished`."""
-        self.send(CellVerb.CONCLUDE)
-
-    def abort(self) -> None:
-        """Stop and forget the path; acknowledged by the state `aborted`."""
-        self.send(CellVerb.ABORT)
+        self.send(part)
 
     def send(self, command: CellCommand) -> None:
         """Send a command. Raises MeasurementFailed if the process has died."""

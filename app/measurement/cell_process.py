@@ -21,7 +21,6 @@ from app.errors import TruepathError
 from app.measurement.faults import classify_fault
 from app.measurement.measurement import Measurement
 from app.measurement.messages import (
-    Begin,
     BlockRecorded,
     CellCommand,
     CellConfig,
@@ -30,9 +29,9 @@ from app.measurement.messages import (
     CellVerb,
     Connected,
     ConnectRefused,
-    Extend,
     FaultReported,
     LivePoints,
+    MeasurementCommand,
     MeasurementOrder,
     MeasurementProgress,
     RunClosed,
@@ -61,7 +60,7 @@ def run_cell(config: CellConfig, link: Connection) -> None:
 
 def serve(link: Connection, config: CellConfig, lifelines: tuple[int, ...]) -> None:
     """Obey commands from `link` until `close`, its end, or a ready life line."""
-    cell = _Cell(config, Outbox(link))
+    cell = _CellServer(config, Outbox(link))
     parent_id = os.getppid()
     try:
         while True:
@@ -81,7 +80,7 @@ def _leave(_signal: int, _frame: FrameType | None) -> None:
     raise SystemExit(0)
 
 
-class _Cell:
+class _CellServer:
     """Devices and at most one measurement. Belongs to the thread that commands."""
 
     def __init__(self, config: CellConfig, outbox: Outbox) -> None:
@@ -97,14 +96,14 @@ class _Cell:
         match command:
             case CellVerb.CONNECT:
                 self._answer_connect()
-            case Begin(order):
-                self._begin(order)
-            case Extend(part) if self._measurement is not None:
-                self._measurement.extend(part)
+            case MeasurementOrder():
+                self._begin(command)
             case CellVerb.CLOSE:
                 return False
-            case CellVerb() if self._measurement is not None and self._measuring:
+            case _ if self._measurement is not None and self._measuring:
                 self._pass_on(command, self._measurement)
+            case _:
+                pass
         return True
 
     def end(self) -> None:
@@ -135,12 +134,6 @@ class _Cell:
     def _connect(self) -> None:
         self._state(CellState.CONNECTING)
         self._identities = {}
-        tracker, motion = self._make_devices()
-        self._identities = {"tracker": tracker.connect(), "motion": motion.connect()}
-        self._state(CellState.READY)
-
-    def _make_devices(self) -> tuple[Tracker, MotionController]:
-        """Return the devices, made by their drivers when first asked for."""
         config, tracker, motion = self._config, self._tracker, self._motion
         if tracker is None or motion is None:
             make_tracker = load(TRACKERS, config.tracker_driver)
@@ -148,7 +141,8 @@ class _Cell:
             tracker = make_tracker(**config.tracker_options)
             motion = make_motion(**config.motion_options)
         self._tracker, self._motion = tracker, motion
-        return tracker, motion
+        self._identities = {"tracker": tracker.connect(), "motion": motion.connect()}
+        self._state(CellState.READY)
 
     def _begin(self, order: MeasurementOrder) -> None:
         if self._measuring:
@@ -158,7 +152,7 @@ class _Cell:
             text = "tracker and controller are not connected"
             self._fault("not-connected", text, "connect first")
             self._state(CellState.FAILED, text)
-            self._outbox.report(RunClosed("", 0, 0, "", CellState.FAILED))
+            self._outbox.report(RunClosed("", CellState.FAILED))
         else:
             self._measurement = Measurement(
                 order,
@@ -166,27 +160,18 @@ class _Cell:
                 self._motion,
                 self._identities,
                 self._outbox.report,
-                settings=EngineSettings(timeouts=self._config.timeouts),
+                EngineSettings(timeouts=self._config.timeouts),
             )
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()
 
-    def _pass_on(self, verb: CellVerb, measurement: Measurement) -> None:
+    def _pass_on(self, command: MeasurementCommand, measurement: Measurement) -> None:
         try:
-            match verb:
-                case CellVerb.PAUSE:
-                    measurement.pause()
-                case CellVerb.RESUME:
-                    measurement.resume()
-                case CellVerb.CONCLUDE:
-                    measurement.conclude()
-                case _:
-                    measurement.abort()
+            measurement.obey(command)
         except DeviceError as error:
             # The engine insists on the command, and notices the lost link.
-            fault = classify_fault(error)
-            log.warning("%s did not reach the controller: %s", verb, error)
-            self._outbox.report(fault.event)
+            log.warning("%s did not reach the controller: %s", command, error)
+            self._outbox.report(classify_fault(error).event)
 
     def _state(self, state: CellState, text: str = "") -> None:
         self._outbox.report(StateChanged(state, text))
@@ -227,7 +212,8 @@ class Outbox:
     def report(self, event: CellEvent) -> None:
         """Send an event as soon as the parent takes it. Any thread; never waits."""
         with self._changed:
-            if isinstance(event, BlockRecorded) and self._count_blocks() >= MAX_BLOCKS:
+            blocks = sum(isinstance(e, BlockRecorded) for e in self._waiting)
+            if isinstance(event, BlockRecorded) and blocks >= MAX_BLOCKS:
                 self.dropped_blocks += 1
                 return
             if isinstance(event, _LATEST_ONLY):
@@ -242,9 +228,6 @@ class Outbox:
             self._closing = True
             self._changed.notify()
         self._thread.join(timeout_s)
-
-    def _count_blocks(self) -> int:
-        return sum(isinstance(event, BlockRecorded) for event in self._waiting)
 
     def _send(self) -> None:
         """Body of the thread. Ends with the parent, too."""

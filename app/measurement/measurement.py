@@ -15,6 +15,8 @@ from app.measurement.measurement_state import MeasurementState
 from app.measurement.measurement_steps import MeasurementSteps, arrange_axes
 from app.measurement.messages import (
     CellState,
+    CellVerb,
+    MeasurementCommand,
     MeasurementOrder,
     ReportEvent,
     RunClosed,
@@ -22,9 +24,8 @@ from app.measurement.messages import (
 )
 from app.measurement.progress import LiveView, schedule_rows
 from app.measurement.recorder import Recorder
-from app.measurement.run_file import ClosedRun, RunHeader
+from app.measurement.run_file import RunHeader
 from app.measurement.timing import EngineSettings
-from app.motion.configurations import Commanded
 from app.motion.travel import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
@@ -37,10 +38,7 @@ STOP_S = 3.0
 
 
 class Measurement:
-    """One order on connected devices. `run` is for one thread, all else for any.
-
-    clock : by which it waits, monotonic
-    """
+    """One order on connected devices. `run` is for one thread, all else for any."""
 
     def __init__(
         self,
@@ -49,51 +47,31 @@ class Measurement:
         motion: MotionController,
         devices: Mapping[str, Identity],
         report: ReportEvent,
-        *,
-        settings: EngineSettings | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        settings: EngineSettings,
     ) -> None:
         self._order, self._tracker, self._motion = order, tracker, motion
         self._devices, self._report, self._settings = dict(devices), report, settings
-        self._clock = clock
-        self._control = MeasurementState(self._report_state)
+        self._state = MeasurementState(self._report_state)
         self._monitor: MeasurementMonitor | None = None
         self._steps: MeasurementSteps | None = None
         self._recorder: Recorder | None = None
         self._is_halted = False
 
-    def pause(self) -> None:
-        """Feed hold, now."""
-        if self._steps is not None:
-            self._steps.pause()
-
-    def resume(self) -> None:
-        """Go on."""
-        if self._steps is not None:
-            self._steps.resume()
-
-    def conclude(self) -> None:
-        """Finish the line or point under way, leave out the rest, end in order."""
-        if self._steps is not None:
-            self._steps.conclude()
-
-    def extend(self, part: Commanded) -> None:
-        """Go on with a further part once the machine stands at the end of the last."""
-        if self._steps is not None:
-            self._steps.extend(part)
-
-    def abort(self) -> None:
-        """Stop and forget the path, whatever is going on.
+    def obey(self, command: MeasurementCommand) -> None:
+        """Do what the operator asks; before the first step only an abort has effect.
 
         Raises DeviceError if the controller is out of reach; its watchdog holds then.
         """
-        self._control.aborted.set()
-        self._motion.abort()
+        if command is CellVerb.ABORT:
+            self._state.aborted.set()
+            self._motion.abort()
+        elif self._steps is not None:
+            self._steps.obey(command)
 
     def halt(self) -> None:
         """Hold the feed and end the measurement: the service goes away."""
         self._is_halted = True
-        self._control.aborted.set()
+        self._state.aborted.set()
         self._motion.hold()
 
     def run(self) -> None:
@@ -119,11 +97,8 @@ class Measurement:
             self._report_fault(fault)
             self._stop(self._motion.hold)
         closed = self._close(state, text)
-        self._control.end(state, text)
-        file = str(closed.file) if closed.file.exists() else ""
-        self._report(
-            RunClosed(file, closed.samples, closed.lost_samples, closed.sha256, state)
-        )
+        self._state.end(state, text)
+        self._report(closed)
 
     def _measure(self) -> None:
         order = self._order
@@ -158,12 +133,11 @@ class Measurement:
             self._tracker,
             self._motion,
             self._recorder,
-            self._control,
+            self._state,
             view,
             self._report,
             schedule_rows(order.commanded, order.feed_mm_min),
-            settings=self._settings,
-            clock=self._clock,
+            self._settings,
         )
         self._steps = MeasurementSteps(self._monitor, order, status.position)
         self._steps.run(commanded)
@@ -180,13 +154,14 @@ class Measurement:
                     return
             time.sleep(0.05)
 
-    def _close(self, state: CellState, text: str) -> ClosedRun:
+    def _close(self, state: CellState, text: str) -> RunClosed:
         if self._monitor is not None:
             self._monitor.end_stream()
         if self._recorder is None:
-            return ClosedRun(FilePath(self._order.run_file), "", 0, 0)
+            file = self._order.run_file  # of an earlier measurement, if it is there
+            return RunClosed(file if FilePath(file).exists() else "", outcome=state)
         self._record_event("outcome", f"{state}: {text}")
-        closed = self._recorder.close(str(state))
+        closed = self._recorder.close(state)
         self._recorder = None
         if closed.failure:
             action = "keep the file; what was committed can be read"

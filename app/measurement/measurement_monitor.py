@@ -8,7 +8,6 @@ feeds no watchdog, so the machine holds.
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -49,11 +48,9 @@ class ControllerMonitor:
         motion: MotionController,
         recorder: Recorder,
         settings: EngineSettings,
-        clock: Callable[[], float],
     ) -> None:
-        self._motion, self._recorder = motion, recorder
-        self._settings, self._clock = settings, clock
-        self._out_of_reach = Stopwatch(clock)
+        self._motion, self._recorder, self._settings = motion, recorder, settings
+        self._out_of_reach = Stopwatch(settings.clock)
         self._rows: list[tuple[float, ...]] = []
         self.position: tuple[float, ...] = ()
 
@@ -71,7 +68,7 @@ class ControllerMonitor:
             return None
         self._out_of_reach.reset()
         self.position = status.position
-        self._rows.append((self._clock(), *status.position))
+        self._rows.append((self._settings.clock(), *status.position))
         if len(self._rows) >= self._settings.axes_rows:
             self._write()
         return status
@@ -106,23 +103,21 @@ class MeasurementMonitor:
         tracker: Tracker,
         motion: MotionController,
         recorder: Recorder,
-        control: MeasurementState,
+        state: MeasurementState,
         view: LiveView,
         report: ReportEvent,
         schedule: RowSchedule,
-        *,
-        settings: EngineSettings | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        settings: EngineSettings,
     ) -> None:
-        self.settings, self.clock = settings or EngineSettings(), clock
-        self.progress = ProgressEstimator(schedule, self.settings.progress_s, clock)
+        self.settings, self.clock = settings, settings.clock
+        self.progress = ProgressEstimator(schedule, settings.progress_s, settings.clock)
         self._tracker, self.motion, self.recorder = tracker, motion, recorder
-        self.control, self._view, self.report = control, view, report
-        self._machine = ControllerMonitor(motion, recorder, self.settings, clock)
+        self.state, self._view, self.report = state, view, report
+        self._machine = ControllerMonitor(motion, recorder, settings)
         self._stream: StreamReader | None = None
         self._is_machine_hold_reported = False
-        self._unconfirmed_hold = Stopwatch(clock)
-        self._unconfirmed_resume = Stopwatch(clock)
+        self._unconfirmed_hold = Stopwatch(settings.clock)
+        self._unconfirmed_resume = Stopwatch(settings.clock)
 
     def begin_stream(self, rate_hz: float) -> None:
         """Start the stream; return at its first valid sample, or raise Fault."""
@@ -165,7 +160,7 @@ class MeasurementMonitor:
         Returns the controller's status, None if it did not answer this time. Raises
         Aborted, or Fault.
         """
-        if self.control.aborted.wait(self.settings.poll_s):
+        if self.state.aborted.wait(self.settings.poll_s):
             raise Aborted("aborted on request")
         self._check_disk()
         self._check_stream()
@@ -187,7 +182,7 @@ class MeasurementMonitor:
             raise Fault("storage", text, action, latched=False)
         if self.recorder.is_strained:
             self._hold_feed(HoldReason.DISK, SLOW_DISK)
-        elif self.recorder.is_relaxed and self.control.holds(HoldReason.DISK):
+        elif self.recorder.is_relaxed and HoldReason.DISK in self.state.holds:
             self._release_hold(HoldReason.DISK, "the disk has caught up")
 
     def _check_stream(self) -> None:
@@ -202,12 +197,12 @@ class MeasurementMonitor:
             self._hold_feed(HoldReason.SILENCE, SILENT)
         elif state is StreamState.BEAM_LOST:
             self._hold_feed(HoldReason.BEAM, BEAM_LOST)
-        elif self.control.holds(HoldReason.SILENCE):
+        elif HoldReason.SILENCE in self.state.holds:
             # Too short for anybody to have walked up to the machine: go on by itself.
             self._release_hold(HoldReason.SILENCE, "the stream is back")
 
     def _hold_feed(self, reason: HoldReason, fault: Fault) -> None:
-        if self.control.hold(reason, fault.text):
+        if self.state.hold(reason, fault.text):
             self.report_fault(fault)
             self._machine.command(self.motion.hold)
 
@@ -216,7 +211,7 @@ class MeasurementMonitor:
             "stream" if reason is HoldReason.SILENCE else "storage", text
         )
         self._is_machine_hold_reported = False  # it may be the only reason left
-        self.control.release(reason, text=text)
+        self.state.release(reason, text=text)
 
     def _apply_status(self, status: MotionStatus) -> None:
         if status.state is MotionState.ALARM:
@@ -225,10 +220,10 @@ class MeasurementMonitor:
             raise Fault("motion-alarm", text, action, latched=True)
         self._view.axes = status.position
         self.progress.follow(status.line)
-        self.progress.pass_time(active=self.control.state is CellState.RUNNING)
-        self.control.observe(status.state, status.hold_reason)
+        self.progress.pass_time(active=self.state.state is CellState.RUNNING)
+        self.state.observe(status.state, status.hold_reason)
         self._report_machine_hold(status.hold_reason)
-        if self.control.wants_hold and status.state is MotionState.RUNNING:
+        if self.state.wants_hold and status.state is MotionState.RUNNING:
             self._insist_on_hold()
         else:
             self._unconfirmed_hold.reset()
@@ -236,7 +231,7 @@ class MeasurementMonitor:
 
     def _report_machine_hold(self, hold_reason: str) -> None:
         """Report once that somebody has to release the machine itself."""
-        waits = self.control.holds(HoldReason.MACHINE)
+        waits = HoldReason.MACHINE in self.state.holds
         if waits and not self._is_machine_hold_reported:
             self.report_fault(make_held_fault(hold_reason))
         self._is_machine_hold_reported = waits
@@ -252,13 +247,13 @@ class MeasurementMonitor:
             )
 
     def _insist_on_resume(self, status: MotionStatus) -> None:
-        if self.control.state is not CellState.RESUMING:
+        if self.state.state is not CellState.RESUMING:
             self._unconfirmed_resume.reset()
             return
         self._machine.command(self.motion.resume)
         if self._unconfirmed_resume.measure_s() > self.settings.confirm_s:
             self.report_fault(STILL_HELD)
-            self.control.fall_back(f"still held: {status.hold_reason}")
+            self.state.fall_back(f"still held: {status.hold_reason}")
             self._is_machine_hold_reported = True
 
     def _report_progress(self) -> None:

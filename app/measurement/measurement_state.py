@@ -42,42 +42,34 @@ class MeasurementState:
     """State of one measurement.
 
     changed : receives every new state with a text, in the thread that caused it
+    holds : the reasons to stand
     """
 
     def __init__(self, changed: Callable[[CellState, str], None]) -> None:
         self._changed = changed
         self._lock = threading.RLock()
-        self._state = CellState.RUNNING
-        self._holds: set[HoldReason] = set()
+        self.state = CellState.RUNNING
+        self.holds: set[HoldReason] = set()
         self._may_release_machine = False
         self.aborted = threading.Event()
 
     @property
-    def state(self) -> CellState:
-        """The state now."""
-        return self._state
-
-    @property
     def must_stand(self) -> bool:
         """Whether the machine must not be moved now."""
-        return self._state is not CellState.RUNNING
+        return self.state is not CellState.RUNNING
 
     @property
     def wants_hold(self) -> bool:
         """Whether the machine has to be held where it moves."""
-        return self._state in (CellState.PAUSING, CellState.PAUSED)
-
-    def holds(self, reason: HoldReason) -> bool:
-        """Tell whether this is a reason to stand."""
-        return reason in self._holds
+        return self.state in (CellState.PAUSING, CellState.PAUSED)
 
     def hold(self, reason: HoldReason, text: str) -> bool:
         """Request a hold; tell whether it is a new one."""
         with self._lock:
-            if reason in self._holds or self._state in ENDS:
+            if reason in self.holds or self.state in ENDS:
                 return False
-            self._holds.add(reason)
-            if self._state in (CellState.RUNNING, CellState.RESUMING):
+            self.holds.add(reason)
+            if self.state in (CellState.RUNNING, CellState.RESUMING):
                 self._enter(CellState.PAUSING, text)
             return True
 
@@ -87,9 +79,9 @@ class MeasurementState:
         Only who names the machine as well may undo a hold of its own.
         """
         with self._lock:
-            self._holds -= set(reasons)
+            self.holds -= set(reasons)
             self._may_release_machine = HoldReason.MACHINE in reasons
-            if not self._holds and self._state is CellState.PAUSED:
+            if not self.holds and self.state is CellState.PAUSED:
                 self._enter(CellState.RESUMING, text)
 
     def observe(self, motion: MotionState, hold_reason: str) -> None:
@@ -98,23 +90,23 @@ class MeasurementState:
             held = motion is MotionState.HELD
             running = motion is MotionState.RUNNING
             if running:
-                self._holds.discard(HoldReason.MACHINE)
+                self.holds.discard(HoldReason.MACHINE)
             elif held and self._is_external_hold(hold_reason):
                 self._hold_by_machine(f"held at the machine: {hold_reason}")
-            if self._state is CellState.PAUSING and not running:
+            if self.state is CellState.PAUSING and not running:
                 self._enter(CellState.PAUSED, "")
-            if self._state is CellState.PAUSED and not self._holds:
+            if self.state is CellState.PAUSED and not self.holds:
                 if running:
                     self._enter(CellState.RUNNING, "released at the machine")
                 else:
                     self._enter(CellState.RESUMING, "no reason to stand any more")
-            if self._state is CellState.RESUMING and not held:
+            if self.state is CellState.RESUMING and not held:
                 self._enter(CellState.RUNNING, "")
 
     def fall_back(self, text: str) -> None:
         """Give up resuming: the controller keeps holding."""
         with self._lock:
-            if self._state is CellState.RESUMING:
+            if self.state is CellState.RESUMING:
                 self._hold_by_machine(text)
 
     def end(self, state: CellState, text: str) -> None:
@@ -124,19 +116,19 @@ class MeasurementState:
 
     def _is_external_hold(self, hold_reason: str) -> bool:
         """Tell whether a hold is none that we have asked for."""
-        if self._state is CellState.RUNNING:
+        if self.state is CellState.RUNNING:
             return True
         # A person who resumes takes back what the machine still says for a moment.
-        asked = self._state is CellState.RESUMING and self._may_release_machine
+        asked = self.state is CellState.RESUMING and self._may_release_machine
         return hold_reason not in _OWN_HOLDS and not asked
 
     def _hold_by_machine(self, text: str) -> None:
-        self._holds.add(HoldReason.MACHINE)
-        if self._state in (CellState.RUNNING, CellState.RESUMING):
+        self.holds.add(HoldReason.MACHINE)
+        if self.state in (CellState.RUNNING, CellState.RESUMING):
             self._enter(CellState.PAUSED, text)
 
     def _enter(self, state: CellState, text: str) -> None:
-        if state not in TRANSITIONS.get(self._state, frozenset()):
-            raise ValueError(f"no way from {self._state} to {state}")
-        self._state = state
+        if state not in TRANSITIONS.get(self.state, frozenset()):
+            raise ValueError(f"no way from {self.state} to {state}")
+        self.state = state
         self._changed(state, text)

@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 from app.measurement.faults import NO_BEAM, UNSTOPPED, Fault
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import HoldReason
-from app.measurement.messages import MeasurementOrder, PartRequested
+from app.measurement.messages import (
+    CellVerb,
+    MeasurementCommand,
+    MeasurementOrder,
+    PartRequested,
+)
 from app.measurement.progress import schedule_rows
 from app.motion.configurations import Commanded, Configurations, append_part
 from app.motion.travel import check_travel
@@ -34,8 +39,7 @@ _STANDING = frozenset(MotionState) - {
 class MeasurementSteps:
     """The steps of one measurement under way.
 
-    `pause`, `resume`, `extend` and `conclude` may be called by any thread; everything
-    else belongs to the thread of the engine.
+    Any thread may call `obey`; everything else belongs to the thread of the engine.
     """
 
     def __init__(
@@ -47,7 +51,7 @@ class MeasurementSteps:
         self.motion, self.settings = monitor.motion, monitor.settings
         self._monitor, self._order, self._start = monitor, order, start
         self._progress, self._clock = monitor.progress, monitor.clock
-        self._recorder, self._control = monitor.recorder, monitor.control
+        self._recorder, self._state = monitor.recorder, monitor.state
         self._commanded = order.commanded
         self._parts: queue.SimpleQueue[Commanded] = queue.SimpleQueue()
         self.is_concluding = False  # the rest is to be left out
@@ -145,7 +149,7 @@ class MeasurementSteps:
             if (
                 status is None
                 or status.state not in _STANDING
-                or self._control.must_stand
+                or self._state.must_stand
             ):
                 if status is not None and status.state is MotionState.RUNNING:
                     grace_by_s = self._clock() + 10 * self.settings.poll_s
@@ -164,14 +168,14 @@ class MeasurementSteps:
         begin_s = self._monitor.device_s
         while self._monitor.device_s - begin_s < device_s:
             self._monitor.tick()
-            if self._control.must_stand:
+            if self._state.must_stand:
                 self.checkpoint()
                 begin_s = self._monitor.device_s
 
     def checkpoint(self) -> None:
         """Stand here for as long as a hold lasts."""
         self._monitor.tick()
-        while self._control.must_stand:
+        while self._state.must_stand:
             self._monitor.tick()
 
     def request_part(self) -> Commanded | None:
@@ -195,7 +199,7 @@ class MeasurementSteps:
             self._monitor.report(PartRequested(self._progress.row))
         while not self.is_concluding:
             self._monitor.tick()
-            if not self._control.must_stand and not self._parts.empty():
+            if not self._state.must_stand and not self._parts.empty():
                 return self._parts.get_nowait()
         return None
 
@@ -206,25 +210,22 @@ class MeasurementSteps:
         while self._monitor.device_s - begin_s < self.settings.lead_s:
             self._monitor.tick()
 
-    def pause(self) -> None:
-        """Feed hold, now. The state is `paused` once the controller confirms."""
-        if self._control.hold(HoldReason.OPERATOR, "pause"):
-            self.motion.hold()
-
-    def resume(self) -> None:
-        """Go on after a pause, a lost beam or a hold at the machine."""
-        if not self._monitor.is_beam_good:
-            self._monitor.report_fault(NO_BEAM)
-            return
-        self._control.release(*HoldReason, text="resume")
-
-    def extend(self, part: Commanded) -> None:
-        """Go on with a further part once it has been requested."""
-        self._parts.put(part)
-
-    def conclude(self) -> None:
-        """Finish the line or point under way, leave out the rest."""
-        self.is_concluding = True
+    def obey(self, command: MeasurementCommand) -> None:
+        """Do what the operator asks, as `CellVerb` states it."""
+        match command:
+            case CellVerb.PAUSE:
+                if self._state.hold(HoldReason.OPERATOR, "pause"):
+                    self.motion.hold()
+            case CellVerb.RESUME if self._monitor.is_beam_good:
+                self._state.release(*HoldReason, text="resume")
+            case CellVerb.RESUME:
+                self._monitor.report_fault(NO_BEAM)
+            case CellVerb.CONCLUDE:
+                self.is_concluding = True
+            case Path() | Configurations():
+                self._parts.put(command)
+            case _:
+                pass
 
     def leave_out_rest(self) -> None:
         """Record that the rest of the rows is not driven."""
@@ -234,7 +235,7 @@ class MeasurementSteps:
 
     def _is_line_done(self, status: MotionStatus, path: Path) -> bool:
         """Tell whether the line that was under way at `conclude` has been driven."""
-        moving = status.state is MotionState.RUNNING and not self._control.must_stand
+        moving = status.state is MotionState.RUNNING and not self._state.must_stand
         if not self.is_concluding or not moving:
             return False
         if self._concluded_row is None:

@@ -1,6 +1,7 @@
 """What crosses the border of the cell process: its set-up, commands and events.
 
-A command or an event is a frozen record, one class a kind.
+A command is a verb or the record that it is about; an event is a frozen record, one
+class a kind.
 """
 
 from __future__ import annotations
@@ -93,21 +94,10 @@ class CellVerb(StrEnum):
     CLOSE = "close"  # end the process
 
 
-@dataclass(frozen=True, slots=True)
-class Begin:
-    """Command: begin a measurement."""
-
-    order: MeasurementOrder
-
-
-@dataclass(frozen=True, slots=True)
-class Extend:
-    """Command: go on with a further part."""
-
-    part: Commanded
-
-
-CellCommand = CellVerb | Begin | Extend
+MeasurementCommand = CellVerb | Commanded
+"""A verb for a measurement under way, or a further part to go on with."""
+CellCommand = MeasurementCommand | MeasurementOrder
+"""The same, or a measurement to begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +167,7 @@ class BlockRecorded:
 
 @dataclass(frozen=True, slots=True)
 class PartRequested:
-    """Event: the machine stands at the last row and waits for Extend or Conclude."""
+    """Event: the machine stands at the last row: go on with a part, or conclude."""
 
     row: int
 
@@ -198,14 +188,19 @@ class FaultReported:
 class RunClosed:
     """Event: the last one of a measurement, after its final state.
 
-    run_file : empty if none was made
+    run_file : one read-only file, or as much of it as could be written; empty if none
+        was made
+    outcome : the final state; empty of a repaired Run
+    sha256 : of the file; empty if it could not be closed properly
+    failure : why not; empty if all is well
     """
 
     run_file: str
-    samples: int
-    lost_samples: int
-    sha256: str
-    outcome: CellState
+    outcome: str
+    samples: int = 0
+    lost_samples: int = 0
+    sha256: str = ""
+    failure: str = ""
 
 
 CellEvent = (

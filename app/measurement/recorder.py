@@ -25,13 +25,13 @@ import numpy as np
 
 from app.errors import MeasurementFailed
 from app.files.whole_files import sync_to_disk
+from app.measurement.messages import RunClosed
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
     LINK_STREAM,
     TRACKER_STREAM,
     Batch,
-    ClosedRun,
     RunHeader,
     create_run_file,
     encode_manifest,
@@ -154,7 +154,7 @@ class Recorder:
             self._manifest = replace_commanded(self._manifest, commanded)
             self._put(_Item(manifest=self._manifest))
 
-    def close(self, outcome: str) -> ClosedRun:
+    def close(self, outcome: str) -> RunClosed:
         """Write what waits, make the file one read-only file and hash it.
 
         Never raises: what could not be done is in `failure` of the answer.
@@ -171,9 +171,8 @@ class Recorder:
             except (sqlite3.Error, OSError) as error:
                 self.failure = self.failure or _describe_storage_error(self.file, error)
                 self._database.close()
-        return ClosedRun(
-            self.file, sha256, self.samples, self.lost_samples, self.failure
-        )
+        counts = self.samples, self.lost_samples
+        return RunClosed(str(self.file), outcome, *counts, sha256, self.failure)
 
     def _begin(self, header: RunHeader) -> sqlite3.Connection:
         if self.file.exists():

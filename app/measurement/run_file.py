@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 
+from app.files.commanded_file import commanded_from_json, commanded_to_json
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.files.whole_files import sync_to_disk
 from app.kinematics.machine import Machine
-from app.motion.configurations import Commanded, Configurations
-from drivers.interfaces import records
+from app.motion.configurations import Commanded
 from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
 
 SCHEMA = "run/1"
@@ -74,21 +74,6 @@ class Batch:
             "<4q", self.seq0, self.n, self.mono_ns, self.wall_ns
         )
         return zlib.crc32(self.payload, zlib.crc32(head))
-
-
-@dataclass(frozen=True, slots=True)
-class ClosedRun:
-    """A Run that is one read-only file, or as much of it as could be written.
-
-    sha256 : of the file; empty if it could not be closed properly
-    failure : why not; empty if all is well
-    """
-
-    file: Path
-    sha256: str
-    samples: int
-    lost_samples: int
-    failure: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +130,7 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
     return RunHeader(
         name=content["name"],
         machine=machine_from_json(content["machine"], file=f"{file}, machine"),
-        commanded=_decode_commanded(content["commanded"]),
+        commanded=commanded_from_json(content["commanded"]),
         rate_hz=float(content["rate_hz"]),
         devices={key: Identity(**who) for key, who in content["devices"].items()},
         axes=tuple(content["axes"]),
@@ -158,27 +143,8 @@ def _sign(rows: dict[str, str]) -> dict[str, str]:
 
 
 def _encode_commanded(commanded: Commanded) -> dict[str, Any]:
-    """Return the JSON of a path or of points."""
-    content: dict[str, Any] = {
-        "kind": "path" if isinstance(commanded, records.Path) else "points",
-        "axes": list(commanded.axes),
-        "position": commanded.position.tolist(),
-        "dwell_s": commanded.dwell_s.tolist(),
-        "target": list(commanded.target),
-    }
-    if isinstance(commanded, records.Path):
-        content["feed_mm_min"] = commanded.feed_mm_min.tolist()
-    return content
-
-
-def _decode_commanded(content: dict[str, Any]) -> Commanded:
-    axes, target = tuple(content["axes"]), tuple(content["target"])
-    position = np.array(content["position"], np.float64).reshape(-1, len(axes))
-    dwell_s = np.array(content["dwell_s"], np.float64)
-    if content["kind"] == "points":
-        return Configurations(axes, position, dwell_s, target)
-    feed_mm_min = np.array(content["feed_mm_min"], np.float64)
-    return records.Path(axes, position, feed_mm_min, dwell_s, target)
+    exact = {"position": commanded.position.tolist()}
+    return commanded_to_json(commanded) | exact
 
 
 def pack_samples(samples: TrackerSamples) -> bytes:
@@ -192,12 +158,7 @@ def pack_samples(samples: TrackerSamples) -> bytes:
 def unpack_samples(payload: bytes) -> TrackerSamples:
     """Return the samples of records of `TRACKER`."""
     rows = np.frombuffer(payload, TRACKER)
-    return TrackerSamples(
-        rows["sequence"].astype(np.int64),
-        rows["device_time_s"].astype(np.float64),
-        rows["position_mm"].astype(np.float64),
-        rows["status"].astype(np.int64),
-    )
+    return TrackerSamples(*(rows[name].copy() for name in TRACKER.names or ()))
 
 
 def pack_axes(samples: AxisSamples) -> bytes:

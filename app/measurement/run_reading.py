@@ -11,7 +11,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,12 @@ import numpy as np
 from app.errors import BundleError
 from app.files.run import Run, RunEvent
 from app.files.whole_files import sync_to_disk
+from app.measurement.messages import RunClosed
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
     TRACKER_STREAM,
     Batch,
-    ClosedRun,
     connect,
     create_run_file,
     decode_header,
@@ -96,7 +96,7 @@ def open_run(file: str | Path) -> Run:
     )
 
 
-def repair_run(file: str | Path) -> ClosedRun:
+def repair_run(file: str | Path) -> RunClosed:
     """Make one closed file of a Run whose writer was killed.
 
     What SQLite itself cannot repair is copied batch by batch into a new file; the
@@ -118,7 +118,7 @@ def repair_run(file: str | Path) -> ClosedRun:
         if CLOSED not in content.manifest:
             put_manifest(database, {CLOSED: json.dumps(end)})
         sha256 = seal(database, place)
-    return ClosedRun(place, sha256, len(tracker), lost, failure)
+    return RunClosed(str(place), "", len(tracker), lost, sha256, failure)
 
 
 def _read(file: Path) -> _Content:
@@ -139,21 +139,15 @@ def _open_database(file: Path) -> Iterator[sqlite3.Connection]:
     log = _log(file)
     if not log.exists():
         address = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
-        database = sqlite3.connect(address, uri=True)
-        try:
+        with closing(sqlite3.connect(address, uri=True)) as database:
             yield database
-        finally:
-            database.close()
         return
     with tempfile.TemporaryDirectory(prefix="truepath-run-") as folder:
         copy = Path(folder) / file.name
         shutil.copyfile(file, copy)
         shutil.copyfile(log, copy.with_name(log.name))
-        database = sqlite3.connect(copy)
-        try:
+        with closing(sqlite3.connect(copy)) as database:
             yield database
-        finally:
-            database.close()
 
 
 def _log(file: Path) -> Path:

@@ -51,7 +51,7 @@ class StreamReader:
         tracker: Tracker,
         recorder: Recorder,
         timeouts: StreamTimeouts,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float],
     ) -> None:
         self._tracker, self._recorder, self._timeouts = tracker, recorder, timeouts
         # A process that did not run has not read either: that is no silence.
@@ -150,7 +150,7 @@ def record_stream(
     Raises DeviceTimeout if the stream is dead, MeasurementFailed if the disk fails,
     DeviceError of the driver; what has been recorded by then is kept.
     """
-    reader = StreamReader(tracker, recorder, StreamTimeouts())
+    reader = StreamReader(tracker, recorder, StreamTimeouts(), time.monotonic)
     reader.start(rate_hz)
     try:
         while not is_over(TICK_S):

@@ -20,6 +20,7 @@ class EngineSettings:
     settle_s : between the end of a move and the dwell at a point, tracker's clock
     arrival : how far from a commanded position an axis may stand, mm or deg
     axes_rows : controller positions that are written together
+    clock : by which the engine waits, monotonic
     """
 
     poll_s: float = 0.1
@@ -32,6 +33,7 @@ class EngineSettings:
     progress_s: float = 0.2
     axes_rows: int = 10
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
+    clock: Callable[[], float] = time.monotonic
 
 
 class RunningClock:
@@ -41,9 +43,7 @@ class RunningClock:
     in which the process was suspended or starved, it counts `late_s` only.
     """
 
-    def __init__(
-        self, late_s: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, late_s: float, clock: Callable[[], float]) -> None:
         self._late_s, self._clock = late_s, clock
         self._lock = threading.Lock()
         self._read_s = self._now_s = clock()

@@ -13,7 +13,7 @@ import pytest
 from scripted_cell import wait_until
 
 from app.api import events
-from app.jobs.job import JobEvent, JobKind, NewJob
+from app.jobs.job import Job, JobEvent, JobKind
 from app.jobs.transitions import State
 
 EVENTS = "/api/v1/events"
@@ -69,7 +69,7 @@ def replaced(job, state):
 
 @pytest.fixture
 def job(service):
-    return service.store.create(NewJob(JobKind.ANALYSE))[0]
+    return service.store.create(Job(JobKind.ANALYSE))[0]
 
 
 def test_a_new_client_sees_where_things_stand_then_what_happens(live, service, job):
@@ -117,7 +117,7 @@ def test_an_identifier_of_nothing_begins_anew(live, service, job, last):
 
 
 def test_a_stream_of_one_job_leaves_others_out(live, service, job):
-    other, _ = service.store.create(NewJob(JobKind.ANALYSE))
+    other, _ = service.store.create(Job(JobKind.ANALYSE))
     with stream(live, f"/api/v1/jobs/{job.id}/events") as found:
         assert read(found, 1)[0].data["id"] == job.id
         service.event_bus.publish(JobEvent("progress", other.id, {"stage": "aligning"}))

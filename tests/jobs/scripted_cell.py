@@ -20,7 +20,6 @@ from app.measurement.messages import (
     LivePoints,
     MeasurementOrder,
     MeasurementProgress,
-    RunClosed,
     StateChanged,
 )
 from app.measurement.recorder import Recorder
@@ -107,24 +106,23 @@ class ScriptedCell:
         self.record(50)
         self.begun.set()
 
-    def pause(self):
-        self._verb("pause", "pausing", "paused")
-
-    def resume(self):
-        self._verb("resume", "resuming", "running")
-
-    def conclude(self):
-        self.heard.append("conclude")
-        self.end("finished")
+    def send(self, verb):
+        self.heard.append(str(verb))
+        if verb == "conclude":
+            self.end("finished")
+        elif verb in self.deaf:
+            return
+        elif verb == "abort":
+            if self._recorder is not None:
+                self.end("aborted")
+        else:
+            first = {"pause": "pausing", "resume": "resuming"}
+            self.say_state(first[verb])
+            self.say_state({"pause": "paused", "resume": "running"}[verb])
 
     def extend(self, part):
         self.heard.append("extend")
         self.parts.append(part)
-
-    def abort(self):
-        self.heard.append("abort")
-        if "abort" not in self.deaf and self._recorder is not None:
-            self.end("aborted")
 
     def poll(self, timeout_s):
         found = []
@@ -182,18 +180,10 @@ class ScriptedCell:
         recorder, self._recorder = self._recorder, None
         closed = recorder.close(state)
         if spoil is not None:
-            closed.file.chmod(0o644)
-            closed.file.write_bytes(spoil)
+            recorder.file.chmod(0o644)
+            recorder.file.write_bytes(spoil)
         self.say_state(state)
-        self.say(
-            RunClosed(
-                str(closed.file),
-                closed.samples,
-                closed.lost_samples,
-                closed.sha256,
-                CellState(state),
-            )
-        )
+        self.say(closed)
 
     def die(self):
         """End as a killed process does: without a word, the Run torn."""
@@ -214,12 +204,6 @@ class ScriptedCell:
 
     def _note_committed(self, samples):
         self.committed += len(samples)
-
-    def _verb(self, verb, first, then):
-        self.heard.append(verb)
-        if verb not in self.deaf:
-            self.say_state(first)
-            self.say_state(then)
 
 
 @dataclass

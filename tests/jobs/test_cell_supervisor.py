@@ -8,6 +8,7 @@ from scripted_cell import CellMaker, wait_until
 from app.errors import MeasurementFailed, TruepathError
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.errors import CellDown, DeviceSettings
+from app.measurement.messages import CellVerb
 from drivers.interfaces.errors import WrongDevice
 
 
@@ -103,7 +104,7 @@ def test_while_there_is_no_cell_verbs_are_refused_at_once(maker):
     wait_until(lambda: supervisor.status.state == "down")
     with pytest.raises(CellDown, match="no more processes"):
         supervisor.connect()
-    assert isinstance(supervisor.abort().exception(5), CellDown)
+    assert isinstance(supervisor.send(CellVerb.ABORT).exception(5), CellDown)
     supervisor.close()
 
 

@@ -20,9 +20,9 @@ from app.jobs.errors import (
     StaleVersion,
     StorageUnavailable,
 )
-from app.jobs.job import EarlyEnd, JobKind, NewJob, decode_job
+from app.jobs.job import EarlyEnd, Job, JobKind, decode_job
 from app.jobs.requested_job import RequestedJob
-from app.jobs.rows import IdempotencyKey
+from app.jobs.store import IdempotencyKey
 from app.jobs.transitions import FINAL, State
 from app.kinematics.machine import Target
 from app.measurement.messages import CellState, RunClosed
@@ -463,7 +463,7 @@ def test_a_fault_of_the_machine_is_a_fault_of_the_job_and_the_run_is_kept(
 def test_a_cell_that_closes_without_a_word_fails_the_job(running, make_cell, until):
     recorder, make_cell.cell._recorder = make_cell.cell._recorder, None
     recorder.close("finished")
-    make_cell.cell.say(RunClosed("", 50, 0, "", CellState.FAILED))
+    make_cell.cell.say(RunClosed("", CellState.FAILED, 50))
     assert "without saying why" in until(running, "failed").failure.detail
 
 
@@ -619,7 +619,7 @@ def test_progress_and_live_views_are_told_but_not_kept(
     forget()
     assert {n.type for n in heard} == {"progress", "live"}
     assert notice.job_id == running.id
-    assert notice.body["progress"]["position"] == [1.0, 2.0, 3.0]
+    assert list(notice.body["progress"]["position"]) == [1.0, 2.0, 3.0]
     assert {e.type for e in context.store.read_events_after(0)} == {"job"}
     count = len(heard)
     make_cell.cell.end()
@@ -734,7 +734,7 @@ def test_a_job_that_ended_can_only_be_looked_at(
 
 
 def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
-    job, _ = context.store.create(NewJob(JobKind.MEASURE_OTF, plan={}))
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan={})
     context.store.change(job.id, lambda job: replace(job, state=State.PREPARING))
     ready = context.store.change(job.id, lambda job: replace(job, state=State.READY))
     with pytest.raises(IllegalTransition, match="not under way any more"):
@@ -742,7 +742,7 @@ def test_a_job_of_another_process_cannot_be_armed_here(dispatcher, context):
 
 
 def test_a_torn_run_that_cannot_be_read_does_not_stop_the_sweep(dispatcher, context):
-    job, _ = context.store.create(NewJob(JobKind.MEASURE_OTF, plan={}))
+    job, _ = context.store.create(Job(JobKind.MEASURE_OTF), plan={})
     context.runs.name_run_file(job.id).write_bytes(b"no database at all")
     dispatcher.interrupt_unfinished_jobs()
     job = context.store.get(job.id)

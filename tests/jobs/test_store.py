@@ -12,21 +12,21 @@ from app.jobs.errors import CellBusy, KeyReused, StaleVersion
 from app.jobs.job import (
     Failure,
     Health,
+    Job,
     JobKind,
-    NewJob,
     Progress,
     Stage,
     decode_job,
     encode_job,
     make_id,
 )
-from app.jobs.rows import IdempotencyKey
 from app.jobs.schema import events, idempotency_keys
-from app.jobs.store import KEEP_KEYS_S, Store
+from app.jobs.store import KEEP_KEYS_S, IdempotencyKey, Store
 from app.jobs.transitions import State
 
-ANALYSE = NewJob(JobKind.ANALYSE)
-MEASURE = NewJob(JobKind.MEASURE_OTF, plan={"kind": "path", "axes": ["X"]})
+ANALYSE = Job(JobKind.ANALYSE)
+MEASURE = Job(JobKind.MEASURE_OTF)
+PLAN = {"kind": "path", "axes": ["X"]}
 
 
 def to(state):
@@ -41,8 +41,8 @@ def test_a_new_job_is_queued_at_version_one(store):
 
 
 def test_a_measuring_job_keeps_its_plan(store):
-    job, _ = store.create(MEASURE)
-    assert store.read_plan(job.id) == MEASURE.plan
+    job, _ = store.create(MEASURE, plan=PLAN)
+    assert store.read_plan(job.id) == PLAN
     assert store.get(job.id).desired_state == "ready"
 
 

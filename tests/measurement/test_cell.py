@@ -26,7 +26,6 @@ from app.measurement import cell as cell_module
 from app.measurement.cell import Cell
 from app.measurement.cell_process import MAX_BLOCKS, Outbox, serve
 from app.measurement.messages import (
-    Begin,
     BlockRecorded,
     CellConfig,
     CellEvent,
@@ -648,7 +647,7 @@ def test_a_cell_obeys_in_the_same_process_as_well(bench, order):
             assert ours.poll(10.0)
             kinds.append(type(ours.recv()))
         ours.send(CellVerb.PAUSE)
-        ours.send(Begin(order))
+        ours.send(order)
         while not isinstance(ours.recv(), MeasurementProgress):
             pass
     finally:

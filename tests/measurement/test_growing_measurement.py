@@ -11,6 +11,7 @@ import pytest
 from app.errors import PlanningError
 from app.measurement.measurement import Measurement
 from app.measurement.messages import (
+    CellVerb,
     FaultReported,
     MeasurementOrder,
     MeasurementProgress,
@@ -36,7 +37,7 @@ class Growing:
         devices = {"tracker": tracker.connect(), "motion": motion.connect()}
         self.order, self.journal, self.motion = order, journal, motion
         self.measurement = Measurement(
-            order, tracker, motion, devices, journal.report, settings=settings
+            order, tracker, motion, devices, journal.report, settings
         )
         self.thread = threading.Thread(target=self.measurement.run)
         self.thread.start()
@@ -69,7 +70,7 @@ def grown(mill, square, tracker, motion, journal, calm, tmp_path):
     yield begin
     for one in begun:
         if one.thread.is_alive():
-            one.measurement.abort()
+            one.measurement.obey(CellVerb.ABORT)
             one.thread.join(5.0)
 
 
@@ -77,10 +78,10 @@ def test_a_path_grows_in_the_same_run(grown, square, motion, journal):
     one = grown()
     one.until_asked(1)
     part = path_through(ON, square)
-    one.measurement.extend(part)
+    one.measurement.obey(part)
     one.until_asked(2)
     np.testing.assert_array_equal(motion.loaded.position, part.position)
-    one.measurement.conclude()
+    one.measurement.obey(CellVerb.CONCLUDE)
     assert one.ended() == "finished"
     assert motion.calls == ["abort", "move_to", *(2 * ["load", "start"])]
     run = one.run
@@ -98,7 +99,7 @@ def test_a_machine_that_waits_for_a_part_stands(grown, motion):
     here = motion.status().position
     assert motion.calls[-1] == "start"
     np.testing.assert_array_equal(here, one.order.commanded.position[-1])
-    one.measurement.conclude()
+    one.measurement.obey(CellVerb.CONCLUDE)
     assert one.ended() == "finished"
     assert len(one.run.commanded) == 4
 
@@ -109,9 +110,9 @@ def test_points_grow_one_by_one(grown, square, motion):
     for times, place in enumerate(ON, 1):
         one.until_asked(times)
         part = Configurations(square.axes, np.array([place]), np.array([0.5]))
-        one.measurement.extend(part)
+        one.measurement.obey(part)
     one.until_asked(4)
-    one.measurement.conclude()
+    one.measurement.obey(CellVerb.CONCLUDE)
     assert one.ended() == "finished"
     run = one.run
     np.testing.assert_array_equal(run.commanded.position[2:], ON)
@@ -122,7 +123,7 @@ def test_points_grow_one_by_one(grown, square, motion):
 def test_a_part_out_of_travel_is_never_loaded(grown, square, motion, journal):
     one = grown()
     one.until_asked(1)
-    one.measurement.extend(path_through([ON[0], (510.0, 60.0, -40.0)], square))
+    one.measurement.obey(path_through([ON[0], (510.0, 60.0, -40.0)], square))
     assert one.ended() == "failed"
     assert "row 2: X = 510 mm exceeds 500 mm" in journal.of(FaultReported)[-1].text
     assert motion.calls.count("load") == 1
@@ -132,7 +133,7 @@ def test_a_part_out_of_travel_is_never_loaded(grown, square, motion, journal):
 def test_a_part_that_begins_elsewhere_is_never_loaded(grown, square, motion):
     one = grown()
     one.until_asked(1)
-    one.measurement.extend(path_through(ON[1:], square))
+    one.measurement.obey(path_through(ON[1:], square))
     assert one.ended() in ("failed", "faulted")
     assert motion.calls.count("load") == 1
 
@@ -140,15 +141,15 @@ def test_a_part_that_begins_elsewhere_is_never_loaded(grown, square, motion):
 def test_a_pause_between_parts_keeps_the_next_one_waiting(grown, square, motion):
     one = grown()
     one.until_asked(1)
-    one.measurement.pause()
+    one.measurement.obey(CellVerb.PAUSE)
     one.journal.wait(lambda: one.journal.states[-1] == "paused")
-    one.measurement.extend(path_through(ON, square))
+    one.measurement.obey(path_through(ON, square))
     looks = len(one.journal.of(MeasurementProgress))
     one.journal.wait(lambda: len(one.journal.of(MeasurementProgress)) > looks + 3)
     assert motion.calls.count("load") == 1
-    one.measurement.resume()
+    one.measurement.obey(CellVerb.RESUME)
     one.until_asked(2)
-    one.measurement.conclude()
+    one.measurement.obey(CellVerb.CONCLUDE)
     assert one.ended() == "finished"
 
 

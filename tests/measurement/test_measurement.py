@@ -13,6 +13,7 @@ import pytest
 from app.measurement.faults import Fault
 from app.measurement.measurement import Measurement, arrange_axes
 from app.measurement.messages import (
+    CellVerb,
     FaultReported,
     LivePoints,
     MeasurementOrder,
@@ -68,8 +69,7 @@ class Running:
             motion,
             devices,
             journal.report,
-            settings=settings,
-            clock=clock,
+            replace(settings, clock=clock),
         )
         self.thread = threading.Thread(target=self.measurement.run)
 
@@ -160,7 +160,7 @@ def begin(tracker, motion, journal, calm) -> Iterator[Callable[..., Running]]:
     yield start
     for one in begun:
         if one.thread.is_alive():
-            one.measurement.abort()
+            one.measurement.obey(CellVerb.ABORT)
             one.thread.join(5.0)
 
 
@@ -268,12 +268,12 @@ def test_points_are_stepped_through_with_a_dwell_at_each(
 def test_pause_holds_and_resume_goes_on(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
     here = motion.status().position
     assert motion.status().position == here
-    running.measurement.pause()
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.PAUSE)
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
     assert journal.states == [
         "running",
@@ -290,7 +290,7 @@ def test_pause_holds_and_resume_goes_on(begin, long_order, motion, journal):
 def test_resume_without_a_pause_is_nothing(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
     assert "resume" not in motion.calls
     assert journal.states == ["running", "finished"]
@@ -302,11 +302,11 @@ def test_a_pause_in_a_dwell_makes_the_dwell_start_over(
     points = Configurations(square.axes, square.position[:2], np.full(2, 60.0))
     running = begin(replace(order, commanded=points))
     running.until(lambda: any(b.device_time_s > 110.0 for b in journal.of(LivePoints)))
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
     assert motion.calls.count("move_to") == 1
     resumed_s = journal.of(LivePoints)[-1].device_time_s
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     assert running.ended() == "finished"
     first = next(e.text for e in running.run.events if e.kind == "point")
     assert float(first.split()[3]) > resumed_s + 59.0
@@ -315,7 +315,7 @@ def test_a_pause_in_a_dwell_makes_the_dwell_start_over(
 def test_abort_stops_the_machine_and_keeps_the_run(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.abort()
+    running.measurement.obey(CellVerb.ABORT)
     assert running.ended() == "aborted"
     assert motion.calls[-1] == "abort"
     assert motion.status().state == "aborted"
@@ -326,9 +326,9 @@ def test_abort_stops_the_machine_and_keeps_the_run(begin, long_order, motion, jo
 def test_abort_while_paused_is_an_abort(begin, long_order, journal):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
-    running.measurement.abort()
+    running.measurement.obey(CellVerb.ABORT)
     assert running.ended() == "aborted"
 
 
@@ -336,14 +336,14 @@ def test_verbs_before_the_beginning_and_after_the_end_do_no_harm(
     order, tracker, motion, journal, calm
 ):
     running = Running(order, tracker, motion, journal, calm, time.monotonic)
-    running.measurement.pause()
-    running.measurement.resume()
-    running.measurement.abort()
+    running.measurement.obey(CellVerb.PAUSE)
+    running.measurement.obey(CellVerb.RESUME)
+    running.measurement.obey(CellVerb.ABORT)
     running.start()
     assert running.ended() == "aborted"
     assert "start" not in motion.calls
-    running.measurement.pause()
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.PAUSE)
+    running.measurement.obey(CellVerb.RESUME)
     assert journal.states[-1] == "aborted"
 
 
@@ -352,7 +352,7 @@ def test_enough_ends_the_path_in_order_after_the_line_under_way(
 ):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.conclude()
+    running.measurement.obey(CellVerb.CONCLUDE)
     assert running.ended() == "finished"
     assert "enough is known" in journal.of(StateChanged)[-1].text
     assert motion.calls[-1] == "abort"
@@ -371,7 +371,7 @@ def test_enough_ends_standstill_points_in_order_after_the_dwell_under_way(
     points = Configurations(square.axes, square.position, np.full(4, 30.0))
     running = begin(replace(order, commanded=points))
     running.until(lambda: any(b.device_time_s > 105.0 for b in journal.of(LivePoints)))
-    running.measurement.conclude()
+    running.measurement.obey(CellVerb.CONCLUDE)
     assert running.ended() == "finished"
     assert motion.calls.count("move_to") == 1
     run = running.run
@@ -389,7 +389,7 @@ def test_enough_at_the_last_point_leaves_nothing_out(
     points = Configurations(square.axes, square.position[:1], np.full(1, 20.0))
     running = begin(replace(order, commanded=points))
     running.until(lambda: any(b.device_time_s > 102.0 for b in journal.of(LivePoints)))
-    running.measurement.conclude()
+    running.measurement.obey(CellVerb.CONCLUDE)
     assert running.ended() == "finished"
     assert not [e for e in running.run.events if e.kind == "concluded"]
 
@@ -397,13 +397,13 @@ def test_enough_at_the_last_point_leaves_nothing_out(
 def test_enough_while_paused_waits_for_resume(begin, long_order, motion, journal):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
-    running.measurement.conclude()
+    running.measurement.obey(CellVerb.CONCLUDE)
     told = len(journal.of(MeasurementProgress))
     running.until(lambda: len(journal.of(MeasurementProgress)) > told + 3)
     assert journal.states[-1] == "paused"
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     assert running.ended() == "finished"
     assert [e.kind for e in running.run.events].count("concluded") == 1
 
@@ -488,7 +488,7 @@ def test_the_end_of_a_silence_does_not_undo_a_hold_at_the_machine(
     assert journal.states[-1] == "paused"
     assert who in journal.of(FaultReported)[-1].text
     assert "resume" not in motion.calls
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
 
 
@@ -511,7 +511,7 @@ def test_a_hold_at_the_machine_while_a_stop_ends_by_itself_is_kept(
     running.until(lambda: len(journal.of(LivePoints)) > live + 3)
     assert motion.status().state == "held"
     assert motion.calls.count("resume") == resumes
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
 
 
@@ -531,17 +531,17 @@ def test_time_in_which_the_host_did_not_run_is_no_silence(begin, long_order, jou
 def test_a_silence_does_not_undo_a_pause(begin, long_order, tracker, motion, journal):
     running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
     tracker.silent = True
     running.pass_until(lambda: journal.faults == ["tracker-silent"])
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.until(lambda: journal.faults == ["tracker-silent", "not-resumed"])
     tracker.silent = False
     events = len(journal.of(LivePoints))
     running.until(lambda: len(journal.of(LivePoints)) > events + 3)
     assert journal.states[-1] == "paused"
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
 
 
@@ -567,13 +567,13 @@ def test_a_lost_beam_holds_until_somebody_resumes(
     tracker.beam = False
     running.pass_until(lambda: "paused" in journal.states)
     assert journal.faults == ["beam-lost"]
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.until(lambda: journal.faults[-1] == "not-resumed")
     tracker.beam = True
     live = len(journal.of(LivePoints))
     running.until(lambda: len(journal.of(LivePoints)) > live + 2)
     assert journal.states[-1] == "paused"
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
     assert (running.run.tracker.status != 0).any()
 
@@ -671,7 +671,7 @@ def test_a_hold_at_the_machine_may_be_ended_by_resume(
     running.until_moving()
     motion.stand("watchdog")
     running.until_state("paused")
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
     assert "resume" in motion.calls
 
@@ -681,14 +681,14 @@ def test_a_pause_is_kept_against_a_release_at_the_machine(
 ):
     running = begin(long_order)
     running.until_moving()
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
     holds = motion.calls.count("hold")
     motion.go_on()
     running.until(lambda: motion.calls.count("hold") > holds)
     running.until(lambda: motion.status().state == "held")
     assert journal.states[-1] == "paused"
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
 
 
@@ -696,7 +696,7 @@ def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal
     running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
     motion.ignores_hold = True
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.pass_until(lambda: "hold-unconfirmed" in journal.faults)
     motion.ignores_hold = False
     assert running.ended() == "faulted"
@@ -705,14 +705,14 @@ def test_a_hold_that_is_not_obeyed_is_a_fault(begin, long_order, motion, journal
 def test_a_resume_that_is_not_obeyed_stays_a_pause(begin, long_order, motion, journal):
     running = begin(long_order, settings=JUDGED, clock=HandClock())
     running.until_moving()
-    running.measurement.pause()
+    running.measurement.obey(CellVerb.PAUSE)
     running.until_state("paused")
     motion.ignores_resume = True
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.pass_until(lambda: journal.faults == ["resume-unconfirmed"])
     running.until(lambda: journal.states[-1] == "paused")
     motion.ignores_resume = False
-    running.measurement.resume()
+    running.measurement.obey(CellVerb.RESUME)
     running.finished()
 
 
@@ -746,7 +746,7 @@ def test_a_verb_that_does_not_reach_the_controller_says_so(begin, long_order, mo
     running.until_moving()
     motion.out_of_reach = True
     with pytest.raises(DeviceTimeout):
-        running.measurement.abort()
+        running.measurement.obey(CellVerb.ABORT)
     motion.out_of_reach = False
     assert running.ended() == "aborted"
     assert motion.status().state == "aborted"

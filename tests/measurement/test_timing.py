@@ -33,7 +33,7 @@ def test_a_stopwatch_that_starts_at_zero_measures_from_there(clock):
 
 def test_a_controller_lost_at_time_zero_is_given_up_in_time(clock, motion):
     motion.out_of_reach = True
-    monitor = ControllerMonitor(motion, None, EngineSettings(link_s=2.0), clock)
+    monitor = ControllerMonitor(motion, None, EngineSettings(link_s=2.0, clock=clock))
     assert monitor.poll() is None
     clock.now_s = 2.1
     with pytest.raises(Fault, match="does not answer"):
