@@ -16,7 +16,7 @@ from app.api.models.base import PREFIX
 from app.api.paging import PagingDep
 from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
-from app.files.bundle_files import check_archive
+from app.files.bundle import check_archive
 from app.jobs.errors import DiskFull
 from app.jobs.runs import RunRecord
 

@@ -3,6 +3,9 @@
 A bundle that cannot be used is one BundleError naming file, row and column; rows are
 counted as `tables` says. What a bundle does not carry is left behind on export: axis
 samples, events, the tracker's counter.
+
+Nothing is ever extracted: members are read into memory, by name, up to a limit each, so
+an archive can neither leave its folder nor fill the disk.
 """
 
 from __future__ import annotations
@@ -10,11 +13,15 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path as FilePath
+from pathlib import PurePosixPath
 
 from app.errors import BundleError
-from app.files.bundle_files import FILES, BundleFiles, open_bundle
-from app.files.commanded_file import decode_path, decode_points, encode_commanded
+from app.files.commanded_file import decode_commanded, encode_commanded
 from app.files.machine_file import decode_machine, encode_machine
 from app.files.recorded_files import (
     decode_environment,
@@ -25,31 +32,49 @@ from app.files.recorded_files import (
     encode_stream,
 )
 from app.files.run import Run
-from app.files.whole_files import write_files
-from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
+from app.files.whole_files import MAX_TEXT_BYTES, write_files
 from drivers.interfaces.records import Path
+
+FILES = (
+    "machine.json",
+    "path.csv",
+    "points.csv",
+    "tracker.parquet",
+    "tracker.csv",
+    "environment.csv",
+    "reference.csv",
+)
+MAX_BYTES = 4 << 30
+MAX_MEMBERS = 1000
+
+BundleFiles = Mapping[str, Callable[[], bytes]]
+"""What reads each of `FILES` that is there. Raises BundleError if one is too large or
+damaged."""
 
 
 def read_bundle(path: str | FilePath) -> Run:
     """Read a bundle from a folder or a .zip. Raises BundleError."""
-    with open_bundle(path) as files:
-        machine = decode_machine(_read_required(files, "machine.json"))
-        commanded = _read_commanded(files, machine)
+    with _open_bundle(path) as files:
+        if "machine.json" not in files:
+            raise BundleError(
+                "is missing from the bundle", file="machine.json", remedy="add the file"
+            )
+        machine = decode_machine(files["machine.json"]())
+        commanded_file = _choose_file(files, "path.csv", "points.csv")
+        data = files[commanded_file]()
+        is_path = commanded_file == "path.csv"
+        commanded = decode_commanded(data, machine, commanded_file, is_path=is_path)
         tracker_file = _choose_file(files, "tracker.parquet", "tracker.csv")
-        stream = files.read(tracker_file)
-        environment, reference = "environment.csv", "reference.csv"
+        stream = files[tracker_file]()
+        environment = files.get("environment.csv")
+        reference = files.get("reference.csv")
         return Run(
             name=_choose_name(FilePath(path)),
             machine=machine,
             commanded=commanded,
             tracker=decode_stream(stream, file=tracker_file),
-            temperature=decode_environment(files.read(environment))
-            if environment in files
-            else None,
-            reference=decode_reference(files.read(reference))
-            if reference in files
-            else (),
+            temperature=decode_environment(environment()) if environment else None,
+            reference=decode_reference(reference()) if reference else (),
             provenance={
                 "source": FilePath(path).name,
                 f"{tracker_file} sha256": hashlib.sha256(stream).hexdigest(),
@@ -86,6 +111,19 @@ def zip_bundle(run: Run) -> bytes:
     return sink.getvalue()
 
 
+def check_archive(file: FilePath, limit_bytes: int) -> None:
+    """Refuse an archive that would unpack to more than a limit. Raises BundleError."""
+    remedy = "send the .zip of a measurement bundle"
+    with _open_archive(file, "bundle", remedy) as archive:
+        total = sum(info.file_size for info in archive.infolist())
+    if total > limit_bytes:
+        raise BundleError(
+            f"unpacks to {total >> 20} MiB, more than {limit_bytes >> 20} MiB",
+            file="bundle",
+            remedy="use tracker.parquet, or raise max_upload_mb",
+        )
+
+
 def _encode_files(run: Run) -> dict[str, bytes]:
     commanded = "path.csv" if isinstance(run.commanded, Path) else "points.csv"
     files = {
@@ -110,20 +148,6 @@ def _choose_name(path: FilePath) -> str:
     return place.name if place.is_dir() else place.stem
 
 
-def _read_commanded(files: BundleFiles, machine: Machine) -> Path | Configurations:
-    name = _choose_file(files, "path.csv", "points.csv")
-    decode = decode_path if name == "path.csv" else decode_points
-    return decode(files.read(name), machine)
-
-
-def _read_required(files: BundleFiles, name: str) -> bytes:
-    if name not in files:
-        raise BundleError(
-            "is missing from the bundle", file=name, remedy="add the file"
-        )
-    return files.read(name)
-
-
 def _choose_file(files: BundleFiles, first: str, second: str) -> str:
     if first in files and second in files:
         raise BundleError(
@@ -138,3 +162,94 @@ def _choose_file(files: BundleFiles, first: str, second: str) -> str:
             remedy="add one of the two",
         )
     return first if first in files else second
+
+
+@contextmanager
+def _open_bundle(path: str | FilePath) -> Iterator[BundleFiles]:
+    """Open a folder, or an archive with the files at its top or all in one folder."""
+    place = FilePath(path)
+    if place.is_dir():
+        files = [place / name for name in FILES]
+        yield {file.name: partial(_read_file, file) for file in files if file.is_file()}
+    elif place.is_file():
+        remedy = "give the folder of a bundle or a .zip of it"
+        with _open_archive(place, place.name, remedy) as archive:
+            yield {
+                name: partial(_read_member, archive, member, name)
+                for name, member in _list_members(archive, place.name).items()
+            }
+    else:
+        raise BundleError(
+            "no such folder or file", file=str(path), remedy="check the path"
+        )
+
+
+def _limit(name: str) -> int:
+    return MAX_BYTES if name.startswith("tracker.") else MAX_TEXT_BYTES
+
+
+def _too_large(name: str) -> BundleError:
+    return BundleError(f"is larger than {_limit(name) >> 20} MiB", file=name)
+
+
+def _read_file(file: FilePath) -> bytes:
+    if file.stat().st_size > _limit(file.name):
+        raise _too_large(file.name)
+    return file.read_bytes()
+
+
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> bytes:
+    limit = _limit(name)
+    try:
+        with archive.open(member) as source:
+            data = source.read(limit + 1)
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+        raise BundleError(
+            "is damaged in the archive", file=name, remedy="pack it again"
+        ) from error
+    except (RuntimeError, NotImplementedError) as error:
+        raise BundleError(
+            f"cannot be unpacked ({error})",
+            file=name,
+            remedy="pack it without a password, with the deflate method",
+        ) from error
+    if len(data) > limit:
+        raise _too_large(name)
+    return data
+
+
+def _open_archive(file: FilePath, label: str, remedy: str) -> zipfile.ZipFile:
+    try:
+        return zipfile.ZipFile(file)
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        problem = "is truncated or not a zip archive"
+        raise BundleError(problem, file=label, remedy=remedy) from error
+
+
+def _list_members(archive: zipfile.ZipFile, label: str) -> dict[str, zipfile.ZipInfo]:
+    infos = [info for info in archive.infolist() if not info.is_dir()]
+    if len(infos) > MAX_MEMBERS:
+        raise BundleError(f"holds more than {MAX_MEMBERS} files", file=label)
+    found: dict[str, zipfile.ZipInfo] = {}
+    folders: set[str] = set()
+    for info in infos:
+        member = PurePosixPath(info.filename.replace("\\", "/"))
+        if member.is_absolute() or ".." in member.parts or ":" in member.parts[0]:
+            raise BundleError(
+                f"member {info.filename!r} points out of the archive",
+                file=label,
+                remedy="pack the folder of the bundle itself",
+            )
+        if member.name not in FILES or len(member.parts) > 2:
+            continue
+        if member.name in found:
+            raise BundleError("is in the archive twice", file=member.name)
+        found[member.name] = info
+        folders.add(str(member.parent))
+    if len(folders) > 1:
+        raise BundleError(
+            f"spreads a bundle over {', '.join(sorted(folders))}",
+            file=label,
+            remedy="pack one folder",
+        )
+    return found

@@ -33,40 +33,26 @@ def read_set_up(
     data = read_whole(commanded_file)
     header = data.split(b"\n", 1)[0].decode("utf-8", "replace")
     is_path = "feed_mm_min" in [name.strip() for name in header.split(",")]
-    decode = decode_path if is_path else decode_points
-    return machine, decode(data, machine, file=str(commanded_file))
+    commanded = decode_commanded(data, machine, str(commanded_file), is_path=is_path)
+    return machine, commanded
 
 
-def decode_path(data: bytes, machine: Machine, *, file: str = "path.csv") -> Path:
-    """Return the path of a `path.csv`."""
+def decode_commanded(
+    data: bytes, machine: Machine, file: str, *, is_path: bool
+) -> Commanded:
+    """Return the path of a `path.csv`, or the standstill points of a `points.csv`."""
     table = read_csv(data, file)
-    position = _read_positions(table, machine)
-    feed_mm_min = _read_feed(table)
-    path = Path(
-        machine.axis_names,
-        position,
-        feed_mm_min,
-        _read_dwell(table),
-        _read_targets(table, machine),
-    )
-    _refuse_standing_lines(table, path)
-    _refuse_out_of_travel(table, machine, path)
-    return path
-
-
-def decode_points(
-    data: bytes, machine: Machine, *, file: str = "points.csv"
-) -> Configurations:
-    """Return the standstill points of a `points.csv`."""
-    table = read_csv(data, file)
-    points = Configurations(
-        machine.axis_names,
-        _read_positions(table, machine),
-        _read_dwell(table),
-        _read_targets(table, machine),
-    )
-    _refuse_out_of_travel(table, machine, points)
-    return points
+    axes, position = machine.axis_names, _read_positions(table, machine)
+    if is_path:
+        feed = _read_feed(table)
+        rest = _read_dwell(table), _read_targets(table, machine)
+        commanded = Path(axes, position, feed, *rest)
+        _refuse_standing_lines(table, commanded)
+    else:
+        rest = _read_dwell(table), _read_targets(table, machine)
+        commanded = Configurations(axes, position, *rest)
+    _refuse_out_of_travel(table, machine, commanded)
+    return commanded
 
 
 def encode_commanded(commanded: Commanded) -> bytes:

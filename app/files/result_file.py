@@ -62,18 +62,10 @@ class _LinearRange(FileModel):
     from_mm: float
     to_mm: float
 
-    @property
-    def ends(self) -> tuple[float, float]:
-        return self.from_mm, self.to_mm
-
 
 class _RotaryRange(FileModel):
     from_deg: float
     to_deg: float
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        return self.from_deg, self.to_deg
 
 
 class _Ranges(FileModel):
@@ -132,9 +124,8 @@ class _Document(FileModel):
 
     def ranges(self) -> dict[str, tuple[float, float]]:
         """Return the measured range of each axis that the file states one for."""
-        stated = self.measured_range
-        named = {name: getattr(stated, name) for name in _Ranges.model_fields}
-        return {name: found.ends for name, found in named.items() if found}
+        stated = self.measured_range.model_dump(exclude_none=True)
+        return {name: tuple(ends.values()) for name, ends in stated.items()}
 
     def half_differences_um(self) -> dict[str, Table]:
         """Return the half difference of each axis that the file states one for."""

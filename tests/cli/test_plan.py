@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.cli.command import run
-from app.files.commanded_file import decode_path, decode_points
+from app.files.commanded_file import decode_commanded
 from app.files.machine_file import decode_machine
 from app.motion.nc_programs.programs import list_dialects, read_program
 from simulators.scenario import load_machine
@@ -29,7 +29,9 @@ def planned(machine_file, tmp_path_factory):
 
 def test_a_plan_is_a_path_that_fits_into_the_minutes(planned, machine_file):
     machine = decode_machine(machine_file.read_bytes())
-    path = decode_path((planned / "path.csv").read_bytes(), machine)
+    path = decode_commanded(
+        (planned / "path.csv").read_bytes(), machine, "path.csv", is_path=True
+    )
     document = json.loads((planned / "plan.json").read_text())
     assert document["schema"] == "plan/1"
     assert document["mode"] == "otf"
@@ -72,7 +74,9 @@ def test_points_are_planned_for_standstills(machine_file, tmp_path, summary):
     arguments = ["plan", str(machine_file), "-o", str(tmp_path), *options, "--json"]
     assert run(arguments) == 0
     machine = decode_machine(machine_file.read_bytes())
-    points = decode_points((tmp_path / "points.csv").read_bytes(), machine)
+    points = decode_commanded(
+        (tmp_path / "points.csv").read_bytes(), machine, "points.csv", is_path=False
+    )
     said = summary()
     assert said["rows"] == len(points) >= 8
     assert said["duration_s"] <= 60.0
@@ -136,7 +140,9 @@ def test_a_workspace_keeps_the_path_out_of_its_boxes(machine_file, tmp_path, sum
     options = ["--minutes", "0.5", "--workspace", str(workspace), "--json"]
     assert run(["plan", str(machine_file), "-o", str(out), *options]) == 0
     assert not summary()["tracker"]["assumed"]
-    path = decode_path((out / "path.csv").read_bytes(), machine)
+    path = decode_commanded(
+        (out / "path.csv").read_bytes(), machine, "path.csv", is_path=True
+    )
     share = np.linspace(0.0, 1.0, 300)[:, None, None]
     swept = path.position[:-1] + share * np.diff(path.position, axis=0)
     inside = (swept > np.array(box["min_mm"])) & (swept < np.array(box["max_mm"]))

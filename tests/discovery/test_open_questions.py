@@ -20,7 +20,7 @@ from app.discovery.extended_model import ExtendedModel, baseline_model
 from app.discovery.open_questions import design_discrimination
 from app.errors import BundleError
 from app.estimation.baseline import ReferenceModel
-from app.files.commanded_file import decode_path, encode_commanded
+from app.files.commanded_file import decode_commanded, encode_commanded
 from app.files.run import Run
 from app.kinematics.model import MachineModel
 from app.motion.travel import check_travel
@@ -232,7 +232,8 @@ def test_a_measuring_job_takes_the_lines_as_they_are_stated(moved):
     machine = done.first.aligned[0].run.machine
     written = encode_commanded(done.asked.path)
     np.testing.assert_array_equal(
-        decode_path(written, machine).feed_mm_min, done.asked.path.feed_mm_min
+        decode_commanded(written, machine, "path.csv", is_path=True).feed_mm_min,
+        done.asked.path.feed_mm_min,
     )
 
 

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from app.errors import BundleError
-from app.files import bundle_files, whole_files
+from app.files import bundle as bundle_file
+from app.files import whole_files
 from app.files.bundle import read_bundle, write_bundle, zip_bundle
 from app.files.run import Run
 from app.kinematics.machine import RotaryAxis, Target
@@ -232,7 +233,7 @@ def test_members_that_point_out_of_the_archive_are_refused(tmp_path):
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bundle_files, "MAX_TEXT_BYTES", 1 << 20)
+    monkeypatch.setattr(bundle_file, "MAX_TEXT_BYTES", 1 << 20)
     file = tmp_path / "bomb.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("machine.json", b" " * (5 << 20))
@@ -242,13 +243,13 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_text_file_that_is_too_large_is_refused(bundle, monkeypatch):
-    monkeypatch.setattr(bundle_files, "MAX_TEXT_BYTES", 100)
+    monkeypatch.setattr(bundle_file, "MAX_TEXT_BYTES", 100)
     with pytest.raises(BundleError, match=r"machine\.json: is larger than"):
         read_bundle(bundle)
 
 
 def test_an_archive_of_too_many_files_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(bundle_files, "MAX_MEMBERS", 3)
+    monkeypatch.setattr(bundle_file, "MAX_MEMBERS", 3)
     file = tmp_path / "many.zip"
     with zipfile.ZipFile(file, "w") as archive:
         for i in range(4):
