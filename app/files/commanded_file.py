@@ -158,6 +158,6 @@ def _refuse_out_of_travel(table: Table, machine: Machine, commanded: Commanded) 
         raise table.error(
             f"is out of travel: {breach}",
             breach.index,
-            f"{breach.axis.lower()}_{breach.unit}",
+            name_columns([breach.axis.name])[0],
             "correct the row, or the travel in machine.json",
         )

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.errors import OutOfTravel
-from app.kinematics.machine import Machine, RotaryAxis, position_unit
+from app.kinematics.machine import Axis, Machine, RotaryAxis, position_unit
 from app.motion.configurations import Commanded
 
 # Rows are written with three or four decimals: a limit may be overrun by the rounding.
@@ -26,39 +26,30 @@ class Breach:
     """A commanded position beyond the travel of an axis.
 
     index : row of the commanded positions, from 0
-    value, low, high : mm, or deg for a rotary axis
     """
 
     index: int
-    axis: str
-    unit: str
+    axis: Axis
     value: float
-    low: float
-    high: float
 
     def __str__(self) -> str:
-        side, limit = (
-            ("exceeds", self.high) if self.value > self.high else ("is below", self.low)
-        )
-        return (
-            f"{self.axis} = {self.value:.4g} {self.unit} {side} {limit:.4g} {self.unit}"
-        )
+        axis, unit = self.axis, position_unit(self.axis)
+        above = self.value > axis.high
+        side, limit = ("exceeds", axis.high) if above else ("is below", axis.low)
+        return f"{axis.name} = {self.value:.4g} {unit} {side} {limit:.4g} {unit}"
 
 
 def first_breach(machine: Machine, commanded: Commanded) -> Breach | None:
     """Return the first row beyond the travel, or None. Every axis must be known."""
-    axes = {axis.name: axis for axis in machine.axes}
-    limits = [(axes[name].low, axes[name].high) for name in commanded.axes]
-    low, high = np.array(limits).T
-    outside = (commanded.position < low - ROUNDING) | (
-        commanded.position > high + ROUNDING
-    )
+    by_name = {axis.name: axis for axis in machine.axes}
+    axes = [by_name[name] for name in commanded.axes]
+    low, high = np.array([(axis.low, axis.high) for axis in axes]).T
+    position = commanded.position
+    outside = (position < low - ROUNDING) | (position > high + ROUNDING)
     if not outside.any():
         return None
     row, column = (int(i) for i in np.argwhere(outside)[0])
-    name = commanded.axes[column]
-    value = float(commanded.position[row, column])
-    return Breach(row, name, position_unit(axes[name]), value, *limits[column])
+    return Breach(row, axes[column], float(position[row, column]))
 
 
 def inner_travel(

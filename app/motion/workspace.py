@@ -8,6 +8,7 @@ against boxes, the triangle that the beam sweeps against what blocks it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,16 +56,8 @@ class Workspace:
     ) -> Bool[np.ndarray, " n"]:
         """Tell which straight lines keep to it from begin to end. Linear axes only."""
         ok = np.ones(len(begin), bool)
-        for box in self.keep_out:
-            ok &= ~_crosses(begin[:, :3], end[:, :3], box)
-        if self.tracker_mm is None:
-            return ok
-        a, b = _target_mm(machine, begin), _target_mm(machine, end)
-        tracker = np.array(self.tracker_mm)
-        near, far = _distances(tracker, a, b)
-        ok &= (near >= self.nearest_mm) & (far <= self.farthest_mm)
-        for box in self.blocks_sight:
-            ok &= ~_triangle_touches(np.tile(tracker, (len(a), 1)), a, b, box)
+        for breaks, _ in self._check_rules(machine, begin, end):
+            ok &= ~breaks
         return ok
 
     def refuse(self, machine: Machine, commanded: Commanded) -> None:
@@ -78,34 +71,43 @@ class Workspace:
         bad = ~self.allowed(machine, begin, end)
         if bad.any():
             index = int(np.argmax(bad))
-            why = self.reason(machine, begin[index], end[index])
+            rules = self._check_rules(machine, begin[index, None], end[index, None])
+            reason = next(reason for breaks, reason in rules if breaks[0])
             raise PlanningError(
-                f"the way to row {index + 1 + (len(position) > 1)} {why}; plan other "
-                "lines, or correct the workspace"
+                f"the way to row {index + 1 + (len(position) > 1)} {reason}; plan "
+                "other lines, or correct the workspace"
             )
 
-    def reason(
+    def _check_rules(
         self,
         machine: Machine,
-        begin: Float64[np.ndarray, " a"],
-        end: Float64[np.ndarray, " a"],
-    ) -> str:
-        """Say why a line is not allowed."""
-        a, b = begin[None], end[None]
+        begin: Float64[np.ndarray, "n a"],
+        end: Float64[np.ndarray, "n a"],
+    ) -> Iterator[tuple[Bool[np.ndarray, " n"], str]]:
+        """Yield which lines break a rule, and what one that does so does."""
         for box in self.keep_out:
-            if _crosses(a[:, :3], b[:, :3], box)[0]:
-                return f"enters the keep-out box {_name_box(box)}"
+            name = _name_box(box)
+            yield (
+                _crosses(begin[:, :3], end[:, :3], box),
+                f"enters the keep-out box {name}",
+            )
+        if self.tracker_mm is None:
+            return
+        a, b = _target_mm(machine, begin), _target_mm(machine, end)
         tracker = np.array(self.tracker_mm)
-        p, q = _target_mm(machine, a), _target_mm(machine, b)
-        near, far = (float(d[0]) for d in _distances(tracker, p, q))
-        if near < self.nearest_mm:
-            return f"brings the target to {near:.0f} mm, nearer than the tracker sees"
-        if far > self.farthest_mm:
-            return f"takes the target {far:.0f} mm away, farther than the tracker sees"
+        near, far = _distances(tracker, a, b)
+        least, most = near.min(initial=np.inf), far.max(initial=0.0)
+        yield (
+            near < self.nearest_mm,
+            f"brings the target to {least:.0f} mm, nearer than the tracker sees",
+        )
+        yield (
+            far > self.farthest_mm,
+            f"takes the target {most:.0f} mm away, farther than the tracker sees",
+        )
         for box in self.blocks_sight:
-            if _triangle_touches(tracker[None], p, q, box)[0]:
-                return f"goes behind {_name_box(box)}, out of the tracker's sight"
-        return "is allowed"
+            behind = _triangle_touches(np.tile(tracker, (len(a), 1)), a, b, box)
+            yield behind, f"goes behind {_name_box(box)}, out of the tracker's sight"
 
 
 def moves_where_seen(machine: Machine, target: Target) -> bool:
