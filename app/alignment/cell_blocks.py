@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from app.alignment.nominal_path import Curve, NominalPath
 from app.alignment.observations import Observations, Pass
@@ -16,7 +15,6 @@ from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence
 from app.files.run import Run
 from app.kinematics.conditions import Conditions
-from app.kinematics.machine import Machine
 from app.numerics.rigid import RigidTransform
 
 _SETTLE_S = 0.05  # left out at both ends of a standstill
@@ -40,22 +38,6 @@ class CellBlock:
     position_mm: Float64[np.ndarray, "n a"]
     line_time_s: Float64[np.ndarray, " n"]
     line_speed_mm_s: float = 0.0
-
-
-def offsets_mm(
-    machine: Machine, targets: Sequence[str], rows: int
-) -> Float64[np.ndarray, "n 3"]:
-    """Return the offset of the target measured at each commanded row."""
-    names = targets or [""] * rows
-    return np.array([machine.target(name).offset_mm for name in names], np.float64)
-
-
-def on_workpiece(
-    machine: Machine, targets: Sequence[str], rows: int
-) -> Bool[np.ndarray, " n"]:
-    """Tell whether the target measured at each row is on the workpiece."""
-    names = targets or [""] * rows
-    return np.array([machine.target(name).on == "workpiece" for name in names], bool)
 
 
 def reduce_pass(
@@ -194,19 +176,19 @@ def join_blocks(
     velocity = np.concatenate([p.velocity_mm_s for p in parts])
     mean_speed = np.repeat(np.array([p.line_speed_mm_s for p in parts]), sizes)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    targets = run.commanded.target
-    names = [targets[p.row] for p in parts for _ in p.cells.time_s] if targets else []
+    names = run.commanded.target or ("",) * len(run.commanded)
+    targets = [run.machine.target(names[r]) for r in row]
     at = Conditions(
         run.machine,
         np.concatenate([p.position_mm for p in parts]),
-        offsets_mm(run.machine, names, len(row)),
+        np.array([target.offset_mm for target in targets], np.float64),
         np.concatenate([p.cells.time_s for p in parts]),
         line,
         np.concatenate([p.line_time_s for p in parts]),
         velocity,
         approach_signs(run.commanded.position)[row],
         run.machine.tracker.stands_on,
-        on_workpiece(run.machine, names, len(row)),
+        np.array([target.on == "workpiece" for target in targets], bool),
         mean_speed if run.machine.rotary_axes else None,
     )
     count = np.concatenate([p.cells.count for p in parts])

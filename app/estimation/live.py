@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import CellBlock, offsets_mm
+from app.alignment.cell_blocks import CellBlock
 from app.alignment.observations import Observations, add_surroundings
 from app.alignment.streaming import StreamingAlignment
 from app.errors import Unidentifiable
@@ -106,7 +106,8 @@ class LiveEstimator:
         self._commanded, self._known = commanded, known or KnownEffects()
         self._alignment = StreamingAlignment(machine, commanded)
         self._perpendicular_only = perpendicular_only
-        offsets = offsets_mm(machine, commanded.target, len(commanded))
+        targets = [machine.target(name) for name in commanded.target or ("",)]
+        offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
         self._model = add_half_widths(self._known.extend(model))
         self._gram = compute_volumetric_gram(self._model)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.chain import NominalChain
-from app.kinematics.machine import Machine
+from app.kinematics.machine import Machine, Target
 from app.numerics.splines import CubicSpline
 
 
@@ -165,3 +165,17 @@ def make_standstill(
         np.zeros((n, 3)),
         np.zeros((n, a)),
     )
+
+
+def observe_targets(
+    machine: Machine, position_mm: Float64[np.ndarray, "n a"], targets: Sequence[Target]
+) -> Conditions:
+    """Return conditions of targets at a standstill, as the tracker sees them.
+
+    targets : in turn, one at each position
+    """
+    turns = len(position_mm) // len(targets)
+    offset = np.array([target.offset_mm for target in targets], np.float64)
+    aside = np.array([target.on == "workpiece" for target in targets])
+    at = make_standstill(machine, position_mm, np.tile(offset, (turns, 1)))
+    return at.view_from(machine.tracker.stands_on, np.tile(aside, turns))

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import block_diag
 
-from app.kinematics.conditions import Conditions, make_standstill
+from app.kinematics.conditions import Conditions, observe_targets
 from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import find_arm, make_error_motion
@@ -180,10 +180,7 @@ def _probe(
     if fixed:
         column = machine.axis_names.index(fixed)
         position[:, column] = position[0, column]
-    offset = np.tile([t.offset_mm for t in targets], (count, 1)).astype(np.float64)
-    on_workpiece = np.tile([t.on == "workpiece" for t in targets], count)
-    at = make_standstill(machine, position, offset)
-    return at.view_from(machine.tracker.stands_on, on_workpiece)
+    return observe_targets(machine, position, targets)
 
 
 def _single_numbers(

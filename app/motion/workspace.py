@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.errors import PlanningError
-from app.kinematics.conditions import make_standstill
+from app.kinematics.conditions import observe_targets
 from app.kinematics.machine import Machine, Target
 from app.motion.configurations import Commanded
 
@@ -140,13 +140,7 @@ def _target_mm(
     machine: Machine, position: Float64[np.ndarray, "n a"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Return the nominal place of the first target where the tracker stands."""
-    target = machine.target()
-    aside = np.full(len(position), target.on == "workpiece")
-    return (
-        make_standstill(machine, position)
-        .view_from(machine.tracker.stands_on, aside)
-        .point_mm
-    )
+    return observe_targets(machine, position, [machine.target()]).point_mm
 
 
 def _crosses(

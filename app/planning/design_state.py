@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from app.kinematics.conditions import Conditions, RecordedState, make_standstill
+from app.kinematics.conditions import Conditions, RecordedState, observe_targets
 from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Commanded, Configurations
@@ -117,11 +117,7 @@ class DesignState(ABC):
         self, position: Float64[np.ndarray, "n a"], approach: Float64[np.ndarray, "n a"]
     ) -> Conditions:
         """Return the conditions at positions, approached by motions of given signs."""
-        machine, n = self.model.machine, len(position)
-        offset = np.tile(np.array(self.target.offset_mm, np.float64), (n, 1))
-        at = make_standstill(machine, position, offset)
-        aside = np.full(n, self.target.on == "workpiece")
-        at = at.view_from(machine.tracker.stands_on, aside)
+        at = observe_targets(self.model.machine, position, [self.target])
         return replace(at, approach=approach)
 
     def roots(

@@ -124,10 +124,9 @@ def forecast(
     station_mm : in the frame that the tracker stands on
     """
     cells = predict_cells(machine, commanded, station_mm)
-    offsets = np.unique(cells.at.offset_mm, axis=0)
     assumed = assumed or Assumptions()
     known, noise = assumed.known, assumed.used_noise
-    model = known.extend(build_identifiable_model(machine, offsets)[0])
+    model = known.extend(build_identifiable_model(machine, cells.at.offset_mm)[0])
     prior = assumed.make_prior(model)
     gram = compute_volumetric_gram(model)
     about = linearise(cells, model, cells.pose, noise)

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import approach_signs, offsets_mm, on_workpiece
+from app.alignment.cell_blocks import approach_signs
 from app.alignment.observations import Observations, add_surroundings
 from app.errors import PlanningError
 from app.estimation.noise import NoiseModel
-from app.kinematics.conditions import Conditions, make_standstill
+from app.kinematics.conditions import Conditions, make_standstill, observe_targets
 from app.kinematics.machine import LinearAxis, Machine
 from app.motion.configurations import Commanded, Configurations
 from app.motion.motion_times import ACCELERATION_MM_S2, Drive, Stops, row_times_s
@@ -126,10 +126,10 @@ def _conditions(
     position = commanded.position[:, order]
     begin = position[np.where(rate > 0.0, row - 1, row)]
     step = position[row] - begin
-    names = [commanded.target[int(r)] for r in row if commanded.target]
-    at = make_standstill(
-        machine, begin + share[:, None] * step, offsets_mm(machine, names, len(row))
-    ).view_from(machine.tracker.stands_on, on_workpiece(machine, names, len(row)))
+    targets = [machine.target(name) for name in commanded.target or ("",)]
+    if commanded.target:
+        targets = [targets[r] for r in row]
+    at = observe_targets(machine, begin + share[:, None] * step, targets)
     velocity = find_slopes_mm(at, step) * rate[:, None]
     goes = np.linalg.norm(velocity, axis=1) > 0.0
     line = np.where(goes, row, -1)

@@ -111,11 +111,9 @@ def predicted_effects_json(found: Forecast) -> list[dict[str, Any]]:
     """Return effects as a plan states them: as known, and as it will leave them."""
     known, model = found.known, found.model
     theta = np.zeros(model.size)
-    parameters = np.arange(model.size)
-    places = [parameters[model.slices[effect.name]] for effect in known.effects]
-    theta[np.concatenate([*places, np.empty(0, int)])] = known.theta
+    theta[known.locate(model)] = known.theta
     after = EstimatedModel(model, theta, found.covariance)
-    effects = list_updated_effects(known, after, [None] * len(places))
+    effects = list_updated_effects(known, after, [None] * len(known.effects))
     return [_effect_json(one, parameters_json(one.before)) for one in effects]
 
 
