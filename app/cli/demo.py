@@ -17,7 +17,7 @@ import numpy as np
 from app.cli.following import follow_measurement
 from app.cli.summary import print_result, summarise_result
 from app.cli.terminal import print_json, say, show_progress
-from app.compensation.remaining_error import remove_rigid_motion
+from app.compensation.export import remove_rigid_motion
 from app.errors import BadInput, PlanningError
 from app.files.bundle import write_bundle
 from app.files.commanded_file import commanded_from_json

@@ -13,8 +13,8 @@ files that make the error larger are refused.
     format                the interface of a controller's format; tables that it adds
     error_map             δ of the result at any position, in + and − direction; δ and
                           the error motions of each axis at equal spacing, mm, rad
-    remaining_error       what remains of the whole and of each effect of a model
-    export                spacing, writing, reading back, the account of the files
+    export                writing, reading back, what remains of the whole and of each
+                          effect of a model: the account of the files
     linuxcnc, siemens, heidenhain, fanuc, isg_csv    one maker a file
 
 Third parties add formats in the entry-point group `truepath.compensation_formats`.
