@@ -11,20 +11,20 @@ import asyncio
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, Depends, Header
+from fastapi import APIRouter, Depends, Header, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.exceptions import HTTPException
 
-from app.api.models.job import describe_job
+from app.api.jobs import describe_job
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
-from app.jobs.job import JobEvent, decode_job, format_utc_now
+from app.jobs.job import Job, JobEvent, decode_job, format_utc_now
 
 TICK_S = 1.0
 WAITING = 50
@@ -89,7 +89,7 @@ class Subscription:
                 )
                 for stored in missed:
                     known = stored.id or known
-                    yield _describe_event(stored)
+                    yield _describe_job_event(decode_job(stored.body), stored.id)
                 news = bool(missed)
             for job_event in live:
                 body = {"job_id": job_event.job_id, **job_event.body}
@@ -119,28 +119,16 @@ open_streams: set[Subscription] = set()
 """Each browser tab holds one. Changed on the event loop only."""
 
 
-async def _subscribe_to_all(service: ServiceDep) -> AsyncIterator[Subscription]:
-    with _subscribe(service, None) as subscription:
-        yield subscription
-
-
-def _require_job(job_id: str, service: ServiceDep) -> str:
-    return service.store.get(job_id).id
-
-
-async def _subscribe_to_job(
-    job_id: Annotated[str, Depends(_require_job)], service: ServiceDep
+async def _subscribe(
+    request: Request, service: ServiceDep
 ) -> AsyncIterator[Subscription]:
-    with _subscribe(service, job_id) as subscription:
-        yield subscription
-
-
-@contextmanager
-def _subscribe(service: Service, job_id: str | None) -> Iterator[Subscription]:
     """Listen for one request. Ended by the request, not by the stream's generator.
 
     A generator that waits for a slow client does not notice when that client leaves.
     """
+    job_id = request.path_params.get("job_id")
+    if job_id is not None:
+        await run_sync(service.store.get, job_id)
     if len(open_streams) >= service.max_streams:
         raise HTTPException(429, f"{service.max_streams} event streams are open")
     subscription = Subscription(service, job_id)
@@ -153,6 +141,7 @@ def _subscribe(service: Service, job_id: str | None) -> Iterator[Subscription]:
         unsubscribe()
 
 
+SubscriptionDep = Annotated[Subscription, Depends(_subscribe)]
 LastEventId = Annotated[
     str, Header(description="Identifier of the last event that was received.")
 ]
@@ -160,8 +149,7 @@ LastEventId = Annotated[
 
 @router.get("/events", response_class=EventSourceResponse, responses=_STREAM)
 async def stream_events(
-    subscription: Annotated[Subscription, Depends(_subscribe_to_all)],
-    last_event_id: LastEventId = "",
+    subscription: SubscriptionDep, last_event_id: LastEventId = ""
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow everything. One stream a page; the browser reconnects by itself."""
     async for event in subscription.events(last_event_id):
@@ -172,8 +160,7 @@ async def stream_events(
     "/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_STREAM
 )
 async def stream_job_events(
-    subscription: Annotated[Subscription, Depends(_subscribe_to_job)],
-    last_event_id: LastEventId = "",
+    job_id: str, subscription: SubscriptionDep, last_event_id: LastEventId = ""
 ) -> AsyncIterator[ServerSentEvent]:
     """Follow one job."""
     async for event in subscription.events(last_event_id):
@@ -194,10 +181,8 @@ def _read_present(
     """Return where things stand, for a client that has seen nothing."""
     store = service.store
     jobs = store.list_unfinished() if job_id is None else [store.get(job_id)]
-    described = [describe_job(job) for job in jobs]
-    return [ServerSentEvent(data=job, event="job", id=str(newest)) for job in described]
+    return [_describe_job_event(job, newest) for job in jobs]
 
 
-def _describe_event(stored: JobEvent) -> ServerSentEvent:
-    job = describe_job(decode_job(stored.body))
-    return ServerSentEvent(data=job, event=stored.type, id=str(stored.id))
+def _describe_job_event(job: Job, event_id: int | None) -> ServerSentEvent:
+    return ServerSentEvent(data=describe_job(job), event="job", id=str(event_id))

@@ -6,21 +6,21 @@ The version of a job stands in ETag and If-Match.
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from dataclasses import asdict
+from typing import Annotated, Literal
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Depends, Header, Query, Response
-from pydantic import BaseModel, StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 from pydantic.json_schema import SkipJsonSchema
 from starlette.exceptions import HTTPException
 
-from app.api.models.base import PREFIX
-from app.api.models.job import JobOut, JobPage, Stopped, describe_job
+from app.api.models.base import JOB_ID, PREFIX, Links, Problem
 from app.api.models.job_request import JobRequest
 from app.api.models.plan import PlanOut
 from app.api.paging import PagingDep
-from app.api.problems import declare_problems
+from app.api.problems import declare_problems, describe_failure
 from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job
@@ -29,6 +29,121 @@ from app.jobs.transitions import State
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 stop = APIRouter(tags=["jobs"])
+
+
+class JobProgress(BaseModel):
+    """How far the stage is."""
+
+    done: float
+    total: float
+    unit: str = Field(examples=["lines"])
+    eta_s: float | None
+    stage: str = Field(examples=["measuring"])
+    elapsed_s: float
+    position: list[float] = Field(description="Axis positions in mm and deg.")
+
+
+class JobHealth(BaseModel):
+    """What the tracker's link has seen."""
+
+    samples: int
+    lost_samples: int
+    crc_errors: int
+
+
+class ResultLinks(Links):
+    """Where the result is."""
+
+    result: Annotated[str, "/jobs/{id}/result"]
+    error_tables_json: Annotated[str, "/jobs/{id}/result/error-tables.json"]
+    error_tables_csv: Annotated[str, "/jobs/{id}/result/error-tables.csv"]
+    report_html: Annotated[str, "/jobs/{id}/result/report.html"]
+
+
+class DiscoveryLinks(Links):
+    """Where the answer of a discovery is."""
+
+    discovery: Annotated[str, "/jobs/{id}/discovery"]
+    report_html: Annotated[str, "/jobs/{id}/discovery/report.html"]
+    model: Annotated[str, "/models/{id}"]
+
+
+class JobLinks(Links):
+    """Where else to look."""
+
+    self: Annotated[str, "/jobs/{id}"]
+    events: Annotated[str, "/jobs/{id}/events"]
+    plan: Annotated[str, "/jobs/{id}/plan"]
+    run: Annotated[str | None, "/runs/{run_id}"]
+
+
+class EarlyEndOut(BaseModel):
+    """Why the rest of the plan was left out."""
+
+    reason: Literal["target-reached"]
+    reached_um: float = Field(
+        description="`volumetric_uncertainty_um` (k = 1) at that moment."
+    )
+    done: int = Field(description="Finished lines or points behind that number.")
+    total: int = Field(description="Lines or points of the plan.")
+
+
+class MonteCarloOut(BaseModel):
+    """The trials that were asked for."""
+
+    seed: int
+    interval: str = Field(examples=["symmetric"])
+
+
+class JobOut(BaseModel):
+    """A job. `version` counts its changes of state; send it as If-Match."""
+
+    id: str = Field(examples=[JOB_ID])
+    kind: str = Field(examples=["measure-otf"])
+    state: str = Field(examples=["ready"], description="One of " + ", ".join(State))
+    desired_state: str = Field(examples=["ready"])
+    version: int = Field(examples=[3])
+    stage: str = Field(examples=["measuring"])
+    progress: JobProgress
+    health: JobHealth
+    perpendicular_only: bool
+    monte_carlo: MonteCarloOut | None = Field(
+        description="The trials that the uncertainty is held against."
+    )
+    target_um: float | None = Field(
+        description="`volumetric_uncertainty_um` (k = 1) at which it may end early."
+    )
+    early_end: EarlyEndOut | None = Field(description="Null if it did not.")
+    created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
+    started: str | None
+    ended: str | None
+    run_id: str | None
+    run_ids: list[str] = Field(
+        description="All its Runs, in order: `run_id` is the first, of extra lines "
+        "the last."
+    )
+    result: ResultLinks | None
+    discovery: DiscoveryLinks | None = Field(
+        description="Of a job of kind discover or measure-extra that has succeeded."
+    )
+    error: Problem | None = Field(
+        description="Why it ended badly; in an unfinished job, why it stands."
+    )
+    links: JobLinks
+
+
+class JobPage(BaseModel):
+    """Jobs, the newest first."""
+
+    items: list[JobOut]
+    next: str | None = Field(description="`after` of the next page.")
+
+
+class Stopped(BaseModel):
+    """The jobs that a blanket abort has reached."""
+
+    jobs: list[JobOut]
+
 
 IdempotencyKeyHeader = Annotated[
     Annotated[
@@ -156,6 +271,22 @@ def get_job_plan(job_id: str, service: ServiceDep) -> PlanOut:
     if plan is None:
         plan = service.runs.get(job.run_id or "").plan
     return PlanOut(**{**plan, "target_um": job.target_um})
+
+
+def describe_job(job: Job) -> JobOut:
+    """Return a job as clients see it."""
+    content, failure = asdict(job), job.failure
+    content["progress"]["stage"] = job.stage
+    if job.early_end:
+        content["early_end"]["reason"] = "target-reached"
+    return JobOut(
+        **content,
+        run_ids=list(job.run_ids),
+        result=ResultLinks.of(id=job.id) if job.has_result else None,
+        discovery=DiscoveryLinks.of(id=job.id) if job.has_discovery else None,
+        error=Problem(**describe_failure(failure)) if failure else None,
+        links=JobLinks.of(id=job.id, run_id=job.run_id),
+    )
 
 
 def _describe(job: Job, response: Response) -> JobOut:

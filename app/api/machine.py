@@ -16,6 +16,7 @@ from app.errors import NotFound
 from app.files.machine_file import machine_to_json
 from app.jobs.errors import NoMachine
 from app.jobs.job import format_utc_now
+from app.kinematics.machine import Machine
 
 machines = APIRouter(prefix="/machines", tags=["machines"])
 system = APIRouter(prefix="/system", tags=["system"])
@@ -118,20 +119,13 @@ def connect_machine(service: ServiceDep) -> Connection:
 @system.get("")
 def get_system(service: ServiceDep) -> SystemOut:
     """Return what the service is and what holds the machine."""
-    machine = service.machine
-    measuring = [job for job in service.store.list_unfinished() if job.kind.measures]
+    unfinished = service.store.list_unfinished()
     return SystemOut(
         version=service.version,
         simulated=service.simulated,
-        machine=None
-        if machine is None
-        else MachineSummary(
-            name=machine.name,
-            kinematic_chain=machine.chain,
-            axes=list(machine.axis_names),
-        ),
+        machine=_summarise_machine(service.machine),
         cell=_describe_cell(service),
-        current_job=measuring[0].id if measuring else None,
+        current_job=next((job.id for job in unfinished if job.kind.measures), None),
         time=format_utc_now(),
     )
 
@@ -157,6 +151,13 @@ def get_readiness(service: ServiceDep) -> Ready:
     return Ready(status="ready", checks={**needed, "cell": running})
 
 
+def _summarise_machine(machine: Machine | None) -> MachineSummary | None:
+    if machine is None:
+        return None
+    name, axes = machine.name, list(machine.axis_names)
+    return MachineSummary(name=name, kinematic_chain=machine.chain, axes=axes)
+
+
 def _describe_cell(service: Service) -> CellOut:
     if service.cell is None:
         return CellOut(state="none", text="", connected=False, restarts=0)
@@ -165,7 +166,5 @@ def _describe_cell(service: Service) -> CellOut:
 
 
 def _describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:
-    """Return who answers, as clients see it."""
-    known = {name: DeviceIdentity(**device) for name, device in devices.items()}
-    tracker, motion = known.get("tracker"), known.get("motion")
-    return Connection(connected=bool(devices), tracker=tracker, motion=motion)
+    none = dict.fromkeys(("tracker", "motion"))
+    return Connection.model_validate({**none, **devices, "connected": bool(devices)})

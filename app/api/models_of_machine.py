@@ -10,7 +10,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 from pydantic.json_schema import SkipJsonSchema
 
-from app.api.models.base import JOB_ID, PREFIX, Identifier
+from app.api.models.base import JOB_ID, Identifier, Links
 from app.api.paging import PagingDep
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
@@ -45,14 +45,14 @@ class ChangeOut(BaseModel):
     text: str = Field(examples=["backlash Y: width 6.39 ± 0.15 µm"])
 
 
-class ModelLinks(BaseModel):
+class ModelLinks(Links):
     """Where else to look."""
 
-    self: str
-    versions: str
-    difference: str
-    report_html: str
-    run: str | None
+    self: Annotated[str, "/models/{id}"]
+    versions: Annotated[str, "/models/{id}/versions"]
+    difference: Annotated[str, "/models/{id}/difference"]
+    report_html: Annotated[str, "/jobs/{id}/discovery/report.html"]
+    run: Annotated[str | None, "/runs/{run_id}"]
 
 
 class ModelOut(BaseModel):
@@ -142,11 +142,10 @@ def get_model_difference(
         growth = read_growth(service.results, job.id)
         changes, before = growth["difference"], growth["parent"]["source"]
     else:
-        other = service.store.get(against)
-        files = (find_model_file(service.results, i) for i in (other.id, job.id))
-        changes, before = read_difference(*files), other.id
-    found = [ChangeOut(**change) for change in changes]
-    return ModelDifference(before=before, after=job.id, changes=found)
+        before = service.store.get(against).id
+        files = (find_model_file(service.results, i) for i in (before, job.id))
+        changes: Any = read_difference(*files)
+    return ModelDifference(before=before, after=job.id, changes=changes)
 
 
 def _require_discovery(service: Service, model_id: str) -> Job:
@@ -157,20 +156,10 @@ def _require_discovery(service: Service, model_id: str) -> Job:
 
 
 def _describe(job: Job, growth: Mapping[str, Any]) -> ModelOut:
-    at = f"{PREFIX}/models/{job.id}"
     return ModelOut(
+        **growth,
         id=job.id,
-        version=growth["version"],
-        parent=ParentOut(**growth["parent"]),
         created=job.ended or job.created,
         run_id=job.run_id,
-        effects=growth["effects"],
-        difference=[ChangeOut(**change) for change in growth["difference"]],
-        links=ModelLinks(
-            self=at,
-            versions=f"{at}/versions",
-            difference=f"{at}/difference",
-            report_html=f"{PREFIX}/jobs/{job.id}/discovery/report.html",
-            run=f"{PREFIX}/runs/{job.run_id}" if job.run_id else None,
-        ),
+        links=ModelLinks.of(id=job.id, run_id=job.run_id),
     )

@@ -49,17 +49,14 @@ class Paging:
         entries = list_page(self._limit + 1, self._before_seq)
         if len(entries) <= self._limit:
             return entries, None
-        after = _encode_cursor(entries[self._limit - 1].seq)
+        cursor = f"s:{entries[self._limit - 1].seq}".encode()
+        after = base64.urlsafe_b64encode(cursor).decode()
         url = self._request.url.include_query_params(after=after)
         self._response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
         return entries[: self._limit], after
 
 
 PagingDep = Annotated[Paging, Depends(Paging)]
-
-
-def _encode_cursor(seq: int) -> str:
-    return base64.urlsafe_b64encode(f"s:{seq}".encode()).decode()
 
 
 def _decode_cursor(after: str) -> int:

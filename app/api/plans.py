@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
 
 from app.api.jobs import IdempotencyKeyHeader, format_etag, make_key
-from app.api.models.base import PREFIX, Problem
+from app.api.models.base import PREFIX, Mm, Problem
 from app.api.models.plan import (
     PlanCheck,
     PlanCheckOut,
+    PlanLinks,
     PlanOut,
     PlanRequest,
     PlanResource,
-    plan_links,
 )
 from app.api.problems import declare_problems, describe_failure
 from app.api.service import Service, ServiceDep
@@ -36,10 +36,7 @@ from app.motion.nc_programs.programs import (
 )
 
 router = APIRouter(prefix="/plans", tags=["plans"])
-checks = APIRouter(tags=["plans"])
-grades = APIRouter(prefix="/jobs", tags=["jobs"])
-programs = APIRouter(prefix="/jobs", tags=["jobs"])
-dialects = APIRouter(tags=["jobs"])
+of_jobs = APIRouter(tags=["jobs"])
 
 Dialect = Annotated[
     str,
@@ -49,11 +46,12 @@ Dialect = Annotated[
         examples=["heidenhain"],
     ),
 ]
-_PROGRAM: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/plain": {"schema": {"type": "string"}}}}
+_PROGRAM = {
+    **declare_problems(404, 422),
+    200: {"content": {"text/plain": {"schema": {"type": "string"}}}},
 }
 _Place = Annotated[
-    list[Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]] | None,
+    list[Mm] | None,
     Query(
         alias="tracker_mm",
         min_length=3,
@@ -146,7 +144,24 @@ def create_plan(
     return _describe(job, response, service)
 
 
-@checks.post("/plans:validate", responses=declare_problems(409, 422))
+@router.get("/{plan_id}", responses=declare_problems(404))
+def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
+    """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
+    return _describe(_require_plan_job(plan_id, service), response, service)
+
+
+@router.get(
+    "/{plan_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
+)
+def download_plan_nc_program(
+    plan_id: str, dialect: Dialect, service: ServiceDep
+) -> PlainTextResponse:
+    """Return a plan as a program of a control, read back before it is given out."""
+    job = _require_plan_job(plan_id, service)
+    return _send_program(_read_set_up(job, service, "has no rows"), dialect)
+
+
+@router.post(":validate", responses=declare_problems(409, 422))
 def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     """Check rows over the whole swept path; a refusal names row and reason."""
     if service.machine is None:
@@ -162,66 +177,30 @@ def validate_plan(check: PlanCheck, service: ServiceDep) -> PlanCheckOut:
     return PlanCheckOut(rows=rows, duration_s=round(duration_s, 3))
 
 
-@router.get("/{plan_id}", responses=declare_problems(404))
-def get_plan(plan_id: str, response: Response, service: ServiceDep) -> PlanResource:
-    """Return a plan: rows, predicted uncertainty, what stays unobservable, grade."""
-    return _describe(_require_plan_job(plan_id, service), response, service)
-
-
-@router.get(
-    "/{plan_id}/nc-program",
-    response_class=PlainTextResponse,
-    responses={**declare_problems(404, 422), **_PROGRAM},
-)
-def download_plan_nc_program(
-    plan_id: str, dialect: Dialect, service: ServiceDep
-) -> PlainTextResponse:
-    """Return a plan as a program of a control, read back before it is given out."""
-    job = _require_plan_job(plan_id, service)
-    plan = service.store.read_plan(job.id)
-    if plan is None or service.machine is None:
-        raise NotFound(f"plan {plan_id} ({job.state}) has no rows")
-    return _send_program(commanded_from_json(plan), service.machine, dialect)
-
-
-@grades.get("/{job_id}/plan/grade", responses=declare_problems(404, 422))
+@of_jobs.get("/jobs/{job_id}/plan/grade", responses=declare_problems(404, 422))
 def get_plan_grade(
     job_id: str, service: ServiceDep, tracker_mm: _Place = None
 ) -> GradeOut:
     """Grade what a measuring job commands, from geometry alone, before it is armed."""
     job = service.store.get(job_id)
-    plan = service.store.read_plan(job.id)
-    if plan is None:
-        raise NotFound(f"job {job_id} ({job.kind}) commands nothing to be graded")
-    if service.machine is None:
-        raise NotFound("the service has no machine file to grade the plan with")
+    set_up = _read_set_up(job, service, "commands nothing to be graded")
     # Imported where it computes: the service itself carries no science.
     from app.results.grade_json import grade_set_up
 
-    found = grade_set_up(
-        service.machine,
-        commanded_from_json(plan),
-        tracker_mm=tracker_mm,
-        perpendicular_only=job.perpendicular_only,
-    )
+    only = job.perpendicular_only
+    found = grade_set_up(*set_up, tracker_mm=tracker_mm, perpendicular_only=only)
     return GradeOut(**found)
 
 
-@dialects.get("/nc-dialects")
+@of_jobs.get("/nc-dialects")
 def list_nc_dialects() -> DialectList:
     """List the controls that NC programs can be written for."""
-    return DialectList(
-        items=[
-            DialectOut(name=name, control=name_control(name))
-            for name in list_dialects()
-        ]
-    )
+    items = [DialectOut(name=n, control=name_control(n)) for n in list_dialects()]
+    return DialectList(items=items)
 
 
-@programs.get(
-    "/{job_id}/nc-program",
-    response_class=PlainTextResponse,
-    responses={**declare_problems(404, 422), **_PROGRAM},
+@of_jobs.get(
+    "/jobs/{job_id}/nc-program", response_class=PlainTextResponse, responses=_PROGRAM
 )
 def download_nc_program(
     job_id: str, dialect: Dialect, service: ServiceDep
@@ -233,17 +212,22 @@ def download_nc_program(
     at the control, record the tracker's stream, send both in as a bundle.
     """
     job = service.store.get(job_id)
+    set_up = _read_set_up(job, service, "commands no path of its own")
+    return _send_program(set_up, dialect)
+
+
+def _read_set_up(job: Job, service: Service, missing: str) -> tuple[Machine, Commanded]:
+    """Return the machine and what the job commands; NotFound says what is missing."""
     plan = service.store.read_plan(job.id)
     if plan is None:
-        raise NotFound(f"job {job_id} ({job.kind}) commands no path of its own")
+        raise NotFound(f"job {job.id} ({job.kind}, {job.state}) {missing}")
     if service.machine is None:
-        raise NotFound("the service has no machine file to check the path against")
-    return _send_program(commanded_from_json(plan), service.machine, dialect)
+        raise NotFound("the service has no machine file to check the plan against")
+    return service.machine, commanded_from_json(plan)
 
 
-def _send_program(
-    commanded: Commanded, machine: Machine, dialect: str
-) -> PlainTextResponse:
+def _send_program(set_up: tuple[Machine, Commanded], dialect: str) -> PlainTextResponse:
+    machine, commanded = set_up
     text = write_program(commanded, machine, dialect)
     file = name_file(text, dialect)
     return PlainTextResponse(
@@ -260,17 +244,15 @@ def _require_plan_job(plan_id: str, service: Service) -> Job:
 
 def _describe(job: Job, response: Response, service: Service) -> PlanResource:
     response.headers["ETag"] = format_etag(job)
-    plan = service.store.read_plan(job.id)
-    failure = job.failure
-    commanded = None if plan is None else PlanOut(**plan, target_um=job.target_um)
+    plan, failure = service.store.read_plan(job.id), job.failure
     return PlanResource(
         id=job.id,
         state=str(job.state),
         created=job.created,
-        progress=1.0 if plan is not None else job.progress.done,
+        progress=job.progress.done if plan is None else 1.0,
         request=dict(service.store.read_plan_request(job.id)),
-        commanded=commanded,
-        document=None if plan is None else dict(plan["document"]),
+        commanded=PlanOut(**plan, target_um=job.target_um) if plan else None,
+        document=dict(plan["document"]) if plan else None,
         error=Problem(**describe_failure(failure)) if failure else None,
-        links=plan_links(job.id),
+        links=PlanLinks.of(id=job.id),
     )

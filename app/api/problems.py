@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.resources import files
 from typing import Any
@@ -19,6 +19,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.types import Scope
 
 from app import errors as app_errors
 from app.api.models.base import Problem
@@ -39,13 +40,6 @@ class ProblemKind:
     action: str
 
 
-INTERNAL = ProblemKind(
-    500,
-    "internal-error",
-    "The service failed",
-    "Report the request identifier with the log of the service.",
-)
-
 _TABLE = tomllib.loads(files("app.api").joinpath("problems.toml").read_text("utf-8"))
 
 PROBLEM_KINDS: Mapping[type[Exception], ProblemKind] = {
@@ -60,6 +54,7 @@ BY_STATUS: Mapping[int, ProblemKind] = {
     for status, kind in _TABLE["status"].items()
 }
 """What the framework raises."""
+INTERNAL = BY_STATUS[500]
 
 
 def find_kind(error: Exception) -> ProblemKind:
@@ -89,15 +84,10 @@ def describe_failure(failure: Failure) -> dict[str, Any]:
     """Return the problem that ended a job. It has no status: it is no answer."""
     kind = _BY_NAME.get(failure.family, INTERNAL)
     detail = failure.detail if kind is not INTERNAL else ""
-    code = failure.code or kind.code
-    content = problem(kind, detail)
+    code, action = failure.code or kind.code, failure.action or kind.action
+    content = problem(replace(kind, code=code, action=action), detail)
     del content["status"]
-    return {
-        **content,
-        "type": f"/problems/{code}",
-        "code": code,
-        "action": failure.action or kind.action,
-    }
+    return content
 
 
 def problem(
@@ -116,7 +106,7 @@ def problem(
 
 
 def declare_problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Name the refusals of a route for its documentation; `described` spells them."""
+    """Name the refusals of a route for its documentation; see `add_problems`."""
     return {status: {"model": Problem} for status in statuses}
 
 
@@ -147,13 +137,11 @@ def install_handlers(app: FastAPI) -> None:
 
 
 def make_problem_response(
-    content: Mapping[str, Any],
-    instance: str,
-    request_id: str,
-    headers: Mapping[str, str] | None = None,
+    content: Mapping[str, Any], scope: Scope, headers: Mapping[str, str] | None = None
 ) -> Response:
-    """Return a problem as an answer."""
-    body = {**content, "instance": instance, "request_id": request_id}
+    """Return a problem as the answer to the request of a scope."""
+    request_id = scope.get("state", {}).get("request_id", "")
+    body = {**content, "instance": scope["path"], "request_id": request_id}
     text = json.dumps(body, ensure_ascii=False, allow_nan=False)
     return Response(text, content["status"], headers, MEDIA_TYPE)
 
@@ -169,7 +157,7 @@ def find_kind_of_status(status: int) -> ProblemKind:
 
 
 def _handle_family(request: Request, error: Exception) -> Response:
-    return _respond(request, describe_error(error))
+    return make_problem_response(describe_error(error), request.scope)
 
 
 def _handle_validation(request: Request, error: Exception) -> Response:
@@ -185,7 +173,8 @@ def _handle_validation(request: Request, error: Exception) -> Response:
     ]
     first = found[0]
     detail = f"{'.'.join(first['location'])}: {first['message']}"
-    return _respond(request, problem(BY_STATUS[422], detail, {"errors": found}))
+    content = problem(BY_STATUS[422], detail, {"errors": found})
+    return make_problem_response(content, request.scope)
 
 
 def _handle_http(request: Request, error: Exception) -> Response:
@@ -193,24 +182,11 @@ def _handle_http(request: Request, error: Exception) -> Response:
     kind = find_kind_of_status(error.status_code)
     is_default = error.detail == HTTPException(error.status_code).detail
     detail = "" if is_default else str(error.detail)
-    return _respond(request, problem(kind, detail), error.headers)
-
-
-def _respond(
-    request: Request,
-    content: Mapping[str, Any],
-    headers: Mapping[str, str] | None = None,
-) -> Response:
-    request_id = request.scope.get("state", {}).get("request_id", "")
-    return make_problem_response(content, request.url.path, request_id, headers)
+    return make_problem_response(problem(kind, detail), request.scope, error.headers)
 
 
 def _describe_refusal(kind: ProblemKind, path: str) -> dict[str, Any]:
-    example = {
-        **problem(kind),
-        "instance": path,
-        "request_id": "6f0e4c1b9a7d4e52",
-    }
+    example = {**problem(kind), "instance": path, "request_id": "6f0e4c1b9a7d4e52"}
     schema = {"$ref": "#/components/schemas/Problem"}
     content = {MEDIA_TYPE: {"schema": schema, "example": example}}
     return {"description": kind.title, "content": content}

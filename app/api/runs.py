@@ -12,7 +12,7 @@ from fastapi import APIRouter, File, Response, UploadFile
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from app.api.models.base import PREFIX
+from app.api.models.base import PREFIX, Links
 from app.api.paging import PagingDep
 from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
@@ -29,11 +29,11 @@ _ODD = re.compile(r"[^\w .()+-]+")
 _ZIP = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 
 
-class RunLinks(BaseModel):
+class RunLinks(Links):
     """Where the Run can be had."""
 
-    self: str
-    bundle: str
+    self: Annotated[str, "/runs/{id}"]
+    bundle: Annotated[str, "/runs/{id}/bundle"]
 
 
 class RunOut(BaseModel):
@@ -123,6 +123,4 @@ def _require_space(service: Service, size: int) -> None:
 
 
 def _describe(run: RunRecord) -> RunOut:
-    at = f"{PREFIX}/runs/{run.id}"
-    links = RunLinks(self=at, bundle=f"{at}/bundle")
-    return RunOut(**asdict(run), links=links)
+    return RunOut(**asdict(run), links=RunLinks.of(id=run.id))

@@ -13,6 +13,5 @@ Commands import what they need when they run, so that `truepath --help` answers 
     summary             a result, and an effect, in a few lines
     demo, following     a measurement on simulated devices, without a service
     recording           the tracker alone, beside a CNC without a link
-    serving             the service in this process, and a calibration through it
-    client              the service as its REST clients see it
+    client              the service as its REST clients see it; a calibration through it
 """

@@ -176,7 +176,7 @@ def _summarise_prediction(predicted: Prediction, output: Path) -> dict[str, obje
         "largest_error_um": float(length_um.max()),
         "largest_uncertainty_um": float(predicted.uncertainty_um.max()),
         "warnings": list(predicted.warnings),
-        "files": [str(output)],
+        "files": [output],
     }
 
 

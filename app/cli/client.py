@@ -1,4 +1,4 @@
-"""The service as its REST clients see it: the few calls the command line needs."""
+"""The service as its REST clients see it, and a calibration through it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from http.client import HTTPConnection, HTTPException
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.errors import JobError
+from app.cli.terminal import NotedProgress, print_stages, say
+from app.errors import JobError, MeasurementFailed, TruepathError
+from app.jobs.transitions import FINAL
 
-FINAL_STATES = frozenset({"aborted", "succeeded", "failed", "faulted", "interrupted"})
+READY_TIMEOUT_S = 60.0
 _TIMEOUT_S = 30.0
 
 Json = dict[str, Any]
@@ -38,16 +40,12 @@ class Client:
         """Ask for something; `version` is the one the job must still have."""
         return self._request("POST", f"/api/v1{path}", body, version)
 
-    def job(self, job_id: str) -> Json:
-        """Return a job."""
-        return self.get(f"/jobs/{job_id}")
-
     def follow(self, job_id: str, *, period_s: float = 0.5) -> Iterator[Json]:
         """Yield the job again and again, the last time in a final state."""
         while True:
-            job = self.job(job_id)
+            job = self.get(f"/jobs/{job_id}")
             yield job
-            if job["state"] in FINAL_STATES:
+            if job["state"] in FINAL:
                 return
             time.sleep(period_s)
 
@@ -57,7 +55,7 @@ class Client:
         """Return the job once it is as asked or final; JobError after `timeout_s`."""
         end = time.monotonic() + timeout_s
         for job in self.follow(job_id, period_s=0.1):
-            if reached(job) or job["state"] in FINAL_STATES:
+            if reached(job) or job["state"] in FINAL:
                 return job
             if time.monotonic() > end:
                 break
@@ -83,11 +81,66 @@ class Client:
         finally:
             connection.close()
         if response.status >= 400:
-            raise JobError(problem_text(content) or f"{response.status} at {path}")
+            raise JobError(_describe_problem(content) or f"{response.status} at {path}")
         return content
 
 
-def problem_text(problem: Json | None) -> str:
+def calibrate(address: str) -> None:
+    """Do the main job over REST and say how it goes; a failure is a line."""
+    client = Client(address)
+    try:
+        job_id = measure_on_the_fly(client)
+        say(f"calibrating on the fly: watch it at {address}/")
+        follow_to_the_end(client, job_id, print_stages(_describe_tenth, steps=10))
+    except TruepathError as error:
+        say(f"the main job ended early: {error}")
+        return
+    result = f"{address}/api/v1/jobs/{job_id}/result"
+    say(f"error tables with uncertainties stand at {address}/")
+    say(f"  table   {result}/error-tables.csv")
+    say(f"  report  {result}/report.html")
+    say("Ctrl-C ends the service.")
+
+
+def measure_on_the_fly(client: Client) -> str:
+    """Connect, plan and arm a measurement on the fly; return the job's identifier.
+
+    Arming is the last step: from here on the machine moves.
+    """
+    client.post("/machines/current:connect")
+    job_id = client.post("/jobs", {"kind": "measure-otf"})["id"]
+    job = client.wait_for(job_id, lambda j: j["state"] == "ready", READY_TIMEOUT_S)
+    if job["state"] != "ready":
+        raise MeasurementFailed(_describe_failure(job))
+    client.post(f"/jobs/{job_id}/arm", version=job["version"])
+    return job_id
+
+
+def follow_to_the_end(client: Client, job_id: str, on_progress: NotedProgress) -> Json:
+    """Report progress until the job has ended; raise MeasurementFailed if it failed."""
+    job: Json = {}
+    for job in client.follow(job_id):
+        progress, health = job["progress"] or {}, job["health"] or {}
+        total = progress.get("total") or 0
+        share = min(progress.get("done", 0) / total, 1.0) if total else 0.0
+        samples, lost = health.get("samples", 0), health.get("lost_samples", 0)
+        note = f"{samples} samples, {lost} lost"
+        on_progress(share, job["stage"] or job["state"], note)
+    if job["state"] != "succeeded":
+        raise MeasurementFailed(_describe_failure(job))
+    return job
+
+
+def _describe_failure(job: Json) -> str:
+    reason = _describe_problem(job["error"]) or "no reason was given"
+    return f"job {job['id']} is {job['state']}: {reason}"
+
+
+def _describe_tenth(share: float, stage: str, note: str) -> str:
+    return f"  {stage} {100 * share:3.0f} %, {note}"
+
+
+def _describe_problem(problem: Json | None) -> str:
     """Return detail and action of an RFC 9457 problem; empty where it has neither."""
     problem = problem or {}
     said = [problem.get("detail") or problem.get("title"), problem.get("action")]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from app.cli.summary import describe_effect
+from app.cli.summary import UNITS, describe_effect, find_unit
 from app.cli.terminal import (
     Json,
     OutputFolder,
@@ -55,8 +55,7 @@ def grade(
     if json:
         print_json({"schema": "grade/1", **found})
     else:
-        for line in _describe_grade(found):
-            print(line)
+        _print_grade(found)
 
 
 def plan(
@@ -138,25 +137,24 @@ def plan(
     files = [output / name for name in document["files"]]
     if json:
         summary = {k: v for k, v in document.items() if k != "machine"}
-        print_json(summary | {"files": [str(file) for file in files]})
+        print_json(summary | {"files": files})
     else:
         _print_plan(document)
         print_files(files)
 
 
-def _describe_grade(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the grade and what is weak about the set-up, a line each."""
-    yield f"grade of the set-up: {found['text']}"
+def _print_grade(found: Mapping[str, Any]) -> None:
+    print(f"grade of the set-up: {found['text']}")
     for motion in found["weakest"]:
         if motion["remedy"] is not None:
-            yield (
+            print(
                 f"weak: {motion['error']} ({motion['meaning']}), "
                 f"{motion['at_tool_um']:.1f} µm at the tool: {motion['remedy']}"
             )
     for shape in found["weak_shapes"]:
-        yield f"weak: {shape}"
+        print(f"weak: {shape}")
     for statement in found["unobservable"]:
-        yield f"cannot be seen: {statement}"
+        print(f"cannot be seen: {statement}")
 
 
 def _parse_place(text: str) -> list[float]:
@@ -192,12 +190,10 @@ def _print_plan(document: Mapping[str, Any]) -> None:
 
 
 def _print_predicted(name: str, predicted: Mapping[str, Any]) -> None:
-    rows = [
-        (symbol, f"{2.0 * at[f'uncertainty_{unit}']:.2f}", shown)
-        for symbol, at in predicted["errors"].items()
-        for unit, shown in (("um", "µm"), ("urad", "µrad"))
-        if f"uncertainty_{unit}" in at
-    ]
+    rows: list[tuple[str, str, str]] = []
+    for symbol, at in predicted["errors"].items():
+        unit = find_unit(at, "uncertainty")
+        rows.append((symbol, f"{2.0 * at[f'uncertainty_{unit}']:.2f}", UNITS[unit]))
     rows += [
         (f"lag of {axis}", f"{2e3 * at['uncertainty_ms']:.1f}", "µs")
         for axis, at in predicted["servo_mismatch"].items()

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from app.cli.summary import UNITS, find_unit
 from app.cli.terminal import (
     Json,
     OutputFolder,
@@ -20,8 +21,6 @@ from app.cli.terminal import (
     require_folder,
     say,
 )
-
-_UNITS = (("um", "µm"), ("urad", "µrad"))
 
 
 def compare(
@@ -123,22 +122,22 @@ def _summarise_comparison(
         "kinds": content["kinds"],
         "volumetric": content["volumetric"],
         "not_compared": content["not_compared"],
-        "files": [str(file) for file in files],
+        "files": files,
     }
 
 
 def _yield_rows(content: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     for symbol, error in content["errors"].items():
-        unit, shown = next(u for u in _UNITS if f"difference_{u[0]}" in error)
+        unit = find_unit(error, "difference")
         yield (
             symbol,
             f"{error[f'largest_difference_{unit}']:.2f}",
             f"{error[f'mean_difference_{unit}']:.2f}",
             f"{error['largest_en']:.2f}",
             f"{100.0 * error['share_within']:.0f} %",
-            shown,
+            UNITS[unit],
         )
     for symbol, number in content["numbers"].items():
-        unit, shown = next(u for u in _UNITS if f"difference_{u[0]}" in number)
-        difference = abs(number[f"difference_{unit}"])
-        yield symbol, f"{difference:.2f}", "", f"{abs(number['en']):.2f}", "", shown
+        unit = find_unit(number, "difference")
+        difference, en = abs(number[f"difference_{unit}"]), abs(number["en"])
+        yield symbol, f"{difference:.2f}", "", f"{en:.2f}", "", UNITS[unit]

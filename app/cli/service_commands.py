@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from app.cli.terminal import Json, OutputFolder, compute_on_one_thread
+from app.cli.terminal import (
+    Json,
+    OutputFolder,
+    compute_on_one_thread,
+    list_files,
+    print_files,
+    print_json,
+)
+from app.errors import BadInput
 
 
 def serve(
@@ -42,17 +50,23 @@ def serve(
     ] = False,
 ) -> None:
     """REST API and operator page."""
-    from app.cli.serving import serve_until_stopped
+    from app.cli.client import calibrate
+    from app.main import serve
+    from app.settings import load_settings
 
-    serve_until_stopped(
+    settings = load_settings(
         config,
-        measure=measure,
         simulated=simulated or None,
         simulated_hidden=hide or None,
         port=port,
         data_dir=data_dir,
         allow_plain_http=allow_plain_http or None,
     )
+    if measure and not settings.simulated:  # nobody has looked at the machine
+        raise BadInput("--measure moves the machine at once; it needs --simulated")
+    if hide and not settings.simulated:
+        raise BadInput("--hide is for simulated devices; it needs --simulated")
+    serve(settings, listening=calibrate if measure else None)
 
 
 def demo(
@@ -117,13 +131,33 @@ def record(
     json: Json = False,
 ) -> None:
     """The tracker's stream beside a CNC without any link, as a bundle to analyse."""
-    from app.cli.recording import record_bundle
+    from app.cli.recording import record_run
+    from app.files.bundle import write_bundle
+    from app.files.commanded_file import read_set_up
+    from app.measurement.run_file import RunHeader
+    from app.measurement.run_reading import open_run
+    from app.plugins import load
+    from app.settings import load_settings
 
-    record_bundle(
-        commanded,
-        output,
-        machine=machine,
-        config=config,
-        seconds=seconds,
-        as_json=json,
-    )
+    settings = load_settings(config)
+    machine_file = machine or settings.machine_file
+    if machine_file is None:
+        raise BadInput("no machine is named; give --machine MACHINE.json")
+    described, planned = read_set_up(machine_file, commanded)
+    rate_hz = described.tracker.rate_hz
+    header = RunHeader(output.name, described, planned, rate_hz, {}, ())
+    run_file = output / "run.sqlite"
+    if run_file.exists():
+        raise BadInput(f"{run_file}: is there already; name another folder")
+    open_tracker = load("truepath.trackers", settings.tracker_driver)
+    tracker = open_tracker(**settings.tracker_options)
+    output.mkdir(parents=True, exist_ok=True)
+    closed = record_run(tracker, header, run_file, seconds)
+    write_bundle(open_run(run_file), output)
+    if json:
+        counts = {"samples": closed.samples, "lost_samples": closed.lost_samples}
+        files = {"files": list_files(output)}
+        print_json({"schema": "recording-summary/1", **counts, **files})
+    else:
+        print(f"{closed.samples} samples, {closed.lost_samples} lost")
+        print_files(list_files(output))

@@ -9,7 +9,7 @@ from typing import Any
 from app.cli.terminal import list_files, print_files, print_table
 
 Result = Mapping[str, Any]
-_UNITS = {"um": "µm", "urad": "µrad"}
+UNITS = {"um": "µm", "urad": "µrad"}
 _EFFECT_KEYS = (
     "name",
     "axis",
@@ -43,14 +43,14 @@ def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
         "observability": result["observability"],
         "grade": result["grade"],
         "monte_carlo": _summarise_trials(result),
-        "files": [str(path) for path in list_files(folder)],
+        "files": list_files(folder),
     }
 
 
 def print_result(result: Result, folder: Path) -> None:
     """Print the error tables in short, the squarenesses and what stayed unseen."""
     rows = [
-        (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", _UNITS[unit])
+        (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", UNITS[unit])
         for symbol, unit, low, high, uncertainty in _yield_spans(result)
     ]
     rows += [
@@ -99,9 +99,14 @@ def _describe_trials(trials: Result) -> str:
 def _yield_spans(result: Result) -> Iterator[tuple[str, str, float, float, float]]:
     """Yield (symbol, unit, lowest, highest, largest uncertainty) of each table."""
     for symbol, table in result["error_tables"].items():
-        unit = "um" if "value_um" in table else "urad"
+        unit = find_unit(table, "value")
         value, uncertainty = table[f"value_{unit}"], table[f"uncertainty_{unit}"]
         yield symbol, unit, min(value), max(value), max(uncertainty)
+
+
+def find_unit(content: Mapping[str, Any], quantity: str) -> str:
+    """Return the unit that stands in the key of a quantity: um, else urad."""
+    return "um" if f"{quantity}_um" in content else "urad"
 
 
 def describe_effect(effect: Mapping[str, Any]) -> str:

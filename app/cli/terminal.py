@@ -47,7 +47,7 @@ def show_progress(title: str) -> Iterator[NotedProgress]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _make_stage_printer(title)
+        yield print_stages(lambda _, stage, _note: f"{title}: {stage}")
         return
     from rich.progress import (
         BarColumn,
@@ -75,14 +75,18 @@ def show_progress(title: str) -> Iterator[NotedProgress]:
         yield on_progress
 
 
-def _make_stage_printer(title: str) -> NotedProgress:
-    last = ""
+def print_stages(
+    describe: Callable[[float, str, str], str], *, steps: int = 0
+) -> NotedProgress:
+    """Return a callback that says a line a stage, and one at each step of its share."""
+    last = ("", 0)
 
     def on_progress(share: float, stage: str, note: str = "") -> None:
         nonlocal last
-        if stage and stage != last:
-            say(f"{title}: {stage}")
-            last = stage
+        now = (stage, int(steps * share))
+        if stage and now != last:
+            say(describe(share, stage, note))
+            last = now
 
     return on_progress
 
@@ -93,8 +97,9 @@ def say(text: str) -> None:
 
 
 def print_json(summary: Mapping[str, Any]) -> None:
-    """Write one JSON object to standard output."""
-    print(json.dumps(summary, indent=1, allow_nan=False), flush=True)
+    """Write one JSON object to standard output; paths in it are texts."""
+    text = json.dumps(summary, indent=1, allow_nan=False, default=os.fspath)
+    print(text, flush=True)
 
 
 def print_table(

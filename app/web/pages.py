@@ -13,32 +13,13 @@ from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
 from starlette.types import Scope
 
+from app.api.security import HEADERS
 from app.web.catalogues import LANGUAGES, catalogue, choose_language
 
 STATIC_PATH = "/static"
 LANGUAGE_COOKIE = "truepath_language"
 
-# plotly.js builds its workers from blobs and styles from script; it needs no eval.
-CONTENT_SECURITY_POLICY = "; ".join(
-    (
-        "default-src 'self'",
-        "script-src 'self'",
-        "style-src 'self' 'unsafe-inline'",
-        "img-src 'self' data: blob:",
-        "worker-src 'self' blob:",
-        "object-src 'none'",
-        "base-uri 'none'",
-        "form-action 'self'",
-        "frame-ancestors 'none'",
-    )
-)
-PAGE_HEADERS = {
-    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-    "Vary": "Accept-Language, Cookie",
-}
+_PAGE_HEADERS = {**HEADERS, "Vary": "Accept-Language, Cookie"}
 # The page of an updated service must never run on the modules of the one before.
 _REVALIDATE = {"Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
 
@@ -77,7 +58,7 @@ def operator_page(request: Request) -> HTMLResponse:
         "static": STATIC_PATH,
     }
     return _templates.TemplateResponse(
-        request, "index.html", context, headers=PAGE_HEADERS
+        request, "index.html", context, headers=_PAGE_HEADERS
     )
 
 

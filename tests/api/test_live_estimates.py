@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.api.models.job import describe_job
+from app.api.jobs import describe_job
 from app.jobs.job import decode_job
 
 

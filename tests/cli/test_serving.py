@@ -16,10 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import serving
-from app.cli.client import Client
+from app.cli.client import Client, calibrate, follow_to_the_end, measure_on_the_fly
 from app.cli.command import run
-from app.cli.serving import follow_to_the_end, measure_on_the_fly
 from app.errors import JobError, MeasurementFailed
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
@@ -239,7 +237,7 @@ def test_a_refusal_is_told_in_the_words_of_its_problem(capsys):
     refusal = {"detail": "the machine is in use", "action": "wait for it"}
     answers = {"/api/v1/machines/current:connect": (409, [refusal])}
     with scripted(answers) as (client, _):
-        serving.calibrate(client.address)
+        calibrate(client.address)
     said = capsys.readouterr().err
     assert said == "the main job ended early: the machine is in use; wait for it\n"
 
@@ -249,13 +247,13 @@ def test_a_refusal_without_words_names_status_and_path():
         scripted({"/api/v1/jobs/7": (500, ["?"])}) as (client, _),
         pytest.raises(JobError, match="500 at /api/v1/jobs/7"),
     ):
-        client.job("7")
+        client.get("/jobs/7")
 
 
 def test_nobody_at_the_address_is_a_job_error(free_port):
     client = Client(f"http://127.0.0.1:{free_port}")
     with pytest.raises(JobError, match="does not answer"):
-        client.job("7")
+        client.get("/jobs/7")
 
 
 def test_a_job_that_never_gets_ready_is_given_up():

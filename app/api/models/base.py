@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import re
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
@@ -25,6 +26,20 @@ class RequestBody(BaseModel):
     """What clients send: nothing else is in it."""
 
     model_config = ConfigDict(extra="forbid", str_max_length=200)
+
+
+class Links(BaseModel):
+    """Where else to look: beside each field its address below `PREFIX`."""
+
+    @classmethod
+    def of(cls, **ids: str | None) -> Self:
+        """Return the addresses of these identifiers; None where one is None."""
+        addresses = {
+            name: PREFIX + field.metadata[0].format(**ids)
+            for name, field in cls.model_fields.items()
+            if all(ids[i] for i in re.findall(r"{(\w+)}", field.metadata[0]))
+        }
+        return cls.model_validate(dict.fromkeys(cls.model_fields) | addresses)
 
 
 class Problem(BaseModel):

@@ -40,10 +40,6 @@ class MonteCarlo(RequestBody):
         "symmetric", description="Form of the 95 % coverage intervals."
     )
 
-    def plan(self) -> TrialPlan:
-        """Return the trials as the analysis takes them."""
-        return TrialPlan(seed=self.seed, interval=self.interval)
-
 
 class JobRequest(RequestBody):
     """What is to be done."""
@@ -175,13 +171,14 @@ class JobRequest(RequestBody):
     def to_requested_job(self) -> RequestedJob:
         """Return the request as the dispatcher takes it."""
         rows = self.path if self.path is not None else self.points
+        trials = self.monte_carlo
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id")
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],
             rows=[r.model_dump(exclude_none=True) for r in rows] if rows else None,
-            monte_carlo=self.monte_carlo.plan() if self.monte_carlo else None,
+            monte_carlo=TrialPlan(**trials.model_dump()) if trials else None,
             plan_request=self._order(),
             **{name: getattr(self, name) for name in same},
         )

@@ -8,16 +8,18 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from app.api.models.base import (
     JOB_ID,
-    PREFIX,
     Deg,
     Dwell,
     Feed,
     Identifier,
+    Links,
     Mm,
     Problem,
     RequestBody,
     TargetUm,
 )
+from app.errors import BundleError
+from app.files.workspace_file import workspace_from_json
 from app.motion.commanded_rows import MAX_ROWS
 
 MOST_MINUTES = 60.0
@@ -92,12 +94,6 @@ class Box(RequestBody):
     min_mm: _Place
     max_mm: _Place
 
-    @model_validator(mode="after")
-    def _has_room(self) -> Self:
-        if any(h <= low for low, h in zip(self.min_mm, self.max_mm, strict=True)):
-            raise ValueError(f"max_mm {self.max_mm} must exceed min_mm {self.min_mm}")
-        return self
-
 
 class TrackerSite(RequestBody):
     """Where the tracker stands, in the frame that it stands on, and its range."""
@@ -105,12 +101,6 @@ class TrackerSite(RequestBody):
     position_mm: _Place
     nearest_mm: _Range = 0.0
     farthest_mm: _Range | None = None
-
-    @model_validator(mode="after")
-    def _has_range(self) -> Self:
-        if self.farthest_mm is not None and self.farthest_mm <= self.nearest_mm:
-            raise ValueError(f"farthest_mm must exceed nearest_mm, {self.nearest_mm:g}")
-        return self
 
 
 class WorkspaceIn(RequestBody):
@@ -125,9 +115,11 @@ class WorkspaceIn(RequestBody):
     )
 
     @model_validator(mode="after")
-    def _knows_the_tracker(self) -> Self:
-        if self.blocks_sight and self.tracker is None:
-            raise ValueError("blocks_sight needs to know where the tracker stands")
+    def _is_a_workspace(self) -> Self:
+        try:
+            workspace_from_json(self.model_dump(exclude_none=True), file="workspace")
+        except BundleError as error:
+            raise ValueError(str(error)) from error
         return self
 
 
@@ -228,13 +220,13 @@ class PlanCheckOut(BaseModel):
     duration_s: float = Field(description="From the first row on, dwells included.")
 
 
-class PlanLinks(BaseModel):
+class PlanLinks(Links):
     """Where else to look."""
 
-    self: str
-    job: str
-    events: str
-    nc_program: str
+    self: Annotated[str, "/plans/{id}"]
+    job: Annotated[str, "/jobs/{id}"]
+    events: Annotated[str, "/jobs/{id}/events"]
+    nc_program: Annotated[str, "/plans/{id}/nc-program"]
 
 
 class PlanResource(BaseModel):
@@ -255,12 +247,3 @@ class PlanResource(BaseModel):
     )
     error: Problem | None = Field(description="Why there is none.")
     links: PlanLinks
-
-
-def plan_links(plan_id: str) -> PlanLinks:
-    """Return where else to look for a plan."""
-    job = f"{PREFIX}/jobs/{plan_id}"
-    at = f"{PREFIX}/plans/{plan_id}"
-    return PlanLinks(
-        self=at, job=job, events=f"{job}/events", nc_program=f"{at}/nc-program"
-    )
