@@ -11,5 +11,5 @@ caught up on from Last-Event-ID, momentary ones are dropped when a client is slo
 `security.py` stands before every route: host names, cross-site requests, headers.
 `stop` and `abort` need no version, no key and no free worker thread.
 
-`docs/openapi.json` is the checked-in description, written by `openapi.py`.
+`docs/openapi.json` is the checked-in description, written by `application.py`.
 """

@@ -1,13 +1,18 @@
 """The FastAPI application: routes, problems, guard, documentation.
 
-The page at /docs is made of local files: the shop floor has no CDN.
+The page at /docs is made of local files: the shop floor has no CDN. The description of
+the interface is checked in, so that a change is seen as one in review; it is written by
+`python -m app.api.application docs/openapi.json`.
 """
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Collection
 from importlib.metadata import version
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
@@ -134,3 +139,13 @@ def docs_script() -> Response:
     """Return its script: the policy of the service forbids scripts inside a page."""
     script = (_SWAGGER / "begin.js").read_text("utf-8")
     return Response(script, media_type="text/javascript")
+
+
+def describe_interface() -> str:
+    """Return the OpenAPI document as the checked-in file holds it."""
+    document = create_application().openapi()
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(describe_interface(), encoding="utf-8")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated, Literal
 
 from anyio import CapacityLimiter
@@ -209,9 +210,7 @@ def list_jobs(
     state: Annotated[list[State], Query(description="Only in these states.")] = [],  # noqa: B006
 ) -> JobPage:
     """List jobs, the newest first."""
-    jobs, after = paging.read(
-        lambda limit, seq: service.store.list_page(limit, before_seq=seq, states=state)
-    )
+    jobs, after = paging.read(partial(service.store.list_page, states=state))
     return JobPage(items=[describe_job(job) for job in jobs], next=after)
 
 

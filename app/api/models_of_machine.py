@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
@@ -89,15 +90,10 @@ class ModelDifference(BaseModel):
 def list_models(paging: PagingDep, service: ServiceDep) -> ModelPage:
     """List models, the newest first."""
     kinds = [kind for kind in JobKind if kind.discovers]
-    jobs, after = paging.read(
-        lambda limit, seq: service.store.list_page(
-            limit, before_seq=seq, states=[State.SUCCEEDED], kinds=kinds
-        )
-    )
-    return ModelPage(
-        items=[_describe(job, read_growth(service.results, job.id)) for job in jobs],
-        next=after,
-    )
+    list_page = partial(service.store.list_page, states=[State.SUCCEEDED], kinds=kinds)
+    jobs, after = paging.read(list_page)
+    items = [_describe(job, read_growth(service.results, job.id)) for job in jobs]
+    return ModelPage(items=items, next=after)
 
 
 @router.get(

@@ -39,14 +39,12 @@ class Paging:
         self._request, self._response, self._limit = request, response, limit
         self._before_seq = None if after is None else _decode_cursor(after)
 
-    def read(
-        self, list_page: Callable[[int, int | None], list[T]]
-    ) -> tuple[list[T], str | None]:
+    def read(self, list_page: Callable[..., list[T]]) -> tuple[list[T], str | None]:
         """Return the entries of the page, and the cursor of the next one if any.
 
-        list_page : gives at most so many entries, older than a `seq`, newest first
+        list_page : gives at most so many entries older than `before_seq`, newest first
         """
-        entries = list_page(self._limit + 1, self._before_seq)
+        entries = list_page(self._limit + 1, before_seq=self._before_seq)
         if len(entries) <= self._limit:
             return entries, None
         cursor = f"s:{entries[self._limit - 1].seq}".encode()

@@ -63,9 +63,7 @@ class RunPage(BaseModel):
 @router.get("", responses=declare_problems(422))
 def list_runs(paging: PagingDep, service: ServiceDep) -> RunPage:
     """List Runs, the newest first."""
-    runs, after = paging.read(
-        lambda limit, seq: service.runs.list_page(limit, before_seq=seq)
-    )
+    runs, after = paging.read(service.runs.list_page)
     return RunPage(items=[_describe(run) for run in runs], next=after)
 
 

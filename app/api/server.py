@@ -83,21 +83,18 @@ def ignore_raised_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-@contextmanager
-def bind_socket(host: str, port: int) -> Iterator[socket.socket]:
+def bind_socket(host: str, port: int) -> socket.socket:
     """Listen there, port 0 on a free one; raise BadInput where that cannot be."""
     try:
         family, _, _, _, place = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM
         )[0]
-        listener = socket.create_server(place[:2], family=family, backlog=128)
+        return socket.create_server(place[:2], family=family, backlog=128)
     except OSError as error:
         raise BadInput(
             f"cannot listen on {host} port {port}: {error.strerror}; "
             "stop what listens there, or give another --port"
         ) from error
-    with listener:
-        yield listener
 
 
 def format_address(listener: socket.socket) -> str:

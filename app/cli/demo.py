@@ -65,13 +65,9 @@ class TruthComparison:
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """What to show.
+    """What to show, as the options of the command say.
 
-    output : folder of the result, of the Run and of its measurement bundle
-    minutes : how long the path may take on the machine's clock; None for the usual path
-    speed : the simulated devices' clock, times the real one
-    target_um : volumetric uncertainty (k = 1) at which the rest of the path is left out
-    adaptive : plan the lines on the way, for `minutes` at most
+    minutes : on the machine's clock; None for the usual path
     """
 
     output: Path
@@ -86,8 +82,7 @@ class Demo:
     def run(self, *, as_json: bool) -> None:
         """Measure, analyse, compare with the truth, and print what came of it."""
         self.output.mkdir(parents=True, exist_ok=True)
-        bench = self._bench()
-        with bench:
+        with self._bench() as bench:
             run, lost = self._measure(bench)
         with show_progress("analyse") as on_progress:
             analysis = render_analysis(analyse(run, on_progress=on_progress))

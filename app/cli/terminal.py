@@ -49,23 +49,11 @@ def show_progress(title: str) -> Iterator[NotedProgress]:
     if not console.is_terminal:
         yield print_stages(lambda _, stage, _note: f"{title}: {stage}")
         return
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
+    *usual, remaining = Progress.get_default_columns()
+    note = TextColumn("{task.fields[note]}")
+    columns = (*usual, TimeElapsedColumn(), remaining, note)
     with Progress(*columns, console=console) as bars:
         bar = bars.add_task(title, total=1.0, note="")
 

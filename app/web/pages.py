@@ -1,7 +1,10 @@
-"""The shell of the operator page and the files it loads."""
+"""The shell of the operator page, its texts by language, and the files it loads."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
+from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -14,9 +17,11 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 from app.api.security import HEADERS
-from app.web.catalogues import LANGUAGES, catalogue, choose_language
+from app.kinematics.effects.catalogue import list_families
 
 STATIC_PATH = "/static"
+LANGUAGES = ("en", "de")
+DEFAULT_LANGUAGE = "en"
 LANGUAGE_COOKIE = "truepath_language"
 
 _PAGE_HEADERS = {**HEADERS, "Vary": "Accept-Language, Cookie"}
@@ -69,3 +74,54 @@ def plotly_script() -> FileResponse:
     return FileResponse(
         str(script), media_type="text/javascript", headers=dict(_REVALIDATE)
     )
+
+
+def catalogue(language: str) -> dict[str, str]:
+    """Return the texts of one of `LANGUAGES` by key, those of effects among them."""
+    if language not in LANGUAGES:
+        raise KeyError(language)
+    return _read_texts(language) | _effect_texts(language)
+
+
+@cache
+def _read_texts(language: str) -> dict[str, str]:
+    path = files("app.web") / "static" / "locales" / f"{language}.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _effect_texts(language: str) -> dict[str, str]:
+    """Return the words of all installed effects that have them in the language.
+
+    A discovery comes with the English sentences; only others are needed here.
+    """
+    texts: dict[str, str] = {}
+    for family in list_families():
+        if words := family.words.get(language):
+            key = f"effect.{family.name}"
+            texts[key] = words.title
+            if language != DEFAULT_LANGUAGE:
+                sentences = {f"{key}.{k}": text for k, text in asdict(words).items()}
+                texts |= {k: s for k, s in sentences.items() if k != f"{key}.title"}
+    return texts
+
+
+def choose_language(remembered: str | None, accepted: str | None) -> str:
+    """Choose a language: the one the operator set, else the browser's, else English.
+
+    accepted : an Accept-Language header
+    """
+    weighed = [_parse_weight(part) for part in (accepted or "").split(",")]
+    weighed.sort(key=lambda pair: -pair[0])
+    known = [
+        tag.split("-")[0].lower() for _, tag in [(1.0, remembered or ""), *weighed]
+    ]
+    return next((tag for tag in known if tag in LANGUAGES), DEFAULT_LANGUAGE)
+
+
+def _parse_weight(part: str) -> tuple[float, str]:
+    tag, _, parameter = part.strip().partition(";")
+    weight = parameter.strip().removeprefix("q=")
+    try:
+        return float(weight or 1.0), tag.strip()
+    except ValueError:
+        return 0.0, tag.strip()

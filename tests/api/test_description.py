@@ -15,9 +15,8 @@ from pydantic import TypeAdapter
 
 from app import errors as app_errors
 from app.api import problems
-from app.api.application import create_application
+from app.api.application import create_application, describe_interface
 from app.api.models.job_request import JobRequest
-from app.api.openapi import description
 from app.api.problems import find_kind_of_status
 from app.jobs import errors as job_errors
 from app.jobs.job import Failure
@@ -44,7 +43,8 @@ def operations(document):
 
 def test_the_checked_in_description_is_current():
     kept = (ROOT / "docs" / "openapi.json").read_text(encoding="utf-8")
-    assert kept == description(), "python -m app.api.openapi docs/openapi.json"
+    command = "python -m app.api.application docs/openapi.json"
+    assert kept == describe_interface(), command
 
 
 def test_the_service_hands_out_the_same_description(client, document):
@@ -95,10 +95,10 @@ def test_all_paths_but_probes_are_versioned(operations):
 
 def test_writing_the_file_writes_the_description(tmp_path, monkeypatch):
     file = tmp_path / "openapi.json"
-    monkeypatch.setattr(sys, "argv", ["openapi", str(file)])
-    monkeypatch.delitem(sys.modules, "app.api.openapi")
-    runpy.run_module("app.api.openapi", run_name="__main__")
-    assert file.read_text(encoding="utf-8") == description()
+    monkeypatch.setattr(sys, "argv", ["application", str(file)])
+    monkeypatch.delitem(sys.modules, "app.api.application")
+    runpy.run_module("app.api.application", run_name="__main__")
+    assert file.read_text(encoding="utf-8") == describe_interface()
 
 
 def test_the_documentation_comes_from_the_service_itself(client):

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app.api.openapi import description
+from app.api.application import describe_interface
 
-PATHS = sorted(json.loads(description())["paths"])
+PATHS = sorted(json.loads(describe_interface())["paths"])
 GET_PATHS = sorted(
     path
-    for path, methods in json.loads(description())["paths"].items()
+    for path, methods in json.loads(describe_interface())["paths"].items()
     if "get" in methods and not path.endswith("/events")
 )
 relaxed = settings(

@@ -13,7 +13,7 @@ from app.kinematics.effects.catalogue import CandidateEstimate, list_families
 from app.kinematics.effects.squareness import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp
 from app.kinematics.model import restore_effect
-from app.web.catalogues import LANGUAGES, catalogue
+from app.web.pages import LANGUAGES, catalogue
 
 UNIT = re.compile(r"_(um_per_m_K|um_per_m|um_per_s|urad|rad|um|mm|ms|hz|s)$")
 ROOT = Path(__file__).parents[2]

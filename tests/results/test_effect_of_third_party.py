@@ -20,7 +20,7 @@ from app.reporting.plan_report import render_plan_report
 from app.results.analysis import analyse
 from app.results.discovery import ASK, discover_runs
 from app.results.plan_document import plan_document
-from app.web.catalogues import catalogue
+from app.web.pages import catalogue
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.synthetic import Setting
 

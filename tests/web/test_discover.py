@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
 from app.kinematics.effects.catalogue import list_families
-from app.web.catalogues import catalogue
+from app.web.pages import catalogue
 
 WORDS = ("cause", "looks_like", "remedy")
 NEXT = "#next button"

@@ -13,8 +13,15 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
 from app.kinematics.effects.catalogue import list_families
-from app.web.catalogues import LANGUAGES, catalogue, choose_language
-from app.web.pages import LANGUAGE_COOKIE, STATIC_PATH, router, static_files
+from app.web.pages import (
+    LANGUAGE_COOKIE,
+    LANGUAGES,
+    STATIC_PATH,
+    catalogue,
+    choose_language,
+    router,
+    static_files,
+)
 
 ROOT = Path(__file__).parents[2]
 STATIC = ROOT / "app" / "web" / "static"
