@@ -112,9 +112,8 @@ def choose_language(remembered: str | None, accepted: str | None) -> str:
     """
     weighed = [_parse_weight(part) for part in (accepted or "").split(",")]
     weighed.sort(key=lambda pair: -pair[0])
-    known = [
-        tag.split("-")[0].lower() for _, tag in [(1.0, remembered or ""), *weighed]
-    ]
+    wanted = [remembered or "", *(tag for _, tag in weighed)]
+    known = (tag.split("-")[0].lower() for tag in wanted)
     return next((tag for tag in known if tag in LANGUAGES), DEFAULT_LANGUAGE)
 
 
