@@ -14,6 +14,7 @@ from app.api.problems import declare_problems
 from app.api.service import LEAST_FREE_BYTES, Service, ServiceDep
 from app.errors import NotFound
 from app.files.machine_file import machine_to_json
+from app.jobs.cell_supervisor import CellStatus
 from app.jobs.errors import NoMachine
 from app.jobs.job import format_utc_now
 from app.kinematics.machine import Machine
@@ -101,11 +102,11 @@ def get_machine(service: ServiceDep) -> MachineOut:
     """Return the machine file, and who answers on the ports."""
     if service.machine is None:
         raise NotFound("no machine is set up; give the service a machine_file")
-    devices = service.cell.status.devices if service.cell is not None else {}
     content = machine_to_json(service.machine)
     # `tracker` of the machine file is its noise; here the name is for who answers.
     content["tracker_noise"] = content.pop("tracker", None)
-    return MachineOut(**content, **_describe_connection(devices).model_dump())
+    connection = _describe_connection(_read_status(service).devices)
+    return MachineOut(**content, **connection.model_dump())
 
 
 @machines.post("/current:connect", responses=declare_problems(409, 502, 503, 504))
@@ -119,12 +120,12 @@ def connect_machine(service: ServiceDep) -> Connection:
 @system.get("")
 def get_system(service: ServiceDep) -> SystemOut:
     """Return what the service is and what holds the machine."""
-    unfinished = service.store.list_unfinished()
+    unfinished, status = service.store.list_unfinished(), _read_status(service)
     return SystemOut(
         version=service.version,
         simulated=service.simulated,
         machine=_summarise_machine(service.machine),
-        cell=_describe_cell(service),
+        cell=CellOut(**asdict(status), connected=status.connected),
         current_job=next((job.id for job in unfinished if job.kind.measures), None),
         time=format_utc_now(),
     )
@@ -139,12 +140,11 @@ def get_health() -> Alive:
 @probes.get("/readyz", responses=declare_problems(503))
 def get_readiness(service: ServiceDep) -> Ready:
     """Say whether catalogue and disk are there, and whether a cell process runs."""
-    cell = service.cell
     needed = {
         "catalogue": service.database.ready(),
         "disk": service.free_bytes() > LEAST_FREE_BYTES,
     }
-    running = cell is not None and cell.status.state not in ("starting", "down")
+    running = _read_status(service).state not in ("none", "starting", "down")
     missing = ", ".join(name for name, good in needed.items() if not good)
     if missing:
         raise HTTPException(503, f"not ready: {missing}")
@@ -158,11 +158,8 @@ def _summarise_machine(machine: Machine | None) -> MachineSummary | None:
     return MachineSummary(name=name, kinematic_chain=machine.chain, axes=axes)
 
 
-def _describe_cell(service: Service) -> CellOut:
-    if service.cell is None:
-        return CellOut(state="none", text="", connected=False, restarts=0)
-    status = service.cell.status
-    return CellOut(**asdict(status), connected=status.connected)
+def _read_status(service: Service) -> CellStatus:
+    return CellStatus("none") if service.cell is None else service.cell.status
 
 
 def _describe_connection(devices: Mapping[str, Mapping[str, str]]) -> Connection:

@@ -67,7 +67,9 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        request_id = _request_id(Headers(scope=scope))
+        request_id = Headers(scope=scope).get("x-request-id", "")
+        if not _REQUEST_ID.match(request_id):
+            request_id = secrets.token_hex(8)
         scope.setdefault("state", {})["request_id"] = request_id
         answer = _Answer(scope, send, request_id)
         with structlog.contextvars.bound_contextvars(request_id=request_id):
@@ -82,8 +84,9 @@ class Guard:
         self, scope: Scope, receive: Receive, answer: _Answer
     ) -> None:
         headers = Headers(scope=scope)
-        if not self._is_ours(headers.get("host", "")):
-            detail = f"{headers.get('host', '')!r} is not a name of this service"
+        host = headers.get("host", "")
+        if not self._is_ours(host):
+            detail = f"{host!r} is not a name of this service"
             await answer.refuse(BY_STATUS[421], detail)
         elif scope["method"] in _UNSAFE and not _is_same_site(headers):
             await answer.refuse(BY_STATUS[403])
@@ -149,11 +152,6 @@ class _Answer:
 
 async def _receive_disconnect() -> Message:
     return {"type": "http.disconnect"}
-
-
-def _request_id(headers: Headers) -> str:
-    given = headers.get("x-request-id", "")
-    return given if _REQUEST_ID.match(given) else secrets.token_hex(8)
 
 
 def _is_same_site(headers: Headers) -> bool:

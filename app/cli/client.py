@@ -32,7 +32,7 @@ class Client:
 
     def get(self, path: str) -> Json:
         """Return what is at a path below `/api/v1`."""
-        return self._request("GET", f"/api/v1{path}")
+        return self._request("GET", f"/api/v1{path}", None, None)
 
     def post(
         self, path: str, body: Json | None = None, *, version: int | None = None
@@ -62,11 +62,7 @@ class Client:
         raise JobError(f"job {job_id} did not get ready in {timeout_s:.0f} s")
 
     def _request(
-        self,
-        method: str,
-        path: str,
-        body: Json | None = None,
-        version: int | None = None,
+        self, method: str, path: str, body: Json | None, version: int | None
     ) -> Json:
         headers = {"Content-Type": "application/json"}
         if version is not None:

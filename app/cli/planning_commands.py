@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -158,15 +159,11 @@ def _print_grade(found: Mapping[str, Any]) -> None:
 
 
 def _parse_place(text: str) -> list[float]:
-    try:
+    with suppress(ValueError):
         place = [float(part) for part in text.split(",")]
-    except ValueError:
-        place = []
-    if len(place) != 3 or not all(map(math.isfinite, place)):
-        raise BadInput(
-            f"--tracker {text}: not a place; write X,Y,Z in mm, as 1200,0,300"
-        )
-    return place
+        if len(place) == 3 and all(map(math.isfinite, place)):
+            return place
+    raise BadInput(f"--tracker {text}: not a place; write X,Y,Z in mm, as 1200,0,300")
 
 
 def _print_plan(document: Mapping[str, Any]) -> None:

@@ -160,18 +160,14 @@ class JobRequest(RequestBody):
             raise ValueError("run_ids names a Run twice; give each once")
         return self
 
-    def _order(self) -> dict[str, Any] | None:
-        """Return what is asked of the parts of an adaptive measurement."""
-        if self.kind != "measure-adaptive":
-            return None
-        asked = self.planning.order() if self.planning else {"mode": "otf"}
-        usual = {"minutes": ADAPTIVE_MINUTES}
-        return usual | asked | {"perpendicular_only": self.perpendicular_only}
-
     def to_requested_job(self) -> RequestedJob:
         """Return the request as the dispatcher takes it."""
-        rows = self.path if self.path is not None else self.points
-        trials = self.monte_carlo
+        rows, trials = self.path or self.points, self.monte_carlo
+        order: dict[str, Any] | None = None
+        if self.kind == "measure-adaptive":  # what is asked of its parts
+            asked = self.planning.order() if self.planning else {"mode": "otf"}
+            order = {"minutes": ADAPTIVE_MINUTES, **asked}
+            order["perpendicular_only"] = self.perpendicular_only
         same = ("feed_mm_min", "perpendicular_only", "target_um")
         same += ("plan_id", "model_id", "discovery_id")
         return RequestedJob(
@@ -179,6 +175,6 @@ class JobRequest(RequestBody):
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],
             rows=[r.model_dump(exclude_none=True) for r in rows] if rows else None,
             monte_carlo=TrialPlan(**trials.model_dump()) if trials else None,
-            plan_request=self._order(),
+            plan_request=order,
             **{name: getattr(self, name) for name in same},
         )

@@ -209,8 +209,8 @@ class PlanCheck(RequestBody):
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the rows in the columns of the bundle."""
-        rows = self.points if self.path is None else self.path
-        return [row.model_dump(exclude_none=True) for row in rows or ()]
+        rows = self.path or self.points or ()
+        return [row.model_dump(exclude_none=True) for row in rows]
 
 
 class PlanCheckOut(BaseModel):
