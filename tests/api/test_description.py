@@ -28,7 +28,7 @@ HTTP_METHODS = {"get", "post", "put", "patch", "delete"}
 
 @pytest.fixture(scope="module")
 def document():
-    return json.loads(description())
+    return json.loads(describe_interface())
 
 
 @pytest.fixture(scope="module")
