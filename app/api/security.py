@@ -36,7 +36,7 @@ _CONTENT_SECURITY_POLICY = (
     "img-src 'self' data: blob:; worker-src 'self' blob:; object-src 'none'; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-HEADERS = {
+_HEADERS = {
     "Content-Security-Policy": _CONTENT_SECURITY_POLICY,
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -120,7 +120,7 @@ class _Answer:
             is_plain = headers.get("content-type", "").startswith("text/plain")
             self._status = message["status"]
             self._is_bare = is_plain and self._status >= 400
-            for name, value in HEADERS.items():
+            for name, value in _HEADERS.items():
                 headers.setdefault(name, value)
             headers["X-Request-ID"] = self._request_id
         if not self._is_bare:

@@ -16,7 +16,6 @@ from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
 from starlette.types import Scope
 
-from app.api.security import HEADERS
 from app.kinematics.effects.catalogue import list_families
 
 STATIC_PATH = "/static"
@@ -24,9 +23,9 @@ LANGUAGES = ("en", "de")
 DEFAULT_LANGUAGE = "en"
 LANGUAGE_COOKIE = "truepath_language"
 
-_PAGE_HEADERS = {**HEADERS, "Vary": "Accept-Language, Cookie"}
+_VARY = {"Vary": "Accept-Language, Cookie"}
 # The page of an updated service must never run on the modules of the one before.
-_REVALIDATE = {"Cache-Control": "no-cache", "X-Content-Type-Options": "nosniff"}
+_REVALIDATE = {"Cache-Control": "no-cache"}
 
 _HERE = Path(__file__).parent
 _templates = Jinja2Templates(directory=_HERE / "templates")
@@ -62,9 +61,7 @@ def operator_page(request: Request) -> HTMLResponse:
         "version": version("truepath"),
         "static": STATIC_PATH,
     }
-    return _templates.TemplateResponse(
-        request, "index.html", context, headers=_PAGE_HEADERS
-    )
+    return _templates.TemplateResponse(request, "index.html", context, headers=_VARY)
 
 
 @router.get("/assets/plotly.min.js", response_class=FileResponse)

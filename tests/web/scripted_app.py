@@ -10,6 +10,7 @@ from fastapi.responses import JSONResponse, Response, StreamingResponse
 from scripted_data import MACHINE, MOTION, TRACKER, TRACKER_NOISE
 from scripted_service import ScriptedService
 
+from app.api.security import Guard
 from app.web.pages import STATIC_PATH, router, static_files
 
 API = "/api/v1"
@@ -32,6 +33,7 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     app = FastAPI(docs_url=None, redoc_url=None)
     app.include_router(router)
     app.mount(STATIC_PATH, static_files())
+    app.add_middleware(Guard)
 
     def machine() -> dict[str, Any]:
         found = copy.deepcopy(service.machine)

@@ -12,6 +12,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
+from app.api.security import Guard
 from app.kinematics.effects.catalogue import list_families
 from app.web.pages import (
     LANGUAGE_COOKIE,
@@ -43,7 +44,8 @@ def client() -> TestClient:
     app = FastAPI()
     app.include_router(router)
     app.mount(STATIC_PATH, static_files())
-    return TestClient(app)
+    app.add_middleware(Guard)
+    return TestClient(app, base_url="http://localhost")
 
 
 @pytest.mark.parametrize(
