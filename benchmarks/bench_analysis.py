@@ -15,10 +15,10 @@ import paper_method
 from measure import measure, ratio
 
 from app.alignment.align import align
-from app.estimation.volumetric_map import build_volumetric_map
 from app.files.bundle import read_bundle
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Machine
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.results.analysis import analyse
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files

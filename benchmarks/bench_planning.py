@@ -25,18 +25,18 @@ from recordings import random_air, random_content
 from study import study
 
 from app.estimation.observability import usual_precision_matrix
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.machine_file import machine_from_json
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
+from app.kinematics.splines import natural_spline
 from app.kinematics.symbols import SQUARENESS
+from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import Drive, Stops, row_times_s
 from app.motion.workspace import Workspace
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
-from app.numerics.splines import natural_spline
 from app.planning.design_state import DesignState, PointDesignState, inverse
 from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.alignment.observations import Observations
+from app.alignment.sequence import fit_rigid
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.symbols import list_error_motions
-from app.numerics.rigid import fit_rigid
 
 
 @dataclass(frozen=True)

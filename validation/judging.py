@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.estimation.volumetric_map import build_volumetric_map
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.results.error_tables import choose_table_positions
 from simulators.truth_machine import TruthMachine
 

@@ -14,8 +14,8 @@ from document import table, write_section
 from figures import plt
 from stochastic_splines import bending, drawn, independent, learnt, sigma, stacked
 
+from app.kinematics.splines import natural_spline
 from app.numerics.design_criteria import IntegratedVariance
-from app.numerics.splines import natural_spline
 from app.planning.next_configuration import SearchSpace, next_configuration
 
 AXES, POINTS = 3, 7

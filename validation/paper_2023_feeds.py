@@ -23,10 +23,10 @@ from recordings import (
 from study import Study, study
 
 from app.alignment.align import align
-from app.estimation.volumetric_map import build_volumetric_map
+from app.alignment.sequence import fit_rigid
 from app.files.machine_file import machine_from_json
 from app.kinematics.conditions import make_standstill
-from app.numerics.rigid import fit_rigid
+from app.kinematics.volumetric_map import build_volumetric_map
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine
 from simulators.timeline import Program

@@ -11,6 +11,7 @@ from recordings import run_of
 from app.alignment.align import align
 from app.alignment.observations import Observations
 from app.estimation.batch import Estimate, estimate
+from app.kinematics.coarse_model import build_run_models
 from simulators.recording import Recording
 
 
@@ -57,7 +58,8 @@ def study(
     """Align and estimate as the product does; judge by the exact truth."""
     run = run_of(recording)
     seen = seen or align(run)
-    found = estimate(seen, perpendicular_only=perpendicular_only)
+    models = build_run_models(seen.at.machine, [seen.at.offset_mm])
+    found = estimate(models, [seen], perpendicular_only=perpendicular_only)
     within = volume(run.machine)
     error, sigma = map_mm(within, found.model, found.theta, found.covariance)
     truth = true_map_mm(within, recording.truth)

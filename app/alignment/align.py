@@ -22,32 +22,27 @@ from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
 from app.alignment.stops import find_stops
 from app.errors import AlignmentError
-from app.files.one_machine import one_machine
 from app.files.run import Run
-from app.kinematics.machine import Machine
 
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
-def align_all(
-    runs: Sequence[Run], names: Sequence[str]
-) -> tuple[Machine, list[Observations]]:
-    """Align Runs of one machine; return it, and the observations of each Run.
+def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
+    """Align Runs; return the observations of each, with their surroundings.
 
-    Raises BundleError if the machines differ, AlignmentError with the name of the Run
-    meant where there are several.
+    Raises AlignmentError with the name of the Run meant where there are several.
     """
-    machine = one_machine([run.machine for run in runs], names)
     observed: list[Observations] = []
     for run, name in zip(runs, names, strict=True):
         try:
-            seen = add_surroundings(align(run), run.commanded, run.temperature)
+            seen = align(run)
+            seen = add_surroundings(seen, run.commanded, run.temperature)
         except AlignmentError as error:
             if len(runs) == 1:
                 raise
             raise AlignmentError(f"{name}: {error}") from error
         observed.append(seen)
-    return machine, observed
+    return observed
 
 
 def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:

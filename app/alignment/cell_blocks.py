@@ -64,7 +64,7 @@ def reduce_pass(
         cell_mm,
     )
     cells = reduce_to_cells(
-        time, stream.tracker_mm[part], way, run.machine.tracker, count
+        time, stream.tracker_mm[part], way, run.machine.tracker.sigma_mm, count
     )
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
     share = each.share + rate * (cells.time_s - middle)
@@ -142,7 +142,7 @@ def reduce_standstills(
             stream.time_s[inside],
             stream.tracker_mm[inside],
             _at_rest,
-            run.machine.tracker,
+            run.machine.tracker.sigma_mm,
             count_cells(span),
         )
         n = len(cells.time_s)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.alignment.reduction import beam_frame
 from app.kinematics.conditions import Conditions, RecordedState
 from app.motion.configurations import Configurations
 from app.numerics.rigid import RigidTransform
@@ -59,6 +60,19 @@ class Observations:
     def __len__(self) -> int:
         return len(self.tracker_mm)
 
+    @property
+    def lines(self) -> list[tuple[int, int]]:
+        """First cell and one past the last of each line or standstill."""
+        new = (np.diff(self.at.line) != 0) | (np.diff(self.row) != 0)
+        begin = np.flatnonzero(np.concatenate([[True], new]))
+        end = np.append(begin[1:], len(self))
+        return list(zip(begin.tolist(), end.tolist(), strict=True))
+
+    @property
+    def beam_frame(self) -> Float64[np.ndarray, "n 3 3"]:
+        """Rows: unit beam, azimuth, elevation at each cell, in the tracker's frame."""
+        return beam_frame(self.tracker_mm)
+
     def select(self, cells: Int64[np.ndarray, " m"]) -> Observations:
         """Return some of the cells."""
         return replace(
@@ -69,15 +83,6 @@ class Observations:
             direction=self.direction[cells],
             row=self.row[cells],
         )
-
-
-def find_lines(observations: Observations) -> list[tuple[int, int]]:
-    """Return first cell and one past the last of each line or standstill."""
-    line, row = observations.at.line, observations.row
-    new = (np.diff(line) != 0) | (np.diff(row) != 0)
-    begin = np.flatnonzero(np.concatenate([[True], new]))
-    end = np.append(begin[1:], len(observations))
-    return list(zip(begin.tolist(), end.tolist(), strict=True))
 
 
 def add_surroundings(
@@ -115,7 +120,7 @@ def _in_order(
 
 def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
     rates = np.zeros_like(observations.at.position_mm)
-    for first, last in find_lines(observations):
+    for first, last in observations.lines:
         if observations.at.line[first] < 0:
             continue
         span = observations.at.time_s[last - 1] - observations.at.time_s[first]

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from app.kinematics.machine import TrackerNoise
-
 # The longest cell: in it a machine error is as good as straight, and the air steady.
 CELL_MM = 8.0
 CELL_S = 0.25
 CELL_DEG = 3.0
 Way = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n 3"]]
+Sigma = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, "n 2"]]
 
 _ROUNDS = 2  # an outlier may hide another
 _OUTLIER = 6.0  # of the samples' own standard deviation
@@ -58,26 +57,27 @@ def reduce_to_cells(
     time_s: Float64[np.ndarray, " n"],
     tracker_mm: Float64[np.ndarray, "n 3"],
     way: Way,
-    noise: TrackerNoise,
+    sigma_mm: Sigma,
     cells: int,
 ) -> Cells:
     """Cut a pass or a standstill into cells of equal time; average.
 
     way : where the target should be at given times, in the tracker's frame, from any
         origin
+    sigma_mm : of a sample along and across the beam, at given distances
     """
     span = float(time_s[-1] - time_s[0]) + 1e-9
     cell = ((time_s - time_s[0]) / span * cells).astype(np.int64)
     rest_mm = tracker_mm - way(time_s)
     good = np.ones(len(time_s), bool)
-    means, scatter = _reduce(time_s, rest_mm, cell, good, way, noise)
+    means, scatter = _reduce(time_s, rest_mm, cell, good, way, sigma_mm)
     for _ in range(_ROUNDS):
         limit = _OUTLIER * np.maximum(1.0, 1.4826 * np.median(np.abs(scatter), axis=0))
         inside = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
         if (inside == good).all():
             break
         good = inside
-        means, scatter = _reduce(time_s, rest_mm, cell, good, way, noise)
+        means, scatter = _reduce(time_s, rest_mm, cell, good, way, sigma_mm)
     scatter = scatter[good]
     filled = means.count > 0
     free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
@@ -107,10 +107,10 @@ def _reduce(
     cell: Int64[np.ndarray, " n"],
     good: Bool[np.ndarray, " n"],
     way: Way,
-    noise: TrackerNoise,
+    sigma_mm: Sigma,
 ) -> tuple[_Means, Float64[np.ndarray, "n 3"]]:
     means = _means(time_s, rest_mm, cell, good, way)
-    return means, _scatter(time_s, rest_mm, cell, means, noise)
+    return means, _scatter(time_s, rest_mm, cell, means, sigma_mm)
 
 
 def _means(
@@ -138,13 +138,13 @@ def _scatter(
     rest_mm: Float64[np.ndarray, "n 3"],
     cell: Int64[np.ndarray, " n"],
     means: _Means,
-    noise: TrackerNoise,
+    sigma_mm: Sigma,
 ) -> Float64[np.ndarray, "n 3"]:
     """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
     lag = time_s - means.time_s[cell]
     off = rest_mm - means.rest_mm[cell]
     off -= lag[:, None] * _slope(lag, off, cell)[cell]
-    sigma = noise.sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[:, [0, 1, 1]]
+    sigma = sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[:, [0, 1, 1]]
     frame = beam_frame(means.tracker_mm) / sigma[:, :, None]
     return np.einsum("nij,nj->ni", frame[cell], off)
 

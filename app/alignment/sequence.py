@@ -14,7 +14,7 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.stops import StopSequence
 from app.errors import AlignmentError
-from app.numerics.rigid import RigidTransform, fit_rigid
+from app.numerics.rigid import RigidTransform
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
 TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
@@ -53,6 +53,27 @@ def match_stops(
     stop, waypoint = _rematch(places, pose.apply(waypoint_mm))
     pose = fit_rigid(waypoint_mm[waypoint], places[stop])
     return Matching(stop, waypoint, pose)
+
+
+def fit_rigid(
+    source_mm: Float64[np.ndarray, "n 3"],
+    target_mm: Float64[np.ndarray, "n 3"],
+    *,
+    mirrored: bool = False,
+) -> RigidTransform:
+    """Rotate and shift one point set onto another in the least-squares sense.
+
+    source_mm, target_mm : (n, 3), n >= 3, not collinear
+    mirrored : fit an improper rotation instead, to recognise a left-handed frame
+
+    Umeyama (1991), scale fixed at 1.
+    """
+    centre_s, centre_t = source_mm.mean(axis=0), target_mm.mean(axis=0)
+    H = (target_mm - centre_t).T @ (source_mm - centre_s)
+    U, _, Vt = np.linalg.svd(H)
+    sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    R = U @ np.diag([1.0, 1.0, -sign if mirrored else sign]) @ Vt
+    return RigidTransform(R, centre_t - R @ centre_s)
 
 
 def _longest_chain(

@@ -23,13 +23,19 @@ from app.alignment.cleaning import find_valid_samples
 from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
 from app.alignment.segmentation import Stream, cut_into_passes
-from app.alignment.sequence import SKIP, TOLERANCE_MM, Matching, match_stops
+from app.alignment.sequence import (
+    SKIP,
+    TOLERANCE_MM,
+    Matching,
+    fit_rigid,
+    match_stops,
+)
 from app.alignment.stops import StopStream, join_stops
 from app.errors import AlignmentError
 from app.files.run import Run
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
-from app.numerics.rigid import RigidTransform, fit_rigid
+from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path, TrackerSamples
 
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see

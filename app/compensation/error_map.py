@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.compensation.format import AxisTable, PairTable
-from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import reference_position_mm
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import DIRECTION, LINEAR, is_turn
+from app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 
 _FEWEST, _FINEST = 2, 11  # positions of the second axis of a pair
 

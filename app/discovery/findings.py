@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.reduction import beam_frame
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
 from app.estimation.line_blocks import RunData
@@ -154,7 +153,7 @@ def _find_noise_floor_um(run_data: Sequence[RunData]) -> float:
     """Return the root mean square that noise alone leaves in a cell of all Runs."""
     square, cells = 0.0, 0
     for seen, base in ((run.observations, run.base) for run in run_data):
-        frame = beam_frame(seen.tracker_mm) @ base.pose.rotation
+        frame = seen.beam_frame @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
         square += len(seen) * floor_mm(seen, base.noise, along) ** 2
         cells += len(seen)

@@ -20,7 +20,6 @@ from app.discovery.term_search import LEAST_EVIDENCE
 from app.estimation.design_matrix import Linearisation
 from app.estimation.line_blocks import RunData
 from app.estimation.term_equations import Lines
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.candidate_term import CandidateTerm

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations, find_lines
+from app.alignment.observations import Observations
 from app.kinematics.machine import position_unit
 
 _BINS, _SIDE = 8, 4
@@ -96,7 +96,7 @@ def locate_residual(
     seen: Observations, residual_mm: Float64[np.ndarray, "n 3"]
 ) -> ResidualLocation:
     """Return where a residual is."""
-    parts = [slice(first, last) for first, last in find_lines(seen)]
+    parts = [slice(first, last) for first, last in seen.lines]
     segments = [_describe_segment(seen, residual_mm, part) for part in parts]
     segments.sort(key=lambda s: -s.rms_um)
     shares = {

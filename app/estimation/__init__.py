@@ -16,8 +16,6 @@ evidence too (`direction`). Uncertain precisions widen the covariance (Kass & St
 1989); Monte Carlo trials check the linear law (`monte_carlo`; GUM Supplement 1).
 
 What no measurement of this kind shows is named, never hidden by a pseudo-inverse
-(`observability`, `separation`). Beyond the measured range of an
-axis the prior softens (`extrapolation`). `batch` joins all of this for closed Runs,
-`baseline` for discovery. The volumetric error is stated without the rigid motion of the
-whole volume (`volumetric_map`).
+(`observability`, `separation`). Beyond the measured range of an axis the prior softens
+(`extrapolation`). `batch` joins all of this for closed Runs, `baseline` for discovery.
 """

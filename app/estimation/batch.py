@@ -20,9 +20,7 @@ from app.estimation.observability import Observability, assess_observability
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInformation, RunInput
 from app.files.model_file import EstimatedModel
-from app.files.one_machine import one_machine
-from app.kinematics.coarse_model import build_coarse_model
-from app.kinematics.identifiable import build_identifiable_model
+from app.kinematics.coarse_model import RunModels
 from app.kinematics.machine import TrackerNoise
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
@@ -119,33 +117,27 @@ class Estimate(EstimatedModel):
 
 
 def estimate(
-    *observed: Observations,
+    models: RunModels,
+    observed: Sequence[Observations],
+    *,
     known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     keep_fit: bool = False,
     on_progress: ShareProgress = ignore_progress,
-    names: Sequence[str] = (),
 ) -> Estimate:
     """Estimate all error motions that the observations can tell.
 
+    models : of the machine, for the targets of all Runs
     observed : of one Run each, in either mode; with surroundings where effects are
         known that depend on them
     known : effects known from an earlier measurement, to be estimated beside
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
     keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
     on_progress : receives the share done, 0 to 1
-    names : of the Runs, for errors and for targets that need a name
 
-    Raises Unidentifiable if the lines do not determine the error motions, BundleError
-    if the Runs are not of one machine.
+    Raises Unidentifiable if the lines do not determine the error motions.
     """
     known = known or KnownEffects()
-    machine = one_machine(
-        [each.at.machine for each in observed], _name(names, observed)
-    )
-    offsets_mm = [each.at.offset_mm for each in observed]
-    model, _ = build_identifiable_model(machine, *offsets_mm)
-    coarse = build_coarse_model(machine, offsets_mm, known.effects)
     inputs = tuple(
         RunInput(
             replace(each, at=replace(each.at, run=k)),
@@ -154,11 +146,13 @@ def estimate(
         )
         for k, each in enumerate(observed)
     )
-    inputs = refine_runs(coarse, inputs, known=known)
+    inputs = refine_runs(models.coarse, inputs, known=known)
     on_progress(0.5)
-    fit = soften_ends(select_fit(inputs, known.extend(model), known))
+    fit = soften_ends(select_fit(inputs, models.nested, known))
     on_progress(0.9)
-    observability = assess_observability(machine, inputs)
+    observability = assess_observability(models.shapes, inputs)
+    measured = find_measured_ranges(*observed)
+    chances = known.compute_chances(fit.model, fit.result)
     result = widen_by_unknown_precision(fit.prior, fit.result)
     found = Estimate(
         fit.model,
@@ -169,22 +163,18 @@ def estimate(
         fit.direction,
         perpendicular_only,
         tuple(_estimate_run(run, result) for run in fit.runs),
-        find_measured_ranges(*observed),
+        measured,
         known,
-        known.compute_chances(fit.model, fit.result),
+        chances,
         fit if keep_fit else None,
     )
     on_progress(1.0)
     return found
 
 
-def _name(names: Sequence[str], observed: Sequence[Observations]) -> Sequence[str]:
-    return names or [f"Run {number}" for number in range(1, len(observed) + 1)]
-
-
 def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
     theta, pose_covariance = run.restore_pose(machine)
-    observations = run.observations
+    observations, residuals = run.observations, _compute_residuals(run, theta)
     return RunEstimate(
         run.noise,
         run.linearisation.correct_pose(theta),
@@ -192,7 +182,7 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.at.point_mm.mean(axis=0),
         observations.at.machine.tracker,
         float(np.linalg.norm(observations.tracker_mm, axis=1).mean()),
-        _compute_residuals(run, theta),
+        residuals,
         len(observations),
         observations.used,
         observations.offered,

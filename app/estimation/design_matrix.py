@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 
-from app.alignment.observations import Observations, find_lines
-from app.alignment.reduction import beam_frame
+from app.alignment.observations import Observations
 from app.estimation.noise import NoiseModel, cell_noise
 from app.kinematics.effects.base import Effect, EffectOfRun, Parameter
 from app.kinematics.effects.nuisance import TimingLaw, TrackerPose
@@ -144,13 +143,13 @@ class Linearisation:
             local[:, :, p + 1 :] = timing.jacobian(at)
         if merge > 1:
             observations, local = _merge_cells(observations, local, merge)
-        frame = beam_frame(observations.tracker_mm) @ self.pose.rotation
+        frame = observations.beam_frame @ self.pose.rotation
         return DesignMatrix(observations, frame, frame @ local, p, timing.lines)
 
     def split(self, observations: Observations) -> Iterator[DesignMatrix]:
         """Yield the rows of all cells in their order, some whole lines at a time."""
         first = 0
-        for _, last in find_lines(observations):
+        for _, last in observations.lines:
             if last - first >= _CELLS or last == len(observations):
                 yield self.build(observations.select(np.arange(first, last)))
                 first = last
@@ -198,7 +197,7 @@ def _merge_cells(
 
     Averaged in the workpiece frame, where a line keeps its direction.
     """
-    bounds = [np.arange(a, b, merge) for a, b in find_lines(observations)]
+    bounds = [np.arange(a, b, merge) for a, b in observations.lines]
     starts = np.concatenate(bounds)
     count = np.add.reduceat(observations.count, starts)
 

@@ -24,8 +24,7 @@ from app.estimation.runs import (
     collect_information,
     combine_runs,
 )
-from app.kinematics.coarse_model import add_half_widths
-from app.kinematics.effects.backlash import make_half_shape
+from app.kinematics.coarse_model import NestedModels
 from app.kinematics.model import MachineModel
 
 # A precision fitted to nothing gains a little evidence; not this much, in −2 log.
@@ -59,24 +58,22 @@ class Fit:
 
 def select_fit(
     runs: Sequence[RunInput],
-    model: MachineModel,
+    models: NestedModels,
     known: KnownEffects | None = None,
 ) -> Fit:
     """Return the fit of greatest evidence, the direction of approach left to it.
 
-    known : effects of the model that an earlier measurement knows
+    known : effects of the models that an earlier measurement knows
     """
     known = known or KnownEffects()
-    wide = add_half_widths(model)
-    found = collect_information(runs, wide)
-    narrow = tuple(run.restrict(model.effects) for run in found)
-    none = _fit("none", model, narrow, known)
-    constant = _fit("constant", wide, found, known)
+    found = collect_information(runs, models.constant)
+    narrow = tuple(run.restrict(models.alone.effects) for run in found)
+    none = _fit("none", models.alone, narrow, known)
+    constant = _fit("constant", models.constant, found, known)
     if none.cost <= constant.cost:
         return none
-    shapes = [make_half_shape(m.symbol, m.axis) for m in model.error_motions]
-    both = wide.with_effects(*shapes)
-    tables = _fit("tables", both, collect_information(runs, both), known)
+    found = collect_information(runs, models.tables)
+    tables = _fit("tables", models.tables, found, known)
     return min(constant, tables, key=lambda fit: fit.cost)
 
 

@@ -38,13 +38,13 @@ from app.estimation.prior import (
     widen_by_unknown_precision,
 )
 from app.estimation.runs import RunInput
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
+from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.motion.configurations import Configurations
 from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path, TrackerSamples

@@ -18,13 +18,12 @@ from scipy.linalg import eigh
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.separation import describe_confounded
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.effects.base import ErrorCurve
 from app.kinematics.effects.error_motion import make_error_motion
-from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, is_turn
+from app.kinematics.volumetric_map import SHAPE_INTERVALS, ShapeModel
 
 USUAL = {"mm": 0.1, "rad": 1e-3}  # of what bends nothing: slopes, squarenesses
 _POOR = 0.5  # standard deviation of a usual machine that the data leave, at least
@@ -176,14 +175,12 @@ def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) ->
     return square / max(float(value @ value), 1e-300)
 
 
-_INTERVALS = 5  # shapes down to a fifth of the travel; finer ones the prior bridges
 _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one
 
 
-def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observability:
+def assess_observability(shapes: ShapeModel, runs: Sequence[RunInput]) -> Observability:
     """Return rank, the named null space, and poorly observable shapes."""
-    offsets_mm = [run.observations.at.offset_mm for run in runs]
-    model, merged = build_identifiable_model(machine, *offsets_mm, intervals=_INTERVALS)
+    model, confounded = shapes.model, shapes.confounded
     found = collect_information(runs, model)
     information = combine_runs(found).matrix
     alone = np.sum([np.diag(run.data.matrix)[: model.size] for run in found], 0)
@@ -191,14 +188,12 @@ def assess_observability(machine: Machine, runs: Sequence[RunInput]) -> Observab
     value, vector = np.linalg.eigh(information * scale[:, None] * scale)
     blind = value < _NULL_SPACE**2 * value[-1] + 1e-13
     covariance = np.linalg.inv(information + usual_precision_matrix(model))
-    every = np.concatenate(offsets_mm)
-    said = describe_confounded(machine, every, merged, model, covariance)
+    offsets_mm = np.concatenate([run.observations.at.offset_mm for run in runs])
+    said = describe_confounded(offsets_mm, confounded, model, covariance)
     said += _blind_shapes(model, vector[:, blind] * scale[:, None])
-    poor = find_poorly_observable(
-        information, model, compute_volumetric_gram(model), blind=False
-    )
+    poor = find_poorly_observable(information, model, shapes.gram, blind=False)
     return Observability(
-        model.size + sum(_shapes(m.symbol, model.machine) for m in merged),
+        model.size + sum(_shapes(m.symbol, model.machine) for m in confounded),
         int(model.size - blind.sum()),
         said,
         tuple(str(shape) for shape in poor),
@@ -230,4 +225,4 @@ def _shapes(symbol: str, machine: Machine) -> int:
     if not symbol.startswith("E"):
         return 1
     axis = machine.axes[machine.axis_names.index(symbol[2])]
-    return len(make_error_motion(symbol, axis, _INTERVALS).parameters)
+    return len(make_error_motion(symbol, axis, SHAPE_INTERVALS).parameters)

@@ -36,7 +36,6 @@ _LONGEST_MM = 500.0  # that is asked for
 
 
 def describe_confounded(
-    machine: Machine,
     offsets_mm: Float64[np.ndarray, "n 3"],
     merged: Sequence[Confounded],
     model: MachineModel,
@@ -49,7 +48,7 @@ def describe_confounded(
     """
     measured = np.unique(offsets_mm, axis=0)
     still = {
-        what: _still_merged(machine, measured, np.array(way))
+        what: _still_merged(model.machine, measured, np.array(way))
         for what, way in (_TRIALS.items() if merged else ())
     }
     return tuple(_statement(m, len(measured), still, model, covariance) for m in merged)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations, find_lines
+from app.alignment.observations import Observations
 from app.estimation.baseline import Baseline
 from app.estimation.information import Information
 from app.estimation.line_blocks import (
@@ -99,7 +99,7 @@ class Lines:
         self._within: list[tuple[CellDeviations, bool]] = []
         lines: list[tuple[int, Line]] = []
         for number, data in enumerate(runs):
-            parts = find_lines(data.observations)
+            parts = data.observations.lines
             is_held = number == 0 or len(parts) >= _FEWEST_LINES * folds
             for k, (first, last) in enumerate(parts):
                 line = build_line(data, number, first, last)

@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int64
 from numpy.typing import NDArray
 
 from app.alignment.cleaning import find_valid_samples
-from app.alignment.observations import Observations, find_lines
+from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
 from app.estimation.design_matrix import Linearisation
 from app.files.run import Run
@@ -167,7 +167,7 @@ def compute_cell_deviations(
     valid = np.zeros(len(run.tracker), bool)
     valid[find_valid_samples(run.tracker)] = True
     parts: list[CellDeviations] = []
-    for number, (first, last) in enumerate(find_lines(seen)):
+    for number, (first, last) in enumerate(seen.lines):
         line = int(seen.at.line[first])
         if line < 0 or _find_bends(seen, first):
             continue

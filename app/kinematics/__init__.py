@@ -16,6 +16,11 @@ pose, timing, tracker. A `MachineModel` is a machine with effects; θ holds thei
 parameters one effect after another. Effects answer questions about themselves (role,
 table, axis pair, Run); no other room asks for their class.
 
+Curves along an axis are natural or cyclic cubic splines, linear in their control values
+(`splines`; brunn-hanebeck-2005, eq. 2–11). Their second derivatives solve a tridiagonal
+system; bending energy and Gram matrix are integrals in closed form (eq. 12–13, 24–26).
+What errors do in the whole volume, less its rigid motion, says `volumetric_map`.
+
 Which error motions the measured targets can tell is a matter of geometry alone:
 `identifiable` finds it for any chain, and names what is confounded. With one tool
 offset, 14 of the 18 error motions of three linear axes are identifiable.

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import null_space
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.backlash import make_half_width
+from app.kinematics.effects.backlash import make_half_shape, make_half_width
 from app.kinematics.effects.base import (
     Effect,
     EffectOfRun,
@@ -27,8 +28,9 @@ from app.kinematics.effects.base import (
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.splines import CubicSpline, natural_spline
 from app.kinematics.symbols import LINEAR
-from app.numerics.splines import CubicSpline, natural_spline
+from app.kinematics.volumetric_map import ShapeModel, build_shape_model
 
 LONGEST_NOISE_S = 6.0  # correlated over longer: structure to be explained, not noise
 _KNOT_SPACING_MM = 35.0
@@ -55,6 +57,27 @@ class TimeSpline(SplineEffect):
         return self.charge_square(_USUAL_MM, "time")
 
 
+@dataclass(frozen=True)
+class NestedModels:
+    """Models of Runs that differ in what the direction of approach may do.
+
+    alone : error motions, and effects known before
+    """
+
+    alone: MachineModel
+
+    @cached_property
+    def constant(self) -> MachineModel:
+        """With a half width of each error motion."""
+        return add_half_widths(self.alone)
+
+    @cached_property
+    def tables(self) -> MachineModel:
+        """With a table of half differences of each error motion as well."""
+        shapes = [make_half_shape(m.symbol, m.axis) for m in self.alone.error_motions]
+        return self.constant.with_effects(*shapes)
+
+
 def build_baseline_models(
     machine: Machine,
     conditions: Sequence[Conditions],
@@ -69,9 +92,10 @@ def build_baseline_models(
     slow = [spline for at in conditions for spline in _make_time_splines(at)]
     if reference is None:
         model, _ = build_identifiable_model(machine, *offsets_mm)
-        return model, build_coarse_model(machine, offsets_mm, (), slow)
-    beside = (*slow, *reference.catalogue_effects)
-    return reference, build_coarse_model(reference.machine, offsets_mm, (), beside)
+    else:
+        model = reference
+    beside = (*slow, *model.catalogue_effects)
+    return model, build_coarse_model(model.machine, offsets_mm, (), beside)
 
 
 def _make_time_splines(at: Conditions) -> Iterator[Effect]:
@@ -85,6 +109,36 @@ def _make_time_splines(at: Conditions) -> Iterator[Effect]:
     gauge = null_space((spline.gram() @ np.ones(spline.size))[None, :])
     for direction in LINEAR:
         yield EffectOfRun(TimeSpline(direction, spline, gauge), at.run)
+
+
+@dataclass(frozen=True)
+class RunModels:
+    """The models that Runs of one machine are solved with.
+
+    coarse : for their noise; shapes : for what they determine
+    """
+
+    nested: NestedModels
+    coarse: MachineModel
+    shapes: ShapeModel
+
+
+def build_run_models(
+    machine: Machine,
+    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
+    known: Sequence[Effect] = (),
+) -> RunModels:
+    """Return the models of Runs.
+
+    offsets_mm : of the targets in each Run
+    known : effects of the machine from an earlier measurement
+    """
+    model, _ = build_identifiable_model(machine, *offsets_mm)
+    return RunModels(
+        NestedModels(model.with_effects(*known)),
+        build_coarse_model(machine, offsets_mm, known),
+        build_shape_model(machine, *offsets_mm),
+    )
 
 
 def build_coarse_model(

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.chain import NominalChain
 from app.kinematics.machine import Machine, Target
-from app.numerics.splines import CubicSpline
+from app.kinematics.splines import CubicSpline
 
 
 @dataclass(frozen=True, slots=True)

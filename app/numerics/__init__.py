@@ -1,9 +1,5 @@
 """Mathematics with no machine in it: pure functions of arrays.
 
-Curves along an axis are natural or cyclic cubic splines, linear in their control values
-(`splines`; brunn-hanebeck-2005, eq. 2–11). Their second derivatives solve a tridiagonal
-system; bending energy and Gram matrix are integrals in closed form (eq. 12–13, 24–26).
-
 Errors of samples are white plus an Ornstein–Uhlenbeck process (`correlated_noise`): the
 inverse covariance is then banded, so generalised least squares costs time linear in the
 number of points, for all points at once or a few at a time (Rue & Held, Gaussian Markov
@@ -15,7 +11,7 @@ What one more measurement is worth is the fall of the integrated variance tr(G C
 (`design_criteria`; eq. 34–36): along an axis a ratio of polynomials, whose best place
 is found exactly as a root (eq. 27).
 
-Rigid motions are a rotation and a translation (`rigid`; Rodrigues' formula; the fit of
-point sets by Umeyama 1991). Monte Carlo trials go on until their mean, standard
-deviation and interval are stable (`adaptive_trials`; GUM Supplement 1, 7.9).
+Rigid motions are a rotation and a translation (`rigid`; Rodrigues' formula). Monte
+Carlo trials go on until their mean, standard deviation and interval are stable
+(`adaptive_trials`; GUM Supplement 1, 7.9).
 """

@@ -24,10 +24,10 @@ from app.estimation.normal_equations import RecursiveEstimator
 from app.estimation.observability import assess_observability, usual_precision_matrix
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import build_shape_model, compute_volumetric_gram
 from app.motion.configurations import Commanded
 from app.planning.predicted_cells import EXPECTED_NOISE, predict_cells
 
@@ -142,7 +142,9 @@ def forecast(
         mean_square = float(np.sum(gram * covariance))
         rows.append(int(cells.row[last - 1]))
         sigmas.append(max(mean_square, 0.0) ** 0.5)
-    observed = assess_observability(machine, [RunInput(cells, cells.pose, noise)])
+    observed = assess_observability(
+        build_shape_model(machine, offsets), [RunInput(cells, cells.pose, noise)]
+    )
     return Forecast(
         model,
         known,

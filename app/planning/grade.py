@@ -35,11 +35,10 @@ from app.estimation.observability import (
 )
 from app.estimation.prior import diagonal_precision
 from app.estimation.separation import describe_confounded
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import build_shape_model
 from app.motion.configurations import Commanded
 from app.planning.forecast import Assumptions
 from app.planning.predicted_cells import (
@@ -199,11 +198,10 @@ def _grade_stations(
     machine: Machine, candidates: list[tuple[SetUp, ...]], perpendicular_only: bool
 ) -> Grade:
     offsets_mm = np.concatenate([one.predict().at.offset_mm for one in candidates[0]])
-    model, confounded = build_identifiable_model(
-        machine, offsets_mm, intervals=_INTERVALS
-    )
+    shapes = build_shape_model(machine, offsets_mm, intervals=_INTERVALS)
+    model = shapes.model
     noise = Assumptions(perpendicular_only=perpendicular_only).used_noise
-    criterion = _Criterion(model, compute_volumetric_gram(model), noise)
+    criterion = _Criterion(model, shapes.gram, noise)
     every = [criterion.evaluate(set_ups) for set_ups in candidates]
     worst = max(every, key=lambda one: one.number)
     weakest, improved = _find_weakest(worst, criterion), None
@@ -227,7 +225,7 @@ def _grade_stations(
             coarse,
             refined.T @ criterion.gram @ refined,
         ),
-        describe_confounded(machine, offsets_mm, confounded, model, worst.covariance),
+        describe_confounded(offsets_mm, shapes.confounded, model, worst.covariance),
     )
 
 

@@ -14,7 +14,6 @@ from scipy.linalg import block_diag
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import diagonal_precision
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.coarse_model import add_half_widths
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.nuisance import TrackerPose
@@ -22,6 +21,7 @@ from app.kinematics.effects.servo_mismatch import ServoMismatch
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
 from app.motion.workspace import Workspace

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from markupsafe import Markup
 
-from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.travel import add_resting_axes
 from app.reporting.chart import Frame, Scale, round_down
 from app.reporting.error_figures import draw_legend

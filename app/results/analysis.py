@@ -14,8 +14,11 @@ from importlib.metadata import version
 from app.alignment.align import align_all
 from app.errors import BundleError
 from app.estimation.batch import estimate
+from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
+from app.files.one_machine import one_machine
 from app.files.run import Run, RunSummary, summarize_run
+from app.kinematics.coarse_model import build_run_models
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.planning.grade import SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
@@ -53,13 +56,17 @@ def analyse(
     summaries = _summarize(runs)
     names = [summary.name for summary in summaries]
     digests = [summary.digest for summary in summaries]
-    machine, observed = align_all(runs, names)
-    known = None if model is None else model.select_effects(machine, digests)
+    machine = one_machine([run.machine for run in runs], names)
+    known = model.select_effects(machine, digests) if model else KnownEffects()
+    observed = align_all(runs, names)
     estimating = scale_progress(on_progress, aligned, solved, "estimating")
     estimating(0.0)
+    models = build_run_models(
+        machine, [each.at.offset_mm for each in observed], known.effects
+    )
     estimated = estimate(
-        *observed,
-        names=names,
+        models,
+        observed,
         known=known,
         perpendicular_only=perpendicular_only,
         keep_fit=monte_carlo is not None,

@@ -31,6 +31,7 @@ from app.files.run import Run, digest_run
 from app.files.units import unit_of
 from app.kinematics.effects.nuisance import find_tool_orientation
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import build_shape_model
 from app.results.discovery_json import effect_json
 from app.results.error_table_files import observability_json, tables_json
 from app.results.error_tables import build_error_tables, compute_half_differences
@@ -74,6 +75,9 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     machine = grown.model.machine
     before, origin = _describe_parent(found, parent)
     measured = find_measured_ranges(*(one.observations for one in found.aligned))
+    baseline = found.baseline
+    offsets_mm = [run.observations.at.offset_mm for run in baseline.runs]
+    shapes = build_shape_model(baseline.model.machine, *offsets_mm)
     runs = [
         {"name": one.run.name, "input_sha256": digest_run(one.run)}
         for one in found.aligned
@@ -96,7 +100,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
                 machine,
             ),
             "observability": observability_json(
-                assess_observability(found.baseline.model.machine, found.baseline.runs)
+                assess_observability(shapes, baseline.runs)
             ),
             "provenance": {
                 "software": "truepath",

@@ -14,11 +14,11 @@ from app.estimation.extrapolation import (
     estimate_variations,
     full_travel,
 )
-from app.estimation.volumetric_map import VolumetricMap, build_volumetric_map
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Machine
+from app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
 
 _USUAL_ENDS = 0.05  # of the travel: lines seldom go closer to its ends
 _BLOCK = 1000  # points at a time: their Jacobian stays in the cache

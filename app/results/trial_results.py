@@ -17,12 +17,12 @@ from jaxtyping import Bool, Float64
 
 from app.estimation.batch import Estimate
 from app.estimation.monte_carlo import prepare_trials, run_block
-from app.estimation.volumetric_map import build_volumetric_map
 from app.files.units import UM_PER_MM, scale_of
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import position_unit as unit_of_axis
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.numerics.adaptive_trials import (
     BLOCK,
     COVERAGE,

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.volumetric_map import build_volumetric_map
 from app.files.model_file import EstimatedModel
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.volumetric_map import build_volumetric_map
 
 _GRID = 9  # points an axis
 _FEW, _FEWEST = 5, 3  # of linear and rotary axes where there are both

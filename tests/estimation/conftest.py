@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.estimation.volumetric_map import build_volumetric_map
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.volumetric_map import build_volumetric_map
 
 
 def _deviations(result, truth):

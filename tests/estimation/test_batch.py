@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from app.alignment.align import align
 from app.estimation import batch
-from app.estimation.batch import estimate
-from app.estimation.volumetric_map import build_volumetric_map
+from app.kinematics.volumetric_map import build_volumetric_map
 from simulators.synthetic import Setting
 from simulators.tracker_head import Air
+from tests.estimation.estimating import estimate
 
 
 @pytest.fixture(scope="module")

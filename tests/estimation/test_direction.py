@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.backlash import make_half_shape, make_half_width
 from app.kinematics.machine import LinearAxis
 from app.results.error_tables import compute_half_differences
+from tests.estimation.estimating import estimate
 
 HALF_MM = 0.003
 

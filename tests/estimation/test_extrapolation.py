@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
 from app.estimation.extrapolation import (
     beyond_travel_variance_mm2,
     estimate_variations,
@@ -20,6 +19,7 @@ from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
+from tests.estimation.estimating import estimate
 
 
 def part_of_travel(content, seed):

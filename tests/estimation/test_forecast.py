@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
-from app.estimation.volumetric_map import compute_volumetric_gram
+from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.planning.forecast import Assumptions, forecast
+from tests.estimation.estimating import estimate
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["all", "perpendicular"])

@@ -7,13 +7,13 @@ import pytest
 
 from app.alignment.align import align
 from app.errors import PlanningError
-from app.estimation.batch import estimate
-from app.estimation.volumetric_map import build_volumetric_map, compute_volumetric_gram
 from app.kinematics.machine import Target, TrackerNoise
+from app.kinematics.volumetric_map import build_volumetric_map, compute_volumetric_gram
 from app.motion.configurations import Configurations
 from app.planning.default_path import default_path
 from app.planning.grade import SetUp, grade, grade_together, verdict
 from drivers.interfaces.records import Path
+from tests.estimation.estimating import estimate
 
 STATION_MM = np.array([-900.0, 200.0, 100.0])
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
 from app.estimation.live import LiveEstimator
-from app.estimation.volumetric_map import compute_volumetric_gram
+from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.results.error_tables import build_error_tables
 from drivers.interfaces.records import TrackerSamples
+from tests.estimation.estimating import estimate
 
 
 def blocks_of(run, size=50):

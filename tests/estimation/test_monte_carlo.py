@@ -13,6 +13,7 @@ from app.estimation.monte_carlo import draw_outputs, prepare_trials, run_block
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInput
+from app.kinematics.coarse_model import NestedModels
 from app.kinematics.identifiable import build_identifiable_model
 from app.numerics.adaptive_trials import TrialPlan, agrees, propagate
 
@@ -26,7 +27,7 @@ def fit(record):
     model, _ = build_identifiable_model(
         seen.at.machine, seen.at.offset_mm, knot_spacing_mm=100.0
     )
-    return select_fit([RunInput(seen, seen.pose, NOISE)], model)
+    return select_fit([RunInput(seen, seen.pose, NOISE)], NestedModels(model))
 
 
 def under(trials, noise):

@@ -8,10 +8,10 @@ from app.estimation.observability import (
     find_poorly_observable,
     usual_precision_matrix,
 )
-from app.estimation.volumetric_map import compute_volumetric_gram
 from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from app.kinematics.volumetric_map import compute_volumetric_gram
 
 X = LinearAxis("X", 0.0, 600.0)
 MILL = Machine(

@@ -15,8 +15,8 @@ from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
+from app.kinematics.splines import natural_spline
 from app.kinematics.symbols import list_error_motions
-from app.numerics.splines import natural_spline
 
 KNOTS = 6
 ONE = [(0.0, 0.0, -100.0)]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.identifiable import build_identifiable_model
@@ -13,6 +12,7 @@ from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
+from tests.estimation.estimating import estimate
 
 
 def measured(name, seed, points=200):

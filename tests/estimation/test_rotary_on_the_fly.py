@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
 from app.estimation.design_matrix import linearise
 from app.estimation.live import LiveEstimator
 from app.estimation.noise import NoiseModel
@@ -23,6 +22,7 @@ from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic
 from simulators.scenario import load_machine
 from simulators.timeline import Program
+from tests.estimation.estimating import estimate
 
 pytestmark = pytest.mark.timeout(300)
 NOISE = NoiseModel((1.0, 1.1), (0.3, 0.2), 0.9, 2e-4)

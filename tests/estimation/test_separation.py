@@ -143,6 +143,6 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     offsets = np.array([[0.0, 0.0, -150.0]])
     model, merged = build_identifiable_model(machine, offsets, intervals=5)
     poor = np.eye(model.size) * 0.1**2  # mm: of displacements of some 10 µm
-    for said in separation.describe_confounded(machine, offsets, merged, model, poor):
+    for said in separation.describe_confounded(offsets, merged, model, poor):
         assert "at least" not in said
         assert "tell too little for any tool" in said

@@ -7,15 +7,14 @@ import pytest
 
 from app.alignment.align import align
 from app.errors import BundleError, Unidentifiable
-from app.estimation.batch import estimate
 from app.estimation.noise import NoiseModel
 from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.estimation.volumetric_map import build_volumetric_map
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import build_identifiable_model
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
@@ -24,6 +23,7 @@ from simulators.scenario import load_machine
 from simulators.synthetic import Setting
 from simulators.tracker_head import Air
 from simulators.truth_machine import random_machine
+from tests.estimation.estimating import estimate
 
 MACHINE = 71  # the machine of every recording; noise, clock and pose are another's
 SHORT, LONG, ASIDE = (20.0, 30.0, -150.0), (20.0, 30.0, -300.0), (140.0, -60.0, -200.0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.numerics.splines import natural_spline
+from app.kinematics.splines import natural_spline
 from app.numerics.value_equality import ValueEquality
 
 

@@ -13,8 +13,8 @@ from app.kinematics.machine import (
     TrackerNoise,
 )
 from app.kinematics.model import MachineModel
+from app.kinematics.splines import natural_spline
 from app.numerics.design_criteria import IntegratedVariance
-from app.numerics.splines import natural_spline
 from app.planning.next_configuration import (
     SearchSpace,
     next_configuration,

@@ -8,7 +8,6 @@ import pytest
 from app.alignment.align import align
 from app.alignment.observations import add_surroundings
 from app.errors import BundleError
-from app.estimation.batch import estimate
 from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_from_json
 from app.files.result_file import CalibrationResult
@@ -27,6 +26,7 @@ from simulators.hidden.servo_mismatch import ServoMismatch
 from simulators.scenario import load_machine
 from simulators.synthetic import Setting
 from simulators.timeline import Program
+from tests.estimation.estimating import estimate
 
 FEEDS = (3000.0, 9000.0)
 SMALL = load_machine("demo")

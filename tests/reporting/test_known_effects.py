@@ -15,7 +15,6 @@ from app.alignment.align import align
 from app.alignment.observations import add_surroundings
 from app.discovery.discover import discover
 from app.errors import BundleError
-from app.estimation.batch import estimate
 from app.estimation.monte_carlo import draw_outputs, prepare_trials
 from app.estimation.prior_model import PriorModel
 from app.files.result_file import CalibrationResult, result_from_json
@@ -37,6 +36,7 @@ from simulators.hidden.table_drift import TableDrift
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
 from simulators.synthetic import Setting
+from tests.estimation.estimating import estimate
 
 FEED, TRAVEL_MM = 6000.0, 220.0
 SAG = ElasticSag("X", "Y", "Z", 30.0)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.volumetric_map import build_volumetric_map
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.results import prediction
 from app.results.prediction import predict
 

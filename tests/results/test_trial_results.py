@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.estimation.batch import estimate
 from app.files.bundle import read_bundle
 from app.numerics.adaptive_trials import TrialPlan
 from app.reporting.analysis_files import render_analysis
@@ -18,6 +17,7 @@ from app.reporting.templating import render_part
 from app.results.analysis import analyse
 from app.results.error_tables import build_error_tables
 from app.results.trial_results import MAP, run_trials, trials_json
+from tests.estimation.estimating import estimate
 
 PLAN = TrialPlan(seed=5, most_blocks=2)
 

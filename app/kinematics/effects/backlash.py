@@ -38,8 +38,8 @@ from app.kinematics.effects.error_motion import (
 )
 from app.kinematics.effects.keys import AXIS, MOTION
 from app.kinematics.machine import Axis, LinearAxis, Machine
+from app.kinematics.splines import CubicSpline, natural_spline
 from app.kinematics.symbols import is_positioning, is_turn, list_error_motions
-from app.numerics.splines import CubicSpline, natural_spline
 
 _SHARE = 0.3  # usual size of h, in usual errors
 _INTERVALS = 5  # h changes slowly along an axis

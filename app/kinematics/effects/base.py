@@ -13,8 +13,8 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
+from app.kinematics.splines import CubicSpline
 from app.kinematics.symbols import DIRECTION, is_turn
-from app.numerics.splines import CubicSpline
 from app.numerics.value_equality import ValueEquality
 
 

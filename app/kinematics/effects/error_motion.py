@@ -20,7 +20,6 @@ from app.kinematics.effects.base import (
 )
 from app.kinematics.machine import Axis, RotaryAxis, find_local_directions
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
-from app.numerics.splines import cyclic_spline, natural_spline
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
 

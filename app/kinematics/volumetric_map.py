@@ -13,10 +13,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions, make_standstill
+from app.kinematics.identifiable import Confounded, build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import cross_matrix
 
+# Shapes down to a fifth of the travel; finer ones the prior bridges.
+SHAPE_INTERVALS = 5
 _SOBOL = 11  # 2^11 points where there are rotary axes
 _NODES = 12  # Gauss–Legendre nodes an axis: exact for the shapes splines take
 
@@ -56,8 +59,8 @@ def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap
     """Return the map of one target's volumetric error over the axis travel."""
     at, weight = _quadrature(model.machine, target)
     centre = weight @ at.point_mm
-    rigid = _rigid_columns(at, centre) * np.sqrt(weight)[:, None, None]
     columns = model.jacobian(at) * np.sqrt(weight)[:, None, None]
+    rigid = _rigid_columns(at, centre) * np.sqrt(weight)[:, None, None]
     fit, *_ = np.linalg.lstsq(
         rigid.reshape(-1, 6), columns.reshape(-1, model.size), rcond=None
     )
@@ -76,6 +79,34 @@ def compute_volumetric_gram(
     columns = build_volumetric_map(model, target).jacobian(at)
     flat = (columns * np.sqrt(weight)[:, None, None]).reshape(-1, model.size)
     return flat.T @ flat
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeModel:
+    """Error motions in few shapes each, by which measurements are judged.
+
+    confounded : what the targets do not tell
+    gram : θᵀ G θ is the mean square of the volumetric error over the travel
+    """
+
+    model: MachineModel
+    confounded: tuple[Confounded, ...]
+    gram: Float64[np.ndarray, "p p"]
+
+
+def build_shape_model(
+    machine: Machine,
+    *offsets_mm: Float64[np.ndarray, "_ 3"],
+    intervals: int = SHAPE_INTERVALS,
+) -> ShapeModel:
+    """Return the model of what targets can tell, in shapes of some intervals an axis.
+
+    offsets_mm : (t, 3) offsets of the targets measured in a Run, one Run after another
+    """
+    model, confounded = build_identifiable_model(
+        machine, *offsets_mm, intervals=intervals
+    )
+    return ShapeModel(model, confounded, compute_volumetric_gram(model))
 
 
 def _quadrature(
