@@ -33,7 +33,7 @@ def align_all(runs: Sequence[Run], names: Sequence[str]) -> list[Observations]:
     Raises AlignmentError with the name of the Run meant where there are several.
     """
     observed: list[Observations] = []
-    for run, name in zip(runs, names, strict=True):
+    for name, run in zip(names, runs, strict=True):
         try:
             seen = align(run)
             seen = add_surroundings(seen, run.commanded, run.temperature)
