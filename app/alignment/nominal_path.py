@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.kinematics.conditions import make_standstill
+from app.kinematics.conditions import observe_targets
 from app.kinematics.machine import Machine, RotaryAxis
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path
@@ -237,13 +237,10 @@ def _expected_mm(
     row: Int64[np.ndarray, " n"],
     position: Float64[np.ndarray, "n a"],
 ) -> Float64[np.ndarray, "n 3"]:
-    names = commanded.target or [""]
-    targets = [machine.target(name) for name in names]
-    which = row if commanded.target else np.zeros(len(row), np.int64)
-    offset = np.array([t.offset_mm for t in targets], np.float64)[which]
-    aside = np.array([t.on == "workpiece" for t in targets])[which]
-    at = make_standstill(machine, position, offset)
-    return at.view_from(machine.tracker.stands_on, aside).point_mm
+    targets = [machine.target(name) for name in commanded.target or ("",)]
+    if commanded.target:
+        targets = [targets[r] for r in row]
+    return observe_targets(machine, position, targets).point_mm
 
 
 def _find_bends(

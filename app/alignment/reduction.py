@@ -68,16 +68,18 @@ def reduce_to_cells(
     """
     span = float(time_s[-1] - time_s[0]) + 1e-9
     cell = ((time_s - time_s[0]) / span * cells).astype(np.int64)
-    rest_mm = tracker_mm - way(time_s)
+    stretch = _Stretch(time_s, tracker_mm - way(time_s), cell, way, sigma_mm)
     good = np.ones(len(time_s), bool)
-    means, scatter = _reduce(time_s, rest_mm, cell, good, way, sigma_mm)
+    means = stretch.average(good)
+    scatter = stretch.scatter(means)
     for _ in range(_ROUNDS):
         limit = _OUTLIER * np.maximum(1.0, 1.4826 * np.median(np.abs(scatter), axis=0))
         inside = (np.abs(scatter) < limit).all(axis=1) & (means.count[cell] > 0)
         if (inside == good).all():
             break
         good = inside
-        means, scatter = _reduce(time_s, rest_mm, cell, good, way, sigma_mm)
+        means = stretch.average(good)
+        scatter = stretch.scatter(means)
     scatter = scatter[good]
     filled = means.count > 0
     free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
@@ -101,52 +103,40 @@ class _Means:
     count: Float64[np.ndarray, " c"]
 
 
-def _reduce(
-    time_s: Float64[np.ndarray, " n"],
-    rest_mm: Float64[np.ndarray, "n 3"],
-    cell: Int64[np.ndarray, " n"],
-    good: Bool[np.ndarray, " n"],
-    way: Way,
-    sigma_mm: Sigma,
-) -> tuple[_Means, Float64[np.ndarray, "n 3"]]:
-    means = _means(time_s, rest_mm, cell, good, way)
-    return means, _scatter(time_s, rest_mm, cell, means, sigma_mm)
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """Samples without the nominal motion, and the cell of each."""
 
+    time_s: Float64[np.ndarray, " n"]
+    rest_mm: Float64[np.ndarray, "n 3"]
+    cell: Int64[np.ndarray, " n"]
+    way: Way
+    sigma_mm: Sigma
 
-def _means(
-    time_s: Float64[np.ndarray, " n"],
-    rest_mm: Float64[np.ndarray, "n 3"],
-    cell: Int64[np.ndarray, " n"],
-    good: Bool[np.ndarray, " n"],
-    way: Way,
-) -> _Means:
-    size, weight = int(cell[-1]) + 1, good.astype(np.float64)
-    count = np.bincount(cell, weight, size)
-    safe = np.maximum(count, 1.0)
-    # About the first sample, so that sums keep their digits.
-    origin_s, origin_mm = time_s[0], rest_mm[0]
-    time = np.bincount(cell, weight * (time_s - origin_s), size) / safe + origin_s
-    total = np.column_stack(
-        [np.bincount(cell, weight * column, size) for column in (rest_mm - origin_mm).T]
-    )
-    rest = total / safe[:, None] + origin_mm
-    return _Means(time, rest, rest + way(time), count)
+    def average(self, good: Bool[np.ndarray, " n"]) -> _Means:
+        """Return the means of the good samples of each cell."""
+        cell, size = self.cell, int(self.cell[-1]) + 1
+        weight = good.astype(np.float64)
+        count = np.bincount(cell, weight, size)
+        safe = np.maximum(count, 1.0)
+        # About the first sample, so that sums keep their digits.
+        origin_s, origin_mm = self.time_s[0], self.rest_mm[0]
+        lag, off = self.time_s - origin_s, self.rest_mm - origin_mm
+        time = np.bincount(cell, weight * lag, size) / safe + origin_s
+        total = np.column_stack([np.bincount(cell, weight * o, size) for o in off.T])
+        rest = total / safe[:, None] + origin_mm
+        return _Means(time, rest, rest + self.way(time), count)
 
-
-def _scatter(
-    time_s: Float64[np.ndarray, " n"],
-    rest_mm: Float64[np.ndarray, "n 3"],
-    cell: Int64[np.ndarray, " n"],
-    means: _Means,
-    sigma_mm: Sigma,
-) -> Float64[np.ndarray, "n 3"]:
-    """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
-    lag = time_s - means.time_s[cell]
-    off = rest_mm - means.rest_mm[cell]
-    off -= lag[:, None] * _slope(lag, off, cell)[cell]
-    sigma = sigma_mm(np.linalg.norm(means.tracker_mm, axis=1))[:, [0, 1, 1]]
-    frame = beam_frame(means.tracker_mm) / sigma[:, :, None]
-    return np.einsum("nij,nj->ni", frame[cell], off)
+    def scatter(self, means: _Means) -> Float64[np.ndarray, "n 3"]:
+        """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""
+        cell = self.cell
+        lag = self.time_s - means.time_s[cell]
+        off = self.rest_mm - means.rest_mm[cell]
+        off -= lag[:, None] * _slope(lag, off, cell)[cell]
+        distance = np.linalg.norm(means.tracker_mm, axis=1)
+        sigma = self.sigma_mm(distance)[:, [0, 1, 1]]
+        frame = beam_frame(means.tracker_mm) / sigma[:, :, None]
+        return np.einsum("nij,nj->ni", frame[cell], off)
 
 
 def _slope(

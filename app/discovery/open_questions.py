@@ -24,6 +24,7 @@ from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.candidate_term import CandidateTerm
 from app.kinematics.effects.catalogue import USUAL_MM
+from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from app.planning.discrimination import POSE, DiscriminationDesign, LineChoice, Question
 from drivers.interfaces.records import Path

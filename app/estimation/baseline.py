@@ -20,7 +20,7 @@ from app.estimation.design_matrix import Linearisation, middle_of
 from app.estimation.information import Information, Posterior, compute_posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
-from app.estimation.prior import BendingPrior, fit_prior, guess_prior
+from app.estimation.prior import guess_prior
 from app.estimation.runs import RunInput
 from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import LONGEST_NOISE_S, add_effects
@@ -31,7 +31,7 @@ from app.numerics.rigid import RigidTransform
 
 
 class MachinePrior(Protocol):
-    """What is known of the machine before the Runs."""
+    """What is known of the machine before the Runs: `BendingPrior`, `KnownMachine`."""
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the prior precision; parameters after the machine's have none."""
@@ -40,22 +40,6 @@ class MachinePrior(Protocol):
     def fit(self, data: Information) -> tuple[MachinePrior, Posterior]:
         """Return the prior that fits the data, and the posterior under it."""
         ...
-
-
-@dataclass(frozen=True)
-class SmoothMotions:
-    """Error motions of any shape, as smooth as the data say."""
-
-    bending: BendingPrior
-
-    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Return the precision of the bending energies."""
-        return self.bending.precision_matrix(size)
-
-    def fit(self, data: Information) -> tuple[SmoothMotions, Posterior]:
-        """Return the prior whose precisions fit the data, and the posterior."""
-        bending, result = fit_prior(data, self.bending)
-        return SmoothMotions(bending), result
 
 
 @dataclass(frozen=True)
@@ -129,7 +113,7 @@ def fit_baseline(
     Raises Unidentifiable if the lines do not determine the noise.
     """
     if reference is None:
-        theta, prior = np.zeros(model.size), SmoothMotions(guess_prior(model))
+        theta, prior = np.zeros(model.size), guess_prior(model)
     else:
         theta, prior = reference.theta, reference.prior()
     guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]

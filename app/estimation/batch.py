@@ -173,7 +173,7 @@ def estimate(
 
 
 def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
-    theta, pose_covariance = run.restore_pose(machine)
+    theta, pose_covariance = run.own.restore(machine)
     observations, residuals = run.observations, _compute_residuals(run, theta)
     return RunEstimate(
         run.noise,

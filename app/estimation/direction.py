@@ -15,7 +15,6 @@ from app.estimation.known_effects import KnownEffects
 from app.estimation.prior import (
     BendingPrior,
     compute_evidence_cost,
-    fit_prior,
     guess_prior,
 )
 from app.estimation.runs import (
@@ -84,7 +83,7 @@ def _fit(
     known: KnownEffects,
 ) -> Fit:
     data = known.add_to(combine_runs(runs), model)
-    prior, result = fit_prior(data, guess_prior(model))
+    prior, result = guess_prior(model).fit(data)
     precisions = len(model.effects) - len(model.error_motions)
     cost = compute_evidence_cost(data, prior, result) + _PRICE * precisions
     return Fit(direction, model, runs, known, prior, result, cost)

@@ -37,10 +37,6 @@ class KnownEffects:
         default_factory=lambda: np.zeros((0, 0))
     )
 
-    def extend(self, model: MachineModel) -> MachineModel:
-        """Return a model of error motions with the effects beside them."""
-        return model.with_effects(*self.effects)
-
     def locate(self, model: MachineModel) -> slice:
         """Return where the effects lie in a model that has them, one after another."""
         if not self.effects:

@@ -40,11 +40,6 @@ class WhitenedBlocks:
     begin: Int64[np.ndarray, "l 2"]
 
     @staticmethod
-    def build(whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]):
-        """Return columns of one line."""
-        return WhitenedBlocks.of_line(*whitener.whiten(columns))
-
-    @staticmethod
     def of_line(
         plus: Float64[np.ndarray, "m p"], minus: Float64[np.ndarray, "s p"]
     ) -> WhitenedBlocks:
@@ -128,7 +123,8 @@ class Line:
     def whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
         """Return columns of this line's cells as they count."""
         own = np.matmul(self.design.frame, columns)
-        return _project_out(WhitenedBlocks.build(self.whitener, own), self.timing)
+        blocks = WhitenedBlocks.of_line(*self.whitener.whiten(own))
+        return _project_out(blocks, self.timing)
 
 
 def build_line(data: RunData, run: int, first: int, last: int) -> Line:
@@ -138,7 +134,7 @@ def build_line(data: RunData, run: int, first: int, last: int) -> Line:
     """
     design = data.base.build(data.observations.select(np.arange(first, last)))
     whitener = design.whiten(data.base.noise)
-    blocks = WhitenedBlocks.build(whitener, design.rows)
+    blocks = WhitenedBlocks.of_line(*whitener.whiten(design.rows))
     base = slice(design.fixed + 1)
     timing, log_timing = _orthonormalise(blocks.select(slice(base.stop, None)))
     is_across = not data.base.has_timing and design.observations.at.line[0] >= 0

@@ -33,7 +33,6 @@ from app.estimation.noise_fit import (
 from app.estimation.normal_equations import RecursiveEstimator, compute_information
 from app.estimation.prior import (
     BendingPrior,
-    fit_prior,
     guess_prior,
     widen_by_unknown_precision,
 )
@@ -109,7 +108,7 @@ class LiveEstimator:
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
-        self._model = add_half_widths(self._known.extend(model))
+        self._model = add_half_widths(model.with_effects(*self._known.effects))
         self._gram = compute_volumetric_gram(self._model)
         self._prior: BendingPrior = guess_prior(self._model)
         self._parts: list[CellBlock] = []
@@ -151,7 +150,7 @@ class LiveEstimator:
             return None
         size = self._model.size
         data = self._add_known(self._sums.information(), self._sums.linearisation)
-        self._prior, result = fit_prior(data, self._prior)
+        self._prior, result = self._prior.fit(data)
         widened = widen_by_unknown_precision(self._prior, result)
         covariance = widened.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))

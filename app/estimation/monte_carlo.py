@@ -114,7 +114,7 @@ def _trial_run(run: RunInformation) -> TrialRun:
     size = run.linearisation.machine_model.size
     weighted = _weigh(design, run.noise)
     # The pose is solved along: its share of the data is passed on.
-    machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.pose_per_machine
+    machine = weighted[:, :, :size] - weighted[:, :, size:] @ run.own.follow()
     return TrialRun(
         run.observations, run.noise, design.travel, machine.astype(np.float32)
     )

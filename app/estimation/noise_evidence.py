@@ -66,12 +66,6 @@ class NoiseEvidence:
         """
         return _Solution(self, noise).slope()
 
-    def ou_precision(self, noise: NoiseModel) -> OrnsteinUhlenbeckPrecision:
-        """Return C⁻¹."""
-        observations = self.design.observations
-        _, sigma = split_sigma_mm(observations, noise)
-        return build_ou_precision(observations.at.time_s, sigma, noise.ou_time_s)
-
     @cached_property
     def travel(self) -> Float64[np.ndarray, "n 3"]:
         """Direction of travel in the beam frame."""
@@ -91,7 +85,12 @@ class _Solution:
         k = len(of.known.vector)
         total[:k, :k] += of.known.matrix
         total[:k, p] += of.known.vector
-        self.factor = _factorise(total[:p, :p])
+        try:
+            self.factor = ScaledCholesky.of(total[:p, :p])
+        except np.linalg.LinAlgError as error:
+            raise Unidentifiable(
+                "the lines do not determine the noise beside the errors; add lines"
+            ) from error
         half = self.factor.solve_half(total[:p, p])
         self.square = float(total[p, p] + of.known.square - half @ half)
         theta = self.factor.solve(total[:p, p])
@@ -100,6 +99,13 @@ class _Solution:
         self.residual = (weighted[:, p] - weighted[:, :p] @ theta).reshape(n, 3)
         self.ou = ou[:, :p]
         self.ou_residual = ou[:, p] - ou[:, :p] @ theta
+        # C⁻¹, and that of a slightly longer correlation time.
+        observations = of.design.observations
+        _, sigma = split_sigma_mm(observations, noise)
+        self.here, self.longer = (
+            build_ou_precision(observations.at.time_s, sigma, each.ou_time_s)
+            for each in (noise, _lengthen(noise))
+        )
 
     def slope(self) -> Slope:
         """Return cost, gradient and curvature."""
@@ -123,12 +129,9 @@ class _Solution:
         now = (spread**2).sum(axis=0) + self.ou_residual**2
         next_ = (spread[:, 3:] * spread[:, :-3]).sum(axis=0)
         next_ += self.ou_residual[3:] * self.ou_residual[:-3]
-        here, longer = (
-            self.of.ou_precision(self.noise),
-            self.of.ou_precision(_lengthen(self.noise)),
-        )
-        size = 2.0 * _by_coordinate(here, now, next_)
-        time = (_by_coordinate(longer, now, next_).sum() - 0.5 * size.sum()) / _STEP
+        size = 2.0 * _by_coordinate(self.here, now, next_)
+        longer = _by_coordinate(self.longer, now, next_).sum()
+        time = (longer - 0.5 * size.sum()) / _STEP
         found = [size[0], size[1] + size[2], -time]
         if np.isfinite(self.noise.along_sigma_mm):
             n, along = len(self.of.residual), self.of.travel
@@ -150,27 +153,14 @@ class _Solution:
         """Return ∂V P y for each parameter."""
         n = len(self.of.residual)
         ou = self.ou_residual.reshape(n, 3)
-        here, longer = (
-            self.of.ou_precision(self.noise),
-            self.of.ou_precision(_lengthen(self.noise)),
-        )
-        change = (longer.multiply(ou) - here.multiply(ou)) / _STEP
+        change = (self.longer.multiply(ou) - self.here.multiply(ou)) / _STEP
         beam = 2.0 * ou * np.array([1.0, 0.0, 0.0])
-        columns = [beam, 2.0 * ou - beam, -here.solve(change)]
+        columns = [beam, 2.0 * ou - beam, -self.here.solve(change)]
         if np.isfinite(self.noise.along_sigma_mm):
             along = self.of.travel
             rest = np.einsum("ni,ni->n", along, self.residual)[:, None]
             columns.append(2.0 * self.noise.along_sigma_mm**2 * along * rest)
         return np.stack(columns, axis=2)
-
-
-def _factorise(H: Float64[np.ndarray, "p p"]) -> ScaledCholesky:
-    try:
-        return ScaledCholesky.of(H)
-    except np.linalg.LinAlgError as error:
-        raise Unidentifiable(
-            "the lines do not determine the noise beside the errors; add lines"
-        ) from error
 
 
 def _by_coordinate(

@@ -21,7 +21,7 @@ from app.estimation.information import Information, add_information
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence, Slope
-from app.estimation.prior import BendingPrior, fit_prior, guess_prior
+from app.estimation.prior import BendingPrior, guess_prior
 from app.estimation.runs import (
     RunInformation,
     RunInput,
@@ -76,9 +76,8 @@ def refine_runs(
     known = known or KnownEffects()
     few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
     found = list(collect_information(few, model))
-    prior, result = fit_prior(
-        known.add_to(combine_runs(found), model), guess_prior(model)
-    )
+    data = known.add_to(combine_runs(found), model)
+    prior, result = guess_prior(model).fit(data)
     # The noise of one Run shifts what the others hold for the error motions.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
         others = found[:k] + found[k + 1 :]
@@ -91,7 +90,7 @@ def refine_runs(
     return tuple(
         RunInput(
             run.observations,
-            one.linearisation.correct_pose(one.restore_pose(result)[0]),
+            one.linearisation.correct_pose(one.own.restore(result)[0]),
             one.noise,
         )
         for run, one in zip(runs, found, strict=True)
@@ -108,7 +107,7 @@ def _fit_noise(
     design = _merged_design(run.observations, run.linearisation)
     charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
     before = effects.add_to(charged, prior.model)
-    known = add_information([before, *(other.about_machine for other in others)])
+    known = add_information([before, *(other.own.eliminate() for other in others)])
     columns = _select_independent(design)
     evidence = NoiseEvidence(design, columns, design.residual, known)
     return _maximise(evidence, run.noise, longest_s)

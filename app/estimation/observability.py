@@ -132,9 +132,10 @@ def _name_shape(
     sigma_mm: float,
 ) -> PoorlyObservableShape:
     part = {
-        e.name: _at_tool(gram, shape, model.slices[e.name])
+        e.name: float(np.sqrt(max(shape[own] @ gram[own, own] @ shape[own], 0.0)))
         for e in model.effects
         if e.motion or e.iso_symbol in SQUARENESS
+        for own in (model.slices[e.name],)
     }
     largest = max(part.values())
     names = sorted(part, key=lambda name: -part[name])
@@ -144,12 +145,6 @@ def _name_shape(
     if first.motion:
         form = describe_form(first.motion, shape[model.slices[first.name]])
     return PoorlyObservableShape(taking, remaining, sigma_mm, form)
-
-
-def _at_tool(
-    gram: Float64[np.ndarray, "p p"], shape: Float64[np.ndarray, " p"], part: slice
-) -> float:
-    return float(np.sqrt(max(shape[part] @ gram[part, part] @ shape[part], 0.0)))
 
 
 def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:

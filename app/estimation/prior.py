@@ -61,6 +61,22 @@ class BendingPrior:
             for name, charge in self.charges.items()
         )
 
+    def fit(self, data: Information) -> tuple[BendingPrior, Posterior]:
+        """Return the prior whose precisions fit the data, and the posterior."""
+        prior, size = self, self.model.size
+        machine = OwnParameters.of(data, size).eliminate()
+        for _ in range(_ROUNDS):
+            result = compute_posterior(machine, prior.precision_matrix(size))
+            precision = _next_precision(prior, result)
+            change = max(
+                abs(float(np.log(precision[name] / old)))
+                for name, old in prior.precision.items()
+            )
+            prior = replace(prior, precision=precision)
+            if change < _SETTLED:
+                break
+        return prior, compute_posterior(data, prior.precision_matrix(len(data.vector)))
+
 
 def guess_prior(model: MachineModel) -> BendingPrior:
     """Return a prior for effects of usual size."""
@@ -74,23 +90,6 @@ def guess_prior(model: MachineModel) -> BendingPrior:
 def _log_determinant(charge: QuadraticPrior) -> float:
     eigenvalue = np.linalg.eigvalsh(charge.form)[-charge.rank :]
     return float(np.log(eigenvalue).sum())
-
-
-def fit_prior(data: Information, prior: BendingPrior) -> tuple[BendingPrior, Posterior]:
-    """Return the prior whose precisions fit the data, and the posterior under it."""
-    size = prior.model.size
-    machine = OwnParameters.of(data, size).eliminate()
-    for _ in range(_ROUNDS):
-        result = compute_posterior(machine, prior.precision_matrix(size))
-        precision = _next_precision(prior, result)
-        change = max(
-            abs(float(np.log(precision[name] / old)))
-            for name, old in prior.precision.items()
-        )
-        prior = replace(prior, precision=precision)
-        if change < _SETTLED:
-            break
-    return prior, compute_posterior(data, prior.precision_matrix(len(data.vector)))
 
 
 def diagonal_precision(

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
@@ -21,7 +20,6 @@ from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import (
     Information,
     OwnParameters,
-    Posterior,
     add_information,
 )
 from app.estimation.noise import NoiseModel
@@ -60,24 +58,9 @@ class RunInformation:
         return self.linearisation.noise
 
     @property
-    def about_machine(self) -> Information:
-        """What it tells of the machine. Raises Unidentifiable."""
-        return self._own.eliminate()
-
-    @property
-    def pose_per_machine(self) -> Float64[np.ndarray, "r p"]:
-        """How far its pose goes against the machine's parameters."""
-        return self._own.follow()
-
-    @property
-    def _own(self) -> OwnParameters:
+    def own(self) -> OwnParameters:
+        """Its pose, to be eliminated or restored. Raises Unidentifiable."""
         return OwnParameters.of(self.data, self.linearisation.machine_model.size)
-
-    def restore_pose(
-        self, machine: Posterior
-    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "r r"]]:
-        """Return all parameters of the problem, and the covariance of its pose."""
-        return self._own.restore(machine)
 
     def replace_noise(self, noise: NoiseModel) -> RunInformation:
         """Return what the Run tells under another noise model."""
@@ -118,7 +101,7 @@ def combine_runs(runs: Sequence[RunInformation]) -> Information:
     parts: list[Information] = []
     for number, run in enumerate(runs, start=1):
         try:
-            parts.append(run.about_machine)
+            parts.append(run.own.eliminate())
         except Unidentifiable as error:
             if len(runs) == 1:
                 raise

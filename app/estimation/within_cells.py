@@ -60,12 +60,6 @@ class CellDeviations:
         """Return precision times deviation."""
         return np.einsum("nij,nj->ni", self.precision[self.cell], self.deviation_mm)
 
-    def straighten(
-        self, columns: Float64[np.ndarray, "n p"]
-    ) -> Float64[np.ndarray, "n p"]:
-        """Return columns without mean and slope in each cell."""
-        return _straighten(columns, self.cell, self.lag, len(self.line))
-
     def sums(
         self, effects: Sequence[Effect], folds: int
     ) -> tuple[Float64[np.ndarray, "k q q"], list[tuple[int, int]]]:
@@ -115,7 +109,8 @@ class CellDeviations:
         if columns is None:
             return None
         size = columns.shape[2]
-        plain = self.straighten(columns.reshape(len(columns), -1))
+        flat = columns.reshape(len(columns), -1)
+        plain = _straighten(flat, self.cell, self.lag, len(self.line))
         plain = plain.reshape(columns.shape)
         weighted = self.precision[self.cell] @ plain
         return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))

@@ -126,7 +126,8 @@ def forecast(
     cells = predict_cells(machine, commanded, station_mm)
     assumed = assumed or Assumptions()
     known, noise = assumed.known, assumed.used_noise
-    model = known.extend(build_identifiable_model(machine, cells.at.offset_mm)[0])
+    model, _ = build_identifiable_model(machine, cells.at.offset_mm)
+    model = model.with_effects(*known.effects)
     prior = assumed.make_prior(model)
     gram = compute_volumetric_gram(model)
     about = linearise(cells, model, cells.pose, noise)
@@ -143,7 +144,8 @@ def forecast(
         rows.append(int(cells.row[last - 1]))
         sigmas.append(max(mean_square, 0.0) ** 0.5)
     observed = assess_observability(
-        build_shape_model(machine, offsets), [RunInput(cells, cells.pose, noise)]
+        build_shape_model(machine, cells.at.offset_mm),
+        [RunInput(cells, cells.pose, noise)],
     )
     return Forecast(
         model,

@@ -90,7 +90,7 @@ def start_design(
         lags = tuple(map(ServoMismatch, missing))
     offsets_mm = np.array([t.offset_mm for t in shown], np.float64)
     motions, _ = build_identifiable_model(machine, offsets_mm, intervals=INTERVALS)
-    motions = add_half_widths(known.extend(motions))
+    motions = add_half_widths(motions.with_effects(*known.effects))
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
     pose = diagonal_precision(_pose_of(machine).parameters, _ANY_POSE)

@@ -12,7 +12,7 @@ from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.normal_equations import compute_information
-from app.estimation.prior import compute_evidence_cost, fit_prior, guess_prior
+from app.estimation.prior import compute_evidence_cost, guess_prior
 from app.estimation.runs import RunInformation, RunInput
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.identifiable import build_identifiable_model
@@ -30,7 +30,7 @@ def rough(seen):
     model, _ = build_identifiable_model(seen.at.machine, seen.at.offset_mm, intervals=6)
     about = linearise(seen, add_half_widths(model), seen.pose, NOISE)
     run = RunInformation(seen, about, compute_information(seen, about))
-    prior, _ = fit_prior(run.about_machine, guess_prior(about.machine_model))
+    prior, _ = guess_prior(about.machine_model).fit(run.own.eliminate())
     return run, prior
 
 
@@ -80,7 +80,7 @@ def test_the_cost_is_that_of_the_evidence_of_the_problem(rough):
         return cost(NOISE) - cost(replace(NOISE, ou=(0.4, 0.3), ou_time_s=1.5))
 
     def summed(noise):
-        data = run.replace_noise(noise).about_machine
+        data = run.replace_noise(noise).own.eliminate()
         precision = prior.precision_matrix(prior.model.size)
         return compute_evidence_cost(data, prior, compute_posterior(data, precision))
 

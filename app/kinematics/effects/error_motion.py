@@ -19,6 +19,7 @@ from app.kinematics.effects.base import (
     columns_along,
 )
 from app.kinematics.machine import Axis, RotaryAxis, find_local_directions
+from app.kinematics.splines import cyclic_spline, natural_spline
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
