@@ -177,7 +177,7 @@ def join_blocks(
     mean_speed = np.repeat(np.array([p.line_speed_mm_s for p in parts]), sizes)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     names = run.commanded.target or ("",) * len(run.commanded)
-    targets = [run.machine.target(names[r]) for r in row]
+    targets = [run.machine.target(names[int(r)]) for r in row]
     at = Conditions(
         run.machine,
         np.concatenate([p.position_mm for p in parts]),

@@ -239,7 +239,7 @@ def _expected_mm(
 ) -> Float64[np.ndarray, "n 3"]:
     targets = [machine.target(name) for name in commanded.target or ("",)]
     if commanded.target:
-        targets = [targets[r] for r in row]
+        targets = [targets[int(r)] for r in row]
     return observe_targets(machine, position, targets).point_mm
 
 

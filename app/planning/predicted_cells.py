@@ -128,7 +128,7 @@ def _conditions(
     step = position[row] - begin
     targets = [machine.target(name) for name in commanded.target or ("",)]
     if commanded.target:
-        targets = [targets[r] for r in row]
+        targets = [targets[int(r)] for r in row]
     at = observe_targets(machine, begin + share[:, None] * step, targets)
     velocity = find_slopes_mm(at, step) * rate[:, None]
     goes = np.linalg.norm(velocity, axis=1) > 0.0
