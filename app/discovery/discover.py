@@ -102,7 +102,7 @@ class Discovery:
     @property
     def compared(self) -> int:
         """How many effects were looked for."""
-        return self.fitter.catalogue_size
+        return len(self.fitter.catalogue)
 
 
 def discover(

@@ -165,16 +165,15 @@ class ValueTrials:
 class TermData:
     """The lines of all Runs, and what is known of machine and poses.
 
-    at : conditions of each Run; precision : (b, b) prior of machine and poses
+    precision : (b, b) prior of machine and poses
     """
 
     lines: Lines
-    at: tuple[Conditions, ...]
     precision: Float64[np.ndarray, "b b"]
 
     def conditions_of(self, term: CandidateTerm) -> Conditions:
         """Return the conditions of the Run that a term is scanned in."""
-        return self.at[term.run or 0]
+        return self.lines.runs[term.run or 0].observations.at
 
     def compare(
         self, beside: Sequence[CandidateTerm], terms: Sequence[CandidateTerm]

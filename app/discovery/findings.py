@@ -90,6 +90,8 @@ def _state(
     theta, covariance = best.parameters_of(number)
     if term.covariance is not None:
         covariance = term.covariance
+    lost = without.misfit - best.misfit
+    gap = max(baseline.misfit - best.misfit, 1e-12)
     return Finding(
         term,
         term.family.state(
@@ -97,17 +99,9 @@ def _state(
         ),
         theta,
         covariance,
-        _state_evidence(log_bayes, baseline.misfit, without.misfit, best.misfit),
+        Evidence(log_bayes, 0.5 * lost, lost / gap),
         _find_rivals(fitter, without, term, log_bayes),
     )
-
-
-def _state_evidence(
-    log_bayes: float, baseline: float, without: float, best: float
-) -> Evidence:
-    """Return the evidence from the misfit of held-out lines in each of three fits."""
-    lost = without - best
-    return Evidence(log_bayes, 0.5 * lost, lost / max(baseline - best, 1e-12))
 
 
 def _find_rivals(

@@ -75,24 +75,12 @@ class TermFitter:
     def __init__(
         self, lines: Lines, prior: MachinePrior, catalogue: Sequence[CandidateTerm]
     ) -> None:
-        self._lines, self._prior, self._catalogue = lines, prior, tuple(catalogue)
+        self._lines, self._prior, self.catalogue = lines, prior, tuple(catalogue)
         self.run_data = lines.runs
-        self._at = tuple(run.observations.at for run in lines.runs)
-        self._size = lines.size
         self._poses = lines.pose_precision
         self._fits: dict[tuple[CandidateTerm, ...], TermFit] = {}
         self._scanned: dict[TermFit, dict[str, CandidateTerm]] = {}
         self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
-
-    @property
-    def causes(self) -> tuple[CandidateTerm, ...]:
-        """All terms of the catalogue that have a cause."""
-        return tuple(term for term in self._catalogue if term.has_cause)
-
-    @property
-    def catalogue_size(self) -> int:
-        """How many terms the catalogue has."""
-        return len(self._catalogue)
 
     def fit(self, terms: Sequence[CandidateTerm]) -> TermFit:
         """Return the fit of terms, their scanned values refined."""
@@ -111,11 +99,11 @@ class TermFitter:
         self._prior, posterior = self._prior.fit(data)
         precision = prior_precision(self._data(self._prior).precision, terms)
         held_out = predict_held_out(sums, precision)
-        return TermFit(terms, self._size, self._prior, posterior, held_out)
+        return TermFit(terms, self._lines.size, self._prior, posterior, held_out)
 
     def _data(self, prior: MachinePrior) -> TermData:
-        precision = prior.precision_matrix(self._size) + self._poses
-        return TermData(self._lines, self._at, precision)
+        precision = prior.precision_matrix(self._lines.size) + self._poses
+        return TermData(self._lines, precision)
 
     def rank(self, fit: TermFit, terms: Sequence[CandidateTerm]) -> list[RankedTerm]:
         """Return terms by their evidence beyond a fit, greatest first.
@@ -123,7 +111,7 @@ class TermFitter:
         terms : at their present values
         """
         log_bayes = self._data(fit.prior).compare(fit.terms, terms).log_bayes()
-        listed = float(np.log(self.catalogue_size))
+        listed = float(np.log(len(self.catalogue)))
         ranked = [
             RankedTerm(term, float(gain) - term.price - listed)
             for term, gain in zip(terms, log_bayes, strict=True)
@@ -139,7 +127,7 @@ class TermFitter:
         The quick scan leaves the machine aside: the best terms are scanned again with
         the machine integrated out.
         """
-        among = self._catalogue if among is None else among
+        among = self.catalogue if among is None else among
         ranked = self.rank(fit, self._scan(fit, among))
         best = [self._sharpen(fit, r.term) for r in ranked[:_MOST_SCANNED]]
         again = self.rank(fit, best) if best else []
@@ -166,7 +154,7 @@ class TermFitter:
         return self._sharpened[fit, term]
 
     def _sharpen_value(self, fit: TermFit, term: CandidateTerm) -> CandidateTerm:
-        at = self._at[term.run or 0]
+        at = self.run_data[term.run or 0].observations.at
         scan = term.scan(at)
         if scan is None or term.wave(at) is not None:
             return term

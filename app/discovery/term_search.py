@@ -93,7 +93,8 @@ class TermSearch:
         if len(causes) == len(best.terms):
             return best
         start = self._remove_terms(self._fitter.fit(causes))
-        other = self._add_terms(start, self._fitter.causes, len(best.terms))
+        among = [term for term in self._fitter.catalogue if term.has_cause]
+        other = self._add_terms(start, among, len(best.terms))
         if {t.label for t in other.terms} == {t.label for t in causes}:
             return best
         other = self._add_terms(other)

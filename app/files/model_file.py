@@ -25,11 +25,10 @@ from app.files.covariance_file import (
 from app.files.file_model import FileModel, Text, quote, refuse, validate
 from app.files.units import scale_of, unit_of
 from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import Family, find_family
 from app.kinematics.effects.error_motion import make_error_motion_over
-from app.kinematics.effects.squareness import list_squarenesses
+from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
 from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import CatalogueEffect, MachineModel, restore_effect
 from app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions

@@ -8,18 +8,17 @@ an axis move the target by F (E + ω × L): L is the lever from the axis to the 
 the nominal turn of everything between the error and the observer.
 
 Everything that moves the measured point off its nominal is an `Effect`, linear in its
-parameters θ: the measured point is nominal + Σ J(conditions) θ. `effects/` holds one
-physical cause a file: the six error motions of an axis as cubic splines over its travel
+parameters θ: the measured point is nominal + Σ J(conditions) θ. `effects/` holds the
+physical causes: the six error motions of an axis as cubic splines over its travel
 (brunn-hanebeck-2005, eq. 2-20; ISO 230-1 symbols), squareness, location of rotary axes,
 and causes such as backlash, sag, thermal growth, and what belongs to the measurement:
 pose, timing, tracker. A `MachineModel` is a machine with effects; θ holds their
 parameters one effect after another. Effects answer questions about themselves (role,
-table, axis pair, Run); no other room asks for their class.
-
-Curves along an axis are natural or cyclic cubic splines, linear in their control values
-(`splines`; brunn-hanebeck-2005, eq. 2–11). Their second derivatives solve a tridiagonal
-system; bending energy and Gram matrix are integrals in closed form (eq. 12–13, 24–26).
-What errors do in the whole volume, less its rigid motion, says `volumetric_map`.
+table, axis pair, Run); no other room asks for their class. Curves along an axis are
+natural or cyclic cubic splines, linear in their control values (`splines`;
+brunn-hanebeck-2005, eq. 2–11). Their second derivatives solve a tridiagonal system;
+bending energy and Gram matrix are integrals in closed form (eq. 12–13, 24–26). What
+errors do in the whole volume, less its rigid motion, says `volumetric_map`.
 
 Which error motions the measured targets can tell is a matter of geometry alone:
 `identifiable` finds it for any chain, and names what is confounded. With one tool

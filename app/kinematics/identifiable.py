@@ -24,15 +24,14 @@ from jaxtyping import Float64
 from scipy.linalg import block_diag
 
 from app.kinematics.conditions import Conditions, observe_targets
-from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import find_arm, make_error_motion
+from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
 from app.kinematics.effects.nuisance import (
     TrackerPose,
     find_tool_orientation,
     list_workpiece_placements,
 )
-from app.kinematics.effects.squareness import list_squarenesses
 from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions

@@ -10,7 +10,7 @@ import pytest
 
 from app.discovery.discover import align_runs
 from app.kinematics.effects.catalogue import CandidateEstimate, list_families
-from app.kinematics.effects.squareness import Squareness
+from app.kinematics.effects.location_error import Squareness
 from app.kinematics.effects.thermal_growth import WarmingUp
 from app.kinematics.model import restore_effect
 from app.web.pages import LANGUAGES, catalogue

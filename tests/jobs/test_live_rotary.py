@@ -8,7 +8,7 @@ import pytest
 from app.estimation.live import LiveEstimate
 from app.files.machine_file import machine_from_json
 from app.jobs.live_process import estimate_json
-from app.kinematics.effects.axis_location import AxisLocation
+from app.kinematics.effects.location_error import AxisLocation
 from app.kinematics.identifiable import build_identifiable_model
 from simulators.scenario import load_machine
 

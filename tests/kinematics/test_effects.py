@@ -5,8 +5,8 @@ import pytest
 
 from app.kinematics.conditions import Conditions, make_standstill
 from app.kinematics.effects.error_motion import make_error_motion
+from app.kinematics.effects.location_error import Squareness, list_squarenesses
 from app.kinematics.effects.nuisance import TimingLaw, TrackerPose
-from app.kinematics.effects.squareness import Squareness, list_squarenesses
 from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import (

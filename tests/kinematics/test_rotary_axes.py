@@ -8,9 +8,8 @@ import pytest
 
 from app.files.machine_file import machine_from_json
 from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.axis_location import list_axis_locations
 from app.kinematics.effects.error_motion import ErrorMotion, make_error_motion
-from app.kinematics.effects.squareness import list_squarenesses
+from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
 from app.kinematics.machine import find_local_directions
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import (

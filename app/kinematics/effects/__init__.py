@@ -1,7 +1,6 @@
-"""What moves the measured point off its nominal, one physical cause a file.
+"""What moves the measured point off its nominal, causes of one kind in a file.
 
 `base` holds what an effect answers, `catalogue` what a family of effects states so that
-discovery can look for it, `keys` what tells effects of a family apart, `installed` the
-families found by entry point, `conformance` what every effect keeps. To write one, see
-docs/write-an-effect.md.
+discovery can look for it, `keys` what tells effects of a family apart, `conformance`
+what every effect keeps. To write one, see docs/write-an-effect.md.
 """
