@@ -24,10 +24,9 @@ import structlog
 from app.child_process import BACKGROUND_NICENESS, ChildProcess
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.live_process import (
-    ChoosePart,
-    EndOfStream,
     Estimated,
     EstimateFailed,
+    LiveCommand,
     LiveEstimateOrder,
     PartChosen,
     estimate_live,
@@ -63,7 +62,7 @@ class LiveEstimation:
         self._process = ChildProcess(
             "live-estimate", estimate_live, order, niceness=BACKGROUND_NICENESS
         )
-        self._queue: queue.Queue[TrackerSamples | ChoosePart | EndOfStream]
+        self._queue: queue.Queue[TrackerSamples | LiveCommand]
         self._queue = queue.Queue(WAITING_BLOCKS)
         self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
         self._show, self._ended = show, threading.Event()
@@ -95,7 +94,7 @@ class LiveEstimation:
     def ask(self) -> None:
         """Ask what to drive next, once the blocks so far have been looked at."""
         with suppress(queue.Full):
-            self._queue.put(ChoosePart(), timeout=FINISH_S)
+            self._queue.put(LiveCommand.CHOOSE_PART, timeout=FINISH_S)
 
     def take_part(self) -> Part | None:
         """Return the answer to `ask` as soon as there is one. Never waits."""
@@ -106,7 +105,7 @@ class LiveEstimation:
     def finish(self) -> None:
         """Nothing follows: wait for the last estimate, at most so long."""
         with suppress(queue.Full):
-            self._queue.put(EndOfStream(), timeout=FINISH_S)
+            self._queue.put(LiveCommand.END, timeout=FINISH_S)
             self._ended.wait(FINISH_S)
 
     def close(self) -> None:
@@ -116,7 +115,9 @@ class LiveEstimation:
             return
         self._process.kill()
         with suppress(queue.Full):
-            self._queue.put_nowait(EndOfStream())  # ends the feeder; else its pipe does
+            self._queue.put_nowait(
+                LiveCommand.END
+            )  # ends the feeder
         for thread in self._threads:
             thread.join(FINISH_S)
         self._process.close()
@@ -127,7 +128,7 @@ class LiveEstimation:
             while True:
                 message = self._queue.get()
                 self._process.link.send(message)
-                if isinstance(message, EndOfStream):
+                if message is LiveCommand.END:
                     return
 
     def _listen(self) -> None:

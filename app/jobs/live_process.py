@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
@@ -41,14 +42,11 @@ class LiveEstimateOrder:
     request: Mapping[str, Any] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ChoosePart:
-    """To the process, between blocks: choose what to drive next."""
+class LiveCommand(Enum):
+    """To the process, between blocks."""
 
-
-@dataclass(frozen=True, slots=True)
-class EndOfStream:
-    """To the process: no block follows."""
+    CHOOSE_PART = "choose what to drive next"
+    END = "no block follows"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True)
 class PartChosen:
-    """From the process: the answer to `ChoosePart`."""
+    """From the process: the answer to `CHOOSE_PART`."""
 
     part: Part
 
@@ -75,7 +73,7 @@ class EstimateFailed:
 def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
     """Estimate until the last block or the end of the parent. Body of the process.
 
-    link : TrackerSamples come in order, between them ChoosePart, at last EndOfStream
+    link : TrackerSamples come in order, between them CHOOSE_PART, at last END
     """
     try:
         _estimate(link, order)
@@ -168,9 +166,9 @@ class _Stream:
 
     def _receive(self) -> list[TrackerSamples]:
         match self._link.recv():
-            case ChoosePart():
+            case LiveCommand.CHOOSE_PART:
                 self.is_asked = True
-            case EndOfStream():
+            case LiveCommand.END:
                 self.is_over = True
             case block:
                 if self.begun_s is None and len(block):
