@@ -115,9 +115,7 @@ class LiveEstimation:
             return
         self._process.kill()
         with suppress(queue.Full):
-            self._queue.put_nowait(
-                LiveCommand.END
-            )  # ends the feeder
+            self._queue.put_nowait(LiveCommand.END)  # ends the feeder
         for thread in self._threads:
             thread.join(FINISH_S)
         self._process.close()
