@@ -26,36 +26,37 @@ _STRAIGHT_MM = 1e-6  # off the chord: rounding
 _BRANCH = 0.05  # weight of what was travelled against what is near
 
 
-@dataclass(frozen=True)
-class Bend:
-    """Where the target should be over the share of the line that is done, 0 to 1.
+MIN_MOTION_MM = 1.0  # a target that moves less far is not looked at on the way
+_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
 
-    node_mm : (k, 3) places at equal shares
+
+@dataclass(frozen=True)
+class Curve:
+    """The target's nominal way along one line; `share` runs from 0 to 1.
+
+    node_mm : (k, 3) places at equal shares; both ends alone where the target goes
+        straight at an even speed
+    turn_deg : by how much rotary axes turn, all together
     """
 
     node_mm: Float64[np.ndarray, "k 3"]
+    turn_deg: float = 0.0
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the target goes straight at an even speed."""
+        return len(self.node_mm) == 2
+
+    @property
+    def chord_mm(self) -> Float64[np.ndarray, "3"]:
+        """From the beginning to the end."""
+        return self.node_mm[-1] - self.node_mm[0]
 
     @cached_property
-    def share(self) -> Float64[np.ndarray, " k"]:
-        """Return the shares of the nodes."""
-        return np.linspace(0.0, 1.0, len(self.node_mm))
-
-    def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return where the target should be."""
-        return self._spline(share)
-
-    def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return its derivative by the share."""
-        return self._spline(share, 1)
-
-    def is_straight(self) -> bool:
-        """Tell whether the target goes straight and evenly all the same."""
-        begin, end = self.node_mm[0], self.node_mm[-1]
-        chord = begin + self.share[:, None] * (end - begin)
-        return bool(np.abs(self.node_mm - chord).max() <= _STRAIGHT_MM)
-
     def length_mm(self) -> float:
-        """Return the length of the curve: its mean slope by Simpson's rule."""
+        """Length of the way: along a curve its mean slope by Simpson's rule."""
+        if self.is_straight:
+            return float(np.linalg.norm(self.chord_mm))
         finer = np.linspace(0.0, 1.0, 2 * len(self.node_mm) - 1)
         slope = np.linalg.norm(self.slope_mm(finer), axis=1)
         weight = np.full(len(slope), 2.0)
@@ -63,24 +64,53 @@ class Bend:
         weight[[0, -1]] = 1.0
         return float(weight @ slope / weight.sum())
 
+    def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        """Return where the target should be."""
+        if self.is_straight:
+            return self.node_mm[0] + share[:, None] * self.chord_mm
+        return self._spline(share)
+
+    def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        """Return its derivative by the share."""
+        if self.is_straight:
+            return np.tile(self.chord_mm, (len(share), 1))
+        return self._spline(share, 1)
+
+    def pace(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """Return the target's speed in units of its mean speed on the line."""
+        if self.is_straight:
+            return np.ones(len(share))
+        return np.linalg.norm(self.slope_mm(share), axis=1) / self.length_mm
+
+    def fastest(self) -> float:
+        """Return the highest pace."""
+        return float(self.pace(_shares(self.node_mm)).max())
+
     def nearest(
         self,
         point_mm: Float64[np.ndarray, "n 3"],
         travelled_mm: Float64[np.ndarray, " n"] | None = None,
-    ) -> Float64[np.ndarray, " n"]:
-        """Return the share nearest to each point.
+    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Return the share nearest to each point, and how far in mm the point is off.
 
         travelled_mm : way since the beginning of the line: a rough one tells the
             branches apart where the curve comes back to a place
         """
-        share = self.share[self._nearest_node(point_mm, travelled_mm)]
-        most = 1.5 * float(self.share[1])
-        for _ in range(2):
-            slope = self.slope_mm(share)
-            off = np.einsum("ni,ni->n", point_mm - self.point_mm(share), slope)
-            square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
-            share = np.clip(share + np.clip(off / square, -most, most), 0.0, 1.0)
-        return share
+        if self.is_straight:
+            square = max(float(self.chord_mm @ self.chord_mm), 1e-24)
+            share = (point_mm - self.node_mm[0]) @ self.chord_mm / square
+            near = np.clip(share, 0.0, 1.0)
+        else:
+            nodes = _shares(self.node_mm)
+            share = nodes[self._nearest_node(point_mm, travelled_mm)]
+            most = 1.5 * float(nodes[1])
+            for _ in range(2):
+                slope = self.slope_mm(share)
+                off = np.einsum("ni,ni->n", point_mm - self.point_mm(share), slope)
+                square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
+                share = np.clip(share + np.clip(off / square, -most, most), 0.0, 1.0)
+            near = share
+        return share, np.linalg.norm(point_mm - self.point_mm(near), axis=1)
 
     def _nearest_node(
         self,
@@ -102,67 +132,18 @@ class Bend:
     def _spline(self) -> Callable[..., Float64[np.ndarray, "n 3"]]:
         from scipy.interpolate import CubicSpline
 
-        return CubicSpline(self.share, self.node_mm)
+        return CubicSpline(_shares(self.node_mm), self.node_mm)
 
 
-MIN_MOTION_MM = 1.0  # a target that moves less far is not looked at on the way
-_SLOWEST_TRAVERSE_MM_S = 10.0  # between points, worth telling from rest
+def _shares(node_mm: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, " k"]:
+    return np.linspace(0.0, 1.0, len(node_mm))
 
 
-@dataclass(frozen=True)
-class Curve:
-    """The target's nominal way along one line; `share` runs from 0 to 1.
-
-    length_mm : along the curve; turn_deg : by how much rotary axes turn, all together
-    bend : points over shares; None where the target goes straight at an even speed
-    """
-
-    begin_mm: Float64[np.ndarray, "3"]
-    end_mm: Float64[np.ndarray, "3"]
-    length_mm: float
-    turn_deg: float
-    bend: Bend | None = None
-
-    def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return where the target should be."""
-        if self.bend is None:
-            return self.begin_mm + share[:, None] * (self.end_mm - self.begin_mm)
-        return self.bend.point_mm(share)
-
-    def slope_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return its derivative by the share."""
-        if self.bend is None:
-            return np.tile(self.end_mm - self.begin_mm, (len(share), 1))
-        return self.bend.slope_mm(share)
-
-    def pace(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return the target's speed in units of its mean speed on the line."""
-        if self.bend is None:
-            return np.ones(len(share))
-        return np.linalg.norm(self.bend.slope_mm(share), axis=1) / self.length_mm
-
-    def fastest(self) -> float:
-        """Return the highest pace."""
-        return 1.0 if self.bend is None else float(self.pace(self.bend.share).max())
-
-    def nearest(
-        self,
-        point_mm: Float64[np.ndarray, "n 3"],
-        travelled_mm: Float64[np.ndarray, " n"] | None = None,
-    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """Return the share nearest to each point, and how far in mm the point is off.
-
-        travelled_mm : way since the beginning of the line: a rough one tells the
-            branches apart where the curve comes back to a place
-        """
-        if self.bend is None:
-            chord = self.end_mm - self.begin_mm
-            square = max(float(chord @ chord), 1e-24)
-            share = (point_mm - self.begin_mm) @ chord / square
-            near = np.clip(share, 0.0, 1.0)
-        else:
-            share = near = self.bend.nearest(point_mm, travelled_mm)
-        return share, np.linalg.norm(point_mm - self.point_mm(near), axis=1)
+def _bends(node_mm: Float64[np.ndarray, "k 3"]) -> bool:
+    """Tell whether the target does not go straight and evenly all the same."""
+    begin, end = node_mm[0], node_mm[-1]
+    chord = begin + _shares(node_mm)[:, None] * (end - begin)
+    return bool(np.abs(node_mm - chord).max() > _STRAIGHT_MM)
 
 
 @dataclass(frozen=True)
@@ -180,7 +161,7 @@ class NominalPath:
     end_mm: Float64[np.ndarray, "w 3"]
     length_mm: Float64[np.ndarray, " w"]
     turn_deg: Float64[np.ndarray, " w"]
-    bends: dict[int, Bend]
+    bends: dict[int, Curve]
     slowest_mm_s: float
     first: Int64[np.ndarray, " p"]
     last: Int64[np.ndarray, " p"]
@@ -192,13 +173,8 @@ class NominalPath:
 
     def curve(self, row: int) -> Curve:
         """Return the way towards a row."""
-        return Curve(
-            self.begin_mm[row],
-            self.end_mm[row],
-            float(self.length_mm[row]),
-            float(self.turn_deg[row]),
-            self.bends.get(row),
-        )
+        straight = np.stack([self.begin_mm[row], self.end_mm[row]])
+        return self.bends.get(row) or Curve(straight, float(self.turn_deg[row]))
 
 
 def compute_nominal_path(
@@ -219,7 +195,7 @@ def compute_nominal_path(
     turn_deg = np.abs(step[:, is_rotary]).sum(axis=1)
     bends = _find_bends(machine, commanded, before, turn_deg)
     for row, bend in bends.items():
-        length_mm[row] = bend.length_mm()
+        length_mm[row] = bend.length_mm
     speed = _speed_mm_s(commanded, step, is_rotary, length_mm)
     moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
@@ -248,7 +224,7 @@ def _find_bends(
     commanded: Path,
     before: Float64[np.ndarray, "w a"],
     turn_deg: Float64[np.ndarray, " w"],
-) -> dict[int, Bend]:
+) -> dict[int, Curve]:
     """Return the curves of rows on which the target does not go straight and evenly."""
     rows = np.flatnonzero(turn_deg)
     if not len(rows):
@@ -259,8 +235,11 @@ def _find_bends(
     step = commanded.position[row] - before[row]
     point = _expected_mm(machine, commanded, row, before[row] + share[:, None] * step)
     parts = np.split(point, np.cumsum(nodes)[:-1])
-    bends = {int(row): Bend(points) for row, points in zip(rows, parts, strict=True)}
-    return {row: bend for row, bend in bends.items() if not bend.is_straight()}
+    return {
+        int(row): Curve(points, float(turn_deg[row]))
+        for row, points in zip(rows, parts, strict=True)
+        if _bends(points)
+    }
 
 
 def _speed_mm_s(

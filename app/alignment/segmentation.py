@@ -140,7 +140,7 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
 def _path_length_mm(
     stream: Stream, part: _Part, curve: Curve
 ) -> Float64[np.ndarray, " n"] | None:
-    if curve.bend is None or part.origin < 0:
+    if curve.is_straight or part.origin < 0:
         return None
     time = stream.time_s[part.origin : part.last]
     step = np.diff(time, prepend=time[:1])
