@@ -15,11 +15,11 @@ from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import TermSearch
 from app.estimation.baseline import (
     Baseline,
-    ReferenceModel,
     fit_baseline,
     refit_noise,
 )
 from app.estimation.term_equations import build_lines
+from app.files.model_file import EstimatedModel
 from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models
@@ -107,7 +107,7 @@ class Discovery:
 
 def discover(
     runs: Sequence[Run],
-    reference: ReferenceModel | None = None,
+    reference: EstimatedModel | None = None,
     on_progress: ShareProgress = ignore_progress,
 ) -> Discovery:
     """Find the effects that the model of Runs lacks.

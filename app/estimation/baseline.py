@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -46,28 +47,22 @@ class MachinePrior(Protocol):
 class KnownMachine:
     """Parameters of a reference model, as well as it knows them."""
 
-    known: Float64[np.ndarray, "m m"]
+    covariance: Float64[np.ndarray, "m m"]
+
+    @cached_property
+    def precision(self) -> Float64[np.ndarray, "m m"]:
+        """Inverse covariance; a parameter without variance is known to rounding."""
+        value, vector = np.linalg.eigh(self.covariance)
+        floor = 1e-9 * float(value.max(initial=1e-18))
+        return (vector / np.maximum(value, floor)) @ vector.T
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
-        """Return the inverse of the reference model's covariance."""
-        total = np.zeros((size, size))
-        total[: len(self.known), : len(self.known)] = self.known
-        return total
+        """Return the precision; parameters after the machine's have none."""
+        return np.pad(self.precision, (0, size - len(self.covariance)))
 
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
         """Return itself, which has nothing to fit, and the posterior."""
         return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
-
-
-@dataclass(frozen=True)
-class ReferenceModel(EstimatedModel):
-    """A model from a file: effects, their parameters and covariance."""
-
-    def prior(self) -> KnownMachine:
-        """Return the precision; a parameter without variance is known to rounding."""
-        value, vector = np.linalg.eigh(self.covariance)
-        floor = 1e-9 * float(value.max(initial=1e-18))
-        return KnownMachine((vector / np.maximum(value, floor)) @ vector.T)
 
 
 @dataclass(frozen=True)
@@ -103,7 +98,7 @@ def fit_baseline(
     model: MachineModel,
     noise_model: MachineModel,
     observations: Sequence[Observations],
-    reference: ReferenceModel | None = None,
+    reference: EstimatedModel | None = None,
 ) -> Baseline:
     """Return prior, poses and noise of Runs of one machine.
 
@@ -115,7 +110,7 @@ def fit_baseline(
     if reference is None:
         theta, prior = np.zeros(model.size), guess_prior(model)
     else:
-        theta, prior = reference.theta, reference.prior()
+        theta, prior = reference.theta, KnownMachine(reference.covariance)
     guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]
     runs = _fit_noise(noise_model, guessed)
     return Baseline(model, theta, prior, runs, noise_model)

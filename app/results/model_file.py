@@ -20,7 +20,6 @@ from app.discovery.extended_model import (
     extend_model,
 )
 from app.discovery.findings import Finding
-from app.estimation.baseline import ReferenceModel
 from app.estimation.extrapolation import find_measured_ranges
 from app.estimation.observability import assess_observability
 from app.estimation.prior_model import PriorModel
@@ -40,7 +39,7 @@ from app.results.model_difference import list_differences
 _TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
 
-def build_reference(earlier: PriorModel, run: Run) -> ReferenceModel:
+def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
     """Return an earlier model as the base that explains a Run.
 
     Raises BundleError if it is of another machine or of another target.
@@ -55,7 +54,7 @@ def build_reference(earlier: PriorModel, run: Run) -> ReferenceModel:
     theta[:size] = loaded.theta
     covariance = np.eye(model.size) * _TURN_RAD**2
     covariance[:size, :size] = loaded.covariance
-    return ReferenceModel(model, theta, covariance)
+    return EstimatedModel(model, theta, covariance)
 
 
 @dataclass(frozen=True)

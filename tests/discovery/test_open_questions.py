@@ -19,8 +19,8 @@ from app.discovery.discover import Discovery, discover
 from app.discovery.extended_model import ExtendedModel, baseline_model
 from app.discovery.open_questions import design_discrimination
 from app.errors import BundleError
-from app.estimation.baseline import ReferenceModel
 from app.files.commanded_file import decode_commanded, encode_commanded
+from app.files.model_file import EstimatedModel
 from app.files.run import Run
 from app.kinematics.model import MachineModel
 from app.motion.travel import check_travel
@@ -60,7 +60,7 @@ def circle(
     program: Program,
     mode: str,
     hidden: tuple[HiddenEffect, ...],
-    given: ReferenceModel | None,
+    given: EstimatedModel | None,
 ) -> Circle:
     """Measure, ask, drive what was asked, decide."""
     setting = Setting(machine_seed=MACHINE, hidden=hidden)
@@ -110,14 +110,14 @@ def calibrated(record) -> ExtendedModel:
     )
 
 
-def without(known: ExtendedModel, effect: str) -> ReferenceModel:
+def without(known: ExtendedModel, effect: str) -> EstimatedModel:
     """Return a model that has left an effect out; all of it for an empty name."""
     kept = tuple(e for e in known.model.effects if e.name != effect)
     number = np.arange(known.model.size)
     columns = np.concatenate([number[known.model.slices[e.name]] for e in kept])
     model = MachineModel(known.model.machine, kept)
     covariance = known.covariance[np.ix_(columns, columns)]
-    return ReferenceModel(model, known.theta[columns], covariance)
+    return EstimatedModel(model, known.theta[columns], covariance)
 
 
 @pytest.fixture(
