@@ -24,7 +24,7 @@ from app.files.commanded_file import commanded_from_json
 from app.files.machine_file import decode_machine
 from app.files.result_file import result_from_json
 from app.files.run import Run
-from app.jobs.plan_orders import first_part, plan_measurement
+from app.jobs.plan_orders import order_first_part, plan_measurement
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig, MeasurementOrder
@@ -177,7 +177,7 @@ def compare_with_truth(
 
 def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
     with show_progress("plan") as on_progress:
-        order = first_part(machine, request)
+        order = order_first_part(machine, request)
         return commanded_from_json(
             plan_measurement(machine, order, on_progress=on_progress)
         )

@@ -87,9 +87,9 @@ def estimate_live(order: LiveEstimateOrder, link: Connection) -> None:
 def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     # Imported where it computes: the service itself carries no science.
     from app.estimation.live import LiveEstimator
-    from app.jobs.plan_orders import plan_request
+    from app.jobs.plan_orders import read_plan_order
 
-    request = plan_request(order.request or {})
+    request = read_plan_order(order.request or {})
     live = LiveEstimator(
         order.machine,
         order.commanded,

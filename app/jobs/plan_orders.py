@@ -61,7 +61,7 @@ def plan_measurement(
     if "mode" not in order:
         feed_mm_min, *_ = order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]
         return commanded_to_json(_default_path(machine, feed_mm_min))
-    planned = make_plan(machine, plan_request(order), on_progress=on_progress)
+    planned = make_plan(machine, read_plan_order(order), on_progress=on_progress)
     if len(planned.commanded) > MAX_ROWS:
         raise PlanningError(
             f"the plan has {len(planned.commanded)} rows; a controller takes "
@@ -88,8 +88,8 @@ def _default_path(machine: Machine, feed_mm_min: float) -> Path:
     return default_path(machine, feed_mm_min)
 
 
-def plan_request(order: Json) -> PlanOrder:
-    """Return the request that an order states."""
+def read_plan_order(order: Json) -> PlanOrder:
+    """Return what an order in JSON asks of a plan."""
     from app.estimation.prior_model import read_prior_model
     from app.planning.plan import PlanOrder
 
@@ -104,7 +104,7 @@ def plan_request(order: Json) -> PlanOrder:
     )
 
 
-def first_part(machine: Machine, order: Json) -> dict[str, Any]:
+def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
     """Return what is asked of the first part of an adaptive measurement.
 
     So many lines or points that the live estimate finds pose and noise.
@@ -142,7 +142,7 @@ def check_rows(
     return len(commanded), float(schedule.row_s.sum())
 
 
-def driven_plan(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
+def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:
     """Return the rows of a plan, checked anew for the job that is to drive them.
 
     Raises PlanningError if it is of the other mode, was made for another state of the

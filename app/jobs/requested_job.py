@@ -10,7 +10,7 @@ from app.files.commanded_file import commanded_to_json
 from app.jobs.context import JobContext
 from app.jobs.job import Job, JobKind, Json
 from app.jobs.plan_orders import (
-    driven_plan,
+    check_plan_to_drive,
     plan_extra_lines,
     refuse_several_targets,
 )
@@ -97,7 +97,7 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
         raise IllegalTransition(
             f"plan {request.plan_id} is {job.state}; it has no rows"
         )
-    return driven_plan(machine, kind, plan)
+    return check_plan_to_drive(machine, kind, plan)
 
 
 def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:

@@ -30,7 +30,7 @@ from app.jobs.executor import Task
 from app.jobs.job import EarlyEnd, Failure, Job, JobKind, Json, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, LiveSteering
 from app.jobs.live_process import LiveEstimateOrder
-from app.jobs.plan_orders import first_part
+from app.jobs.plan_orders import order_first_part
 from app.jobs.transitions import State, Verb
 from app.measurement.messages import MeasurementOrder
 from app.motion.configurations import Commanded
@@ -122,7 +122,7 @@ class _JobSteps:
         state = State.PREPARING if self.job.kind.measures else State.RUNNING
         machine, order = self.context.require_machine(), self._plan_order()
         if self._is_adaptive:
-            order = first_part(machine, order)
+            order = order_first_part(machine, order)
         planner = self.context.planner
         plan = self._compute(state, Stage.PLANNING, planner, machine, order)
         self.context.store.keep_plan(self.job.id, plan)

@@ -23,7 +23,7 @@ from jaxtyping import Float64, Int64
 from app.alignment.observations import Observations, add_surroundings
 from app.estimation.prior import diagonal_precision
 from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.machine import Machine
+from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.motion_times import Drive, Legs, Stops, travel_time_s
 from app.motion.travel import DECIMALS, add_resting_axes, check_travel, inner_travel
 from app.numerics.rigid import RigidTransform
@@ -170,7 +170,7 @@ class LineChoice:
 
     def choose(self) -> DiscriminationDesign:
         """Return the lines and what each question expects of them."""
-        low, _ = self._travel()
+        low, _ = inner_travel(remove_rotary_axes(self.machine))
         nothing = tuple(np.zeros((q.size, q.size)) for q in self.questions)
         first = Stops(low[None], np.array([self.feed_mm_min]))
         draft = _Draft(first, nothing, (0.0,) * len(nothing))
@@ -215,7 +215,7 @@ class LineChoice:
 
     def _ends(self, draft: _Draft) -> Iterator[tuple[Float64[np.ndarray, " a"], float]]:
         """Yield ends of the next line and feeds: back, along an axis, anywhere."""
-        low, high = self._travel()
+        low, high = inner_travel(remove_rotary_axes(self.machine))
         position = draft.stops.position
         here = position[-1]
         share = self.rng.random((_RANDOM_ENDS, len(low)))
@@ -232,13 +232,6 @@ class LineChoice:
                 line = Legs(here[None], end[None], np.array([feed]))
                 if self.drive.length(line)[0] >= self.drive.shortest_mm(feed):
                     yield end, feed
-
-    def _travel(self) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, " a"]]:
-        """Return the travel of the straight axes less a margin."""
-        machine = self.machine
-        low, high = inner_travel(machine)
-        count = len(machine.linear_axes)
-        return low[:count], high[:count]
 
     def _path(self, stops: Stops) -> Path:
         machine, count = self.machine, len(stops)

@@ -160,19 +160,12 @@ def assume_stations_mm(machine: Machine) -> Float64[np.ndarray, "s 3"]:
 
     For when nobody has said where it will stand.
     """
-    low, high = _reach_mm(machine)
+    straight = [isinstance(axis, LinearAxis) for axis in machine.axes]
+    travel = np.array([(axis.low, axis.high) for axis in machine.axes]).T
+    reach_mm = make_standstill(machine, np.where(straight, travel, 0.0)).point_mm
+    low, high = reach_mm.min(axis=0), reach_mm.max(axis=0)
     middle = (low + high) / 2.0
     stands = np.tile(middle, (4, 1))
     stands[0, 0], stands[1, 0] = low[0] - 1000.0, high[0] + 1000.0
     stands[2, 1], stands[3, 1] = low[1] - 1000.0, high[1] + 1000.0
     return stands
-
-
-def _reach_mm(
-    machine: Machine,
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Return the box of the nominal target over the travel of the linear axes."""
-    low = [axis.low if isinstance(axis, LinearAxis) else 0.0 for axis in machine.axes]
-    high = [axis.high if isinstance(axis, LinearAxis) else 0.0 for axis in machine.axes]
-    at = make_standstill(machine, np.array([low, high]))
-    return at.point_mm.min(axis=0), at.point_mm.max(axis=0)

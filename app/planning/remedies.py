@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.kinematics.conditions import make_standstill
-from app.kinematics.machine import Axis, Machine, position_unit
+from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import MachineModel
 from app.motion.configurations import Commanded, join_rows, select_rows
 from app.motion.travel import inner_travel
@@ -101,22 +101,15 @@ def _lines(machine: Machine) -> Iterator[Remedy]:
         side = np.array([0, *corner])
         begin = np.concatenate([np.where(side, high[:linear], low[:linear]), rest])
         end = np.concatenate([np.where(side, low[:linear], high[:linear]), rest])
-        yield Remedy(_diagonal(machine, begin, end), begin, end)
+        corners = [_format_place(machine, end) for end in (begin, end)]
+        yield Remedy(f"the diagonal from {' to '.join(corners)}", begin, end)
 
 
-def _diagonal(
-    machine: Machine, begin: Float64[np.ndarray, " a"], end: Float64[np.ndarray, " a"]
-) -> str:
-    def place(q: Float64[np.ndarray, " a"]) -> str:
-        return " ".join(
-            _format_position(a, v) for a, v in zip(machine.axes, q, strict=True)
-        )
-
-    return f"the diagonal from {place(begin)} to {place(end)}"
-
-
-def _format_position(axis: Axis, value: float) -> str:
-    return f"{axis.name}{value:.0f}{'°' if position_unit(axis) == 'deg' else ''}"
+def _format_place(machine: Machine, position: Float64[np.ndarray, " a"]) -> str:
+    return " ".join(
+        f"{axis.name}{value:.0f}{'°' if position_unit(axis) == 'deg' else ''}"
+        for axis, value in zip(machine.axes, position, strict=True)
+    )
 
 
 def _rows(
