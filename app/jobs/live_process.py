@@ -94,7 +94,7 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
         order.machine,
         order.commanded,
         perpendicular_only=order.perpendicular_only,
-        known=request.known(order.machine),
+        known=request.select_effects(order.machine),
     )
     chooser = _PartChooser(order, request, live)
     stream = _Stream(link)

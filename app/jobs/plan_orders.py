@@ -26,9 +26,8 @@ from app.files.one_machine import one_machine
 from app.files.workspace_file import workspace_from_json
 from app.jobs.job import JobKind, Json
 from app.kinematics.machine import Machine
-from app.measurement.progress import schedule_rows
 from app.motion.commanded_rows import MAX_ROWS, Row, command_rows
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN
+from app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from app.motion.travel import check_travel
 from app.motion.workspace import moves_where_seen
 from app.progress import Progress
@@ -138,8 +137,8 @@ def check_rows(
     """Return the number of rows and their duration, s. Raises PlanningError."""
     commanded = command_rows(machine, rows, feed_mm_min, is_path=is_path)
     workspace_from_json(workspace).refuse(machine, commanded)
-    schedule = schedule_rows(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
-    return len(commanded), float(schedule.row_s.sum())
+    row_s = row_times_s(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
+    return len(commanded), float(row_s.sum())
 
 
 def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str, Any]:

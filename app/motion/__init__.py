@@ -9,6 +9,7 @@ l / v + v / a for a length l ≥ v² / a, else 2 √(l / a). The length is that 
 axes; where none moves it is in deg, and so is the feed.
 
     configurations     standstill points; what is commanded, row by row
+    commanded_rows     rows of users, checked
     travel             inside the axes' ends, with a margin
     workspace          keep-out boxes by slabs; range and sight of the tracker over the
                        triangle that the beam sweeps (Akenine-Möller 2001)

@@ -76,7 +76,7 @@ class DesignState(ABC):
         """Tell which legs are long enough to be recognised and measured at a feed."""
 
     @abstractmethod
-    def commanded(self, machine: Machine, stops: Stops) -> Commanded:
+    def command(self, machine: Machine, stops: Stops) -> Commanded:
         """Return the stops as what the machine is commanded."""
 
     def hold(
@@ -166,7 +166,7 @@ class PointDesignState(DesignState):
         turn = np.abs(legs.step)[:, ~np.asarray(self.drive.linear)]
         return np.all(turn >= np.minimum(_LEAST_TURN_DEG, 0.1 * travel), axis=1)
 
-    def commanded(self, machine: Machine, stops: Stops) -> Configurations:
+    def command(self, machine: Machine, stops: Stops) -> Configurations:
         """Return the stops as points."""
         position = add_resting_axes(machine, stops.position)
         dwell_s = np.full(len(stops), self.drive.dwell_s)
@@ -259,7 +259,7 @@ class LineDesignState(DesignState):
         )
         return np.where(moves, ends, here)
 
-    def commanded(self, machine: Machine, stops: Stops) -> Path:
+    def command(self, machine: Machine, stops: Stops) -> Path:
         """Return the path through the stops."""
         position = add_resting_axes(machine, stops.position)
         feed = np.append(stops.feed_mm_min[:1], self.drive.driven_feed(stops.legs))

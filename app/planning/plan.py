@@ -69,14 +69,14 @@ class PlanOrder:
         """How legs are measured."""
         return LineDesignState if self.is_on_the_fly else PointDesignState
 
-    def known(self, machine: Machine) -> KnownEffects:
+    def select_effects(self, machine: Machine) -> KnownEffects:
         """Return what the model knows of a machine's effects. Raises BundleError."""
         model = self.model
         return KnownEffects() if model is None else model.select_effects(machine)
 
     def assume(self, machine: Machine) -> Assumptions:
         """Return what is believed of a machine before the plan."""
-        return Assumptions(self.known(machine), self.perpendicular_only)
+        return Assumptions(self.select_effects(machine), self.perpendicular_only)
 
     def moving(self, machine: Machine) -> Machine:
         """Return the machine without its rotary axes on the fly: there they stand."""

@@ -77,7 +77,7 @@ class Planner:
         stops = choice.stops(begin, budget_s, legs)
         while len(stops) > 2 and not self._is_apart(stops.position[[0, -1]]):
             stops = stops.select(slice(len(stops) - 1))  # it came back to its beginning
-        plan = self.design.commanded(self.machine, stops)
+        plan = self.design.command(self.machine, stops)
         self.check(plan)
         return plan
 
