@@ -12,10 +12,7 @@ from __future__ import annotations
 
 LINEAR = ("X", "Y", "Z")
 TURNS = ("A", "B", "C")
-DIRECTION = {
-    **{d: i for i, d in enumerate(LINEAR)},
-    **{d: i for i, d in enumerate(TURNS)},
-}
+DIRECTION = {d: i for letters in (LINEAR, TURNS) for i, d in enumerate(letters)}
 SQUARENESS = ("C0Y", "B0Z", "A0Z")
 
 
@@ -56,9 +53,8 @@ def is_straightness(symbol: str) -> bool:
 
 def find_unit(symbol: str) -> str:
     """Return the unit in which files state the symbol."""
-    if is_location(symbol):
-        return "urad" if symbol[0] in TURNS else "um"
-    return "urad" if symbol in SQUARENESS or is_turn(symbol) else "um"
+    kind = symbol[0 if is_location(symbol) else 1]
+    return "urad" if symbol in SQUARENESS or kind in TURNS else "um"
 
 
 def describe_symbol(symbol: str) -> str:
