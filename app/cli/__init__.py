@@ -11,7 +11,7 @@ Commands import what they need when they run, so that `truepath --help` answers 
     *_commands          the commands of a group: their options, and what they do
     terminal            options, progress and tables that commands share
     summary             a result, and an effect, in a few lines
-    demo, following     a measurement on simulated devices, without a service
+    demo                a measurement on simulated devices, without a service
     recording           the tracker alone, beside a CNC without a link
     client              the service as its REST clients see it; a calibration through it
 """

@@ -7,27 +7,37 @@ them: what a machine of iron never tells.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from app.cli.following import follow_measurement
 from app.cli.summary import print_result, summarise_result
-from app.cli.terminal import print_json, say, show_progress
+from app.cli.terminal import NotedProgress, print_json, say, show_progress
 from app.compensation.export import remove_rigid_motion
-from app.errors import BadInput, PlanningError
+from app.errors import BadInput, MeasurementFailed, PlanningError
 from app.files.bundle import write_bundle
 from app.files.commanded_file import commanded_from_json
 from app.files.machine_file import decode_machine
 from app.files.result_file import result_from_json
 from app.files.run import Run
+from app.jobs.live_estimation import LiveEstimation, LiveSteering
+from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import order_first_part, plan_measurement
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell
-from app.measurement.messages import CellConfig, MeasurementOrder
+from app.measurement.messages import (
+    CellConfig,
+    CellState,
+    FaultReported,
+    MeasurementOrder,
+    MeasurementProgress,
+    RunClosed,
+)
 from app.measurement.run_reading import open_run
 from app.motion.configurations import Commanded
 from app.motion.motion_times import travel_time_s
@@ -41,6 +51,7 @@ from drivers.interfaces.records import Path as ToolPath
 
 FEWEST_LINES = 8
 ADAPTIVE_MINUTES = 5.0
+SILENCE_S = 30.0  # without a word from the cell process: something is broken
 _POINTS = 500  # places in the volume at which errors are compared
 _SEED = 7  # of the points, which the measurement does not use
 
@@ -121,11 +132,7 @@ class Demo:
         order = MeasurementOrder(
             "demo", str(run_file), machine, path, grows=self.adaptive
         )
-        target_um, cell = self.target_um, Cell(config)
-        with show_progress("measure") as on_progress:
-            closed = follow_measurement(
-                cell, order, on_progress, target_um=target_um, request=request
-            )
+        closed = _measure(Cell(config), order, self.target_um, request)
         return open_run(run_file), closed.lost_samples
 
     def _request(self) -> dict[str, Any] | None:
@@ -181,6 +188,74 @@ def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
         return commanded_from_json(
             plan_measurement(machine, order, on_progress=on_progress)
         )
+
+
+def _measure(
+    cell: Cell,
+    order: MeasurementOrder,
+    target_um: float | None,
+    request: Mapping[str, Any] | None,
+) -> RunClosed:
+    """Measure and return what the cell said of the closed Run.
+
+    request : within what further parts are planned, as `plan_orders` states it
+
+    Raises DeviceError, MeasurementFailed. Stops the machine on the way out in any case.
+    """
+    with ExitStack() as stack:
+        on_progress = stack.enter_context(show_progress("measure"))
+        stack.callback(cell.close)
+        cell.start()
+        cell.connect()
+        steering = None
+        if target_um is not None or order.grows:
+            asked = LiveEstimateOrder(order.machine, order.commanded, request=request)
+            live = LiveEstimation(asked, lambda _: None)
+            stack.callback(live.close)
+            live.start()
+            first = order.commanded if order.grows else None
+            steering = LiveSteering(live, cell, first, target_um, _say_part)
+        cell.begin(replace(order, live=steering is not None))
+        return _follow_events(cell, on_progress, steering)
+
+
+def _follow_events(
+    cell: Cell, on_progress: NotedProgress, steering: LiveSteering | None
+) -> RunClosed:
+    failure = MeasurementFailed("the measurement ended early")
+    heard_s = time.monotonic()
+    while time.monotonic() - heard_s < SILENCE_S:
+        for event in cell.poll(0.2):
+            heard_s = time.monotonic()
+            match event:
+                case MeasurementProgress():
+                    on_progress(*_describe_progress(event))
+                case FaultReported(text=text, action=action):
+                    failure = MeasurementFailed("; ".join(filter(None, [text, action])))
+                case RunClosed(outcome=CellState.FINISHED):
+                    return event
+                case RunClosed():
+                    raise failure
+                case _ if steering is not None:
+                    steering.handle(event)
+                case _:
+                    pass
+        if steering is not None:
+            steering.advance()
+        if not cell.alive:
+            raise MeasurementFailed("the cell process has died; its Run can be opened")
+    raise MeasurementFailed(f"the cell process is silent for {SILENCE_S:.0f} s")
+
+
+def _say_part(_rows: Commanded, part: Mapping[str, Any]) -> None:
+    lines = f"part {part['part']}: {part['rows']} lines, {part['duration_s']:.0f} s"
+    say(f"{lines}; predicted to leave {2.0 * part['predicted_um']:.2f} µm (k = 2)")
+
+
+def _describe_progress(event: MeasurementProgress) -> tuple[float, str, str]:
+    share = event.done / event.total if event.total else 0.0
+    lost = f"{event.samples} samples, {event.lost_samples} lost"
+    return min(share, 1.0), event.stage, lost
 
 
 def _describe_options(options: dict[str, Any]) -> str:
