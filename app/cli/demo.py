@@ -132,7 +132,7 @@ class Demo:
         order = MeasurementOrder(
             "demo", str(run_file), machine, path, grows=self.adaptive
         )
-        closed = _measure(Cell(config), order, self.target_um, request)
+        closed = _run_measurement(Cell(config), order, self.target_um, request)
         return open_run(run_file), closed.lost_samples
 
     def _request(self) -> dict[str, Any] | None:
@@ -190,7 +190,7 @@ def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
         )
 
 
-def _measure(
+def _run_measurement(
     cell: Cell,
     order: MeasurementOrder,
     target_um: float | None,
