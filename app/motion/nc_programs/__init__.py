@@ -15,10 +15,11 @@ Three rules make a path and its program the same motion:
 - each program is read back by a reader of its own, which knows the rules of the control
   and shares nothing with the writer, and is compared with path and travel.
 
-    programs              a path or points to a text and back; the checks
-    program_content       header and rows of a program, rounded as they are printed
+    programs              a path or points to a text and back: header and rows, rounded
+                          as they are printed; the checks
     programmed_motion     a control that runs a program, and its motion row by row
-    dialect               the interface of a control's format; the order of its blocks
+    dialect               the interface of a control's format: its content, the order of
+                          its blocks
     gcode                 words, modal groups and motions of G-code, for readers
     siemens, heidenhain, fanuc, linuxcnc     one control a file
 

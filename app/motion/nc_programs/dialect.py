@@ -1,4 +1,4 @@
-"""The interface of a control's program format, and the order of its blocks."""
+"""The interface of a control's program format: its content, the order of its blocks."""
 
 from __future__ import annotations
 
@@ -7,12 +7,44 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from app.motion.nc_programs.program_content import ProgramContent, ProgramRow
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion
 
 _CHECK_WAY = "ROW 1 IS APPROACHED STRAIGHT. WAY FREE - CYCLE START"
 _START_RECORDING = "START THE RECORDING. AFTER 2 S CYCLE START"
 _STOP_RECORDING = "END. AFTER 2 S STOP THE RECORDING"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramRow:
+    """One row of the path.
+
+    number : from 1
+    position : rounded to what is printed, mm and deg
+    rotary_only : only rotary axes move
+    feed : of the linear axes, mm/min; of the rotary axes, deg/min, where only they move
+    path_feed : of all axes together, a degree counted as a millimetre
+    target_change : what the operator does before the motion, empty for nothing
+    """
+
+    number: int
+    position: tuple[float, ...]
+    rotary_only: bool
+    feed: float
+    path_feed: float
+    dwell_s: float
+    target_change: str
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramContent:
+    """A whole program: its name, its header in ASCII capitals, its rows."""
+
+    name: str
+    axes: tuple[str, ...]
+    linear: tuple[str, ...]
+    rotary: tuple[str, ...]
+    header: tuple[str, ...]
+    rows: tuple[ProgramRow, ...]
 
 
 class Dialect(ABC):

@@ -17,9 +17,8 @@ import re
 from collections.abc import Mapping
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import BlockForms, Dialect
+from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
 from app.motion.nc_programs.gcode import GCodeReader, Groups, Word, split_words
-from app.motion.nc_programs.program_content import ProgramContent
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion, line_error
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G54", "G61")

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import re
 
-from app.motion.nc_programs.dialect import BlockForms, Dialect
-from app.motion.nc_programs.program_content import ProgramContent
+from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
 from app.motion.nc_programs.programmed_motion import (
     AXES,
     ProgrammedMotion,

@@ -12,9 +12,8 @@ from __future__ import annotations
 import re
 from typing import ClassVar
 
-from app.motion.nc_programs.dialect import BlockForms, Dialect
+from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
 from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
-from app.motion.nc_programs.program_content import ProgramContent
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion
 
 _SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from textwrap import wrap
+
 import numpy as np
+from jaxtyping import Float64
 
 from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine, position_unit
 from app.motion.configurations import Configurations
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN
-from app.motion.nc_programs.dialect import Dialect
-from app.motion.nc_programs.program_content import (
-    LARGEST_FEED,
-    ProgramContent,
-    clean_name,
-    list_rows,
-    round_path,
-    write_header,
+from app.motion.motion_times import (
+    ACCELERATION_MM_S2,
+    DEFAULT_FEED_MM_MIN,
+    travel_time_s,
 )
+from app.motion.nc_programs.dialect import Dialect, ProgramContent, ProgramRow
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion, compute_checksum
 from app.motion.travel import check_travel
 from app.plugins import installed, load
 from drivers.interfaces.records import Path
 
 GROUP = "truepath.nc_dialects"
+_COLUMNS = 60  # of a header line; every control's screen shows as many
 _LEAST_FEED = 0.1  # mm/min
+_LARGEST_FEED = 99_999.0  # mm/min, that controls of all kinds read
+_NAME_LENGTH = 16  # every control here takes as many
+# What comments of all controls may hold; a bracket or a quote would end them.
+_ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
 
 def list_dialects() -> tuple[str, ...]:
@@ -60,9 +66,7 @@ def write_program(
     check_travel(machine, path_or_points)
     planned = _convert_to_path(path_or_points, feed_mm_min)
     _check_limits(kind, planned)
-    path = round_path(
-        planned, kind.decimals, kind.least_dwell_s, counts_degrees=kind.counts_degrees
-    )
+    path = _round_path(planned, kind)
     text = kind.write(_compose(kind, path, planned, machine, name))
     _compare(kind.read(text), path, machine, kind)
     return text
@@ -100,14 +104,14 @@ def _compose(
 ) -> ProgramContent:
     rotary = {axis.name for axis in machine.rotary_axes}
     checksum = compute_checksum(path.axes, path.position)
-    wanted = clean_name(name or machine.name)
+    wanted = _clean_name(name or machine.name)
     return ProgramContent(
         name=kind.program_name(wanted, checksum),
         axes=path.axes,
         linear=tuple(n for n in path.axes if n not in rotary),
         rotary=tuple(n for n in path.axes if n in rotary),
-        header=write_header(path, planned, machine, wanted, kind.control, kind.frame),
-        rows=list_rows(path),
+        header=_write_header(kind, path, planned, machine, wanted),
+        rows=_list_rows(path),
     )
 
 
@@ -120,8 +124,8 @@ def _check_limits(kind: Dialect, path: Path) -> None:
         )
     most_s = kind.longest_dwell_s
     for name, values, least, most, remedy in (
-        ("feed_mm_min", path.feed_mm_min, _LEAST_FEED, LARGEST_FEED,
-         f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED:g} mm/min"),
+        ("feed_mm_min", path.feed_mm_min, _LEAST_FEED, _LARGEST_FEED,
+         f"give a feed of {_LEAST_FEED:g} to {_LARGEST_FEED:g} mm/min"),
         ("dwell_s", path.dwell_s, 0.0, most_s,
          f"{kind.control} dwells 0 to {most_s:g} s"),
     ):  # fmt: skip
@@ -161,3 +165,120 @@ def _compare(
                     f"{axis.low:g} to {axis.high:g} {unit} as the program states it; "
                     "shorten the plan or correct the travel in the machine file"
                 )
+
+
+def _round_path(path: Path, kind: Dialect) -> Path:
+    """Return a path with positions, feeds and dwells as a program states them."""
+    position = np.round(path.position, kind.decimals) + 0.0  # no negative zero
+    dwell_s: Float64[np.ndarray, " n"] = np.maximum(path.dwell_s, kind.least_dwell_s)
+    rounded = replace(path, position=position, dwell_s=np.round(dwell_s, 3))
+    if not kind.counts_degrees:
+        return rounded
+    # A large rotation on a short line would need a feed that no control reads.
+    most = _LARGEST_FEED / _divide_whole_by_straight(rounded)
+    return replace(rounded, feed_mm_min=np.minimum(path.feed_mm_min, most))
+
+
+def _list_rows(path: Path) -> tuple[ProgramRow, ...]:
+    """Return the rows of a rounded path."""
+    straight, whole = _measure_lines(path)
+    rotary_only = [False, *((straight == 0) & (whole > 0)).tolist()]
+    share = _divide_whole_by_straight(path)
+    return tuple(
+        ProgramRow(
+            number=index + 1,
+            position=tuple(float(v) for v in path.position[index]),
+            rotary_only=rotary_only[index],
+            feed=float(path.feed_mm_min[index]),
+            path_feed=float(path.feed_mm_min[index] * share[index]),
+            dwell_s=float(path.dwell_s[index]),
+            target_change=_word_target_change(path, index),
+        )
+        for index in range(len(path))
+    )
+
+
+def _write_header(
+    kind: Dialect, path: Path, planned: Path, machine: Machine, name: str
+) -> tuple[str, ...]:
+    """Return what the operator needs to know, in lines that fit every screen.
+
+    planned : the path before it was rounded
+    """
+    feeds = f"{path.feed_mm_min.min():.0f} TO {path.feed_mm_min.max():.0f} MM/MIN"
+    minutes, seconds = divmod(round(travel_time_s(path)), 60)
+    rounded = float(np.abs(path.position - planned.position).max())
+    facts = [
+        f"TRUEPATH MEASURING PATH {name} FOR {kind.control}",
+        f"MACHINE {machine.name}, {machine.chain}",
+        f"ROWS {len(path)}, FEED {feeds}, FEED OVERRIDE 100 PERCENT",
+        *_state_travel(path, machine),
+        f"EXPECTED TIME {minutes} MIN {seconds} S FROM THE BEGIN OF THE "
+        f"RECORDING, AT {ACCELERATION_MM_S2:.0f} MM/S2",
+        f"PATH CHECKSUM {compute_checksum(path.axes, path.position)}",
+        f"POSITIONS ARE MACHINE COORDINATES, MM AND DEG, {kind.frame}",
+        "NO TOOL LENGTH, NO TOOL RADIUS, NO ROTATION, NO TILTED PLANE",
+        "EACH MOTION STATES ITS ROW OF THE PATH, FROM 1",
+    ]
+    if rounded > 1e-9:
+        facts.append(f"POSITIONS ARE ROUNDED, BY AT MOST {rounded:.4f}")
+    return tuple(
+        line for fact in facts for line in wrap(_clean_comment(fact), _COLUMNS)
+    )
+
+
+def _clean_comment(text: str) -> str:
+    """Return text that may stand in a comment of any control."""
+    return " ".join(_ODD.sub(" ", text.upper()).split())
+
+
+def _clean_name(text: str) -> str:
+    """Return a program name of letters, digits and underscores, a letter first."""
+    kept = re.sub(r"[^A-Z0-9]+", "_", text.upper()).strip("_")
+    # Two letters first: a Siemens control takes no other names.
+    named = kept if re.match(r"[A-Z]{2}", kept) else f"TP_{kept}"
+    return named[:_NAME_LENGTH].rstrip("_")
+
+
+def _measure_lines(
+    path: Path,
+) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Return the length of each line: of its linear part, and with degrees as mm."""
+    linear = np.array([name in "XYZ" for name in path.axes])
+    move = np.diff(path.position, axis=0)
+    straight = np.linalg.norm(move[:, linear], axis=1)
+    return straight, np.linalg.norm(move, axis=1)
+
+
+def _divide_whole_by_straight(path: Path) -> Float64[np.ndarray, " n"]:
+    """Return the feed of all axes divided by that of the linear axes, a row each.
+
+    The way to the first row is not known: 1 there.
+    """
+    straight, whole = _measure_lines(path)
+    share = np.where(straight > 0, whole / np.where(straight, straight, 1.0), 1.0)
+    return np.concatenate([[1.0], share])
+
+
+def _state_travel(path: Path, machine: Machine) -> list[str]:
+    axes = {axis.name: axis for axis in machine.axes}
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    return [
+        f"{name} USES {_format_number(low[i])} TO {_format_number(high[i])} OF "
+        f"{_format_number(axes[name].low)} TO {_format_number(axes[name].high)} "
+        f"{position_unit(axes[name])}"
+        for i, name in enumerate(path.axes)
+    ]
+
+
+def _format_number(value: Float64[np.ndarray, ""] | float) -> str:
+    return f"{float(value):.3f}".rstrip("0").rstrip(".")
+
+
+def _word_target_change(path: Path, index: int) -> str:
+    """Return the target to mount before a row if it differs from the row before."""
+    if not path.target or index == 0 or path.target[index] == path.target[index - 1]:
+        return ""
+    return _clean_comment(
+        f"PUT THE TRACKER ON TARGET {path.target[index]} - CYCLE START"
+    )
