@@ -76,7 +76,8 @@ def render_calibration_report(findings: Findings) -> str:
 def render_section(name: str, findings: Findings) -> Markup:
     """Return one section of the report."""
     numbers = _number_sections(findings)
-    view = {"number": numbers[name], "number_of": numbers, **_SECTIONS[name](findings)}
+    common = {"findings": findings, "number": numbers[name], "number_of": numbers}
+    view = common | _SECTIONS[name](findings)
     return render_part(f"calibration/{name}.html", view)
 
 

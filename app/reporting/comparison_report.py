@@ -30,7 +30,6 @@ from app.results.comparison_files import (
     comparison_csv,
     comparison_json,
     compute_agreement,
-    find_largest,
 )
 from app.results.number_format import SIGN, format_expanded, format_number
 
@@ -54,10 +53,7 @@ def render_comparison_report(
             "machine": machine.name,
             "result": names["result"],
             "reference": names["reference"],
-            "rows": [
-                *(_state_error(error) for error in errors),
-                *(_state_number(number) for number in comparison.numbers),
-            ],
+            "rows": [_state_number(one) for one in (*errors, *comparison.numbers)],
             "axes": [
                 {"name": axis.name, "figure": draw_error_motions(comparison, axis)}
                 for axis in machine.axes
@@ -69,18 +65,25 @@ def render_comparison_report(
     )
 
 
-def _state_error(error: ComparedError) -> tuple[str, ...]:
-    unit = SIGN[error.unit]
-    mean = float(abs(error.difference).mean())
-    return (
-        error.symbol,
-        _describe_motion(error),
-        f"{format_number(find_largest(error), 2)} {unit}",
-        f"{format_number(mean, 2)} {unit}",
-        f"{format_number(K * float(error.combined.max()), 2)} {unit}",
-        format_number(float(abs(error.normalised).max()), 2),
-        f"{format_number(100.0 * compute_agreement(error), 0)} %",
+def _state_number(number: ComparedNumber) -> tuple[str, ...]:
+    """Return what is stated of an error motion, or of a single number."""
+    unit = SIGN[number.unit]
+    largest, expanded, normalised = (
+        format_number(float(abs(values).max()), 2)
+        for values in (number.difference, K * number.combined, number.normalised)
     )
+    if isinstance(number, ComparedError):
+        text = _describe_motion(number)
+        mean = f"{format_number(float(abs(number.difference).mean()), 2)} {unit}"
+        agreement = f"{format_number(100.0 * compute_agreement(number), 0)} %"
+    else:
+        result = format_expanded(float(number.value), float(number.sigma))
+        sigma = float(number.reference_sigma)
+        reference = format_expanded(float(number.reference), sigma)
+        text = f"result {result} {unit}, reference {reference} {unit}"
+        mean, agreement = "", "yes" if abs(number.normalised) <= 1.0 else "no"
+    stated = f"{largest} {unit}", mean, f"{expanded} {unit}", normalised, agreement
+    return number.symbol, text, *stated
 
 
 def _describe_motion(error: ComparedError) -> str:
@@ -90,21 +93,6 @@ def _describe_motion(error: ComparedError) -> str:
     if error.missing:
         text += f"; holds a share of {', '.join(error.missing)}, not in the reference"
     return text
-
-
-def _state_number(number: ComparedNumber) -> tuple[str, ...]:
-    unit = SIGN[number.unit]
-    result = format_expanded(float(number.value), float(number.sigma))
-    reference = format_expanded(float(number.reference), float(number.reference_sigma))
-    return (
-        number.symbol,
-        f"result {result} {unit}, reference {reference} {unit}",
-        f"{format_number(float(abs(number.difference)), 2)} {unit}",
-        "",
-        f"{format_number(K * float(number.combined), 2)} {unit}",
-        format_number(float(abs(number.normalised)), 2),
-        "yes" if abs(number.normalised) <= 1.0 else "no",
-    )
 
 
 def _describe_volume(volume: ComparedVolume) -> View:

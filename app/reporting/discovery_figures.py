@@ -54,15 +54,11 @@ def draw_gap(gap: Gap) -> Markup:
             write_label(end + 5.0, top + 13.0, f"{value:.2f} µm", colour=Colour.INK),
         ]
     floor = _place(x, gap.noise_floor_um)
-    begin, end = np.array([[floor, frame.top - 5.0]]), np.array([[floor, frame.bottom]])
+    ends = (floor, frame.top - 5.0), (floor, frame.bottom)
+    noise = f"noise {gap.noise_floor_um:.2f} µm"
     parts += [
-        draw_segments(begin, end, Colour.SECOND, width=1.4, dash="4 2"),
-        write_label(
-            floor,
-            frame.top - 9.0,
-            f"noise {gap.noise_floor_um:.2f} µm",
-            anchor="middle",
-        ),
+        draw_segments(*ends, Colour.SECOND, width=1.4, dash="4 2"),
+        write_label(floor, frame.top - 9.0, noise, anchor="middle"),
     ]
     return draw_image(76.0, "Gap on held-out lines, before and after", parts)
 
@@ -106,8 +102,8 @@ def draw_by_line(before: Sequence[Segment], after: Sequence[Segment]) -> Markup:
         at = x.place(np.array([s.row for s in states], float))
         rms = y.place(np.array([s.rms_um for s in states]))
         foot = np.full(len(at), frame.bottom)
-        begin, end = np.column_stack([at, foot]), np.column_stack([at, rms])
-        parts.append(draw_segments(begin, end, colour, width=width))
+        ends = np.column_stack([at, foot]), np.column_stack([at, rms])
+        parts.append(draw_segments(*ends, colour, width=width))
     return draw_image(TOP + _HEIGHT + 28.0, "Residual by line before and after", parts)
 
 
@@ -194,8 +190,7 @@ def _draw_key(frame: Frame) -> Markup:
     parts: list[Markup] = []
     for number, (name, colour) in enumerate(zip("XYZ", _COLOURS, strict=True)):
         x, y = frame.right - 84.0 + 28.0 * number, frame.top - 8.0
-        line = np.array([[x, y]]), np.array([[x + 12.0, y]])
-        parts.append(draw_segments(*line, colour, width=1.6))
+        parts.append(draw_segments((x, y), (x + 12.0, y), colour, width=1.6))
         parts.append(write_label(x + 15.0, y + 2.7, name, colour=Colour.INK))
     return join_shapes(parts)
 

@@ -58,7 +58,7 @@ def draw_legend(
     x = frame.right - from_right if from_right else frame.left + 6.0
     rows = [(frame.top + 7.0 + 11.0 * i, *entry) for i, entry in enumerate(entries)]
     return join_shapes(
-        draw_segments(np.array([[x, y]]), np.array([[x + 14.0, y]]), colour, width=1.4)
+        draw_segments((x, y), (x + 14.0, y), colour, width=1.4)
         + write_label(x + 19.0, y + 2.7, label, colour=Colour.INK)
         for y, colour, label in rows
     )
@@ -96,8 +96,8 @@ def _draw_level(
 ) -> Markup:
     """Return a line across the whole frame."""
     at = float(y.place(np.array([value]))[0])
-    begin, end = np.array([[frame.left, at]]), np.array([[frame.right, at]])
-    return draw_segments(begin, end, colour, width=width, dash=dash)
+    ends = (frame.left, at), (frame.right, at)
+    return draw_segments(*ends, colour, width=width, dash=dash)
 
 
 def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
@@ -106,22 +106,16 @@ def _draw_by_line(frame: Frame, run: RunFindings) -> Markup:
     row = lines.row.astype(np.float64)
     x = frame.make_x(float(row.min()), float(row.max()), margin=0.03)
     y = frame.make_y(0.0, 1.05 * max(float(lines.rms_um.max()), floor), margin=0.0)
-    at, foot = x.place(row), np.full(len(row), frame.bottom)
-    begin = np.column_stack([at, foot])
-    end = np.column_stack([at, y.place(lines.rms_um)])
+    at = x.place(row)
+    foot = np.column_stack([at, np.full(len(row), frame.bottom)])
+    top = np.column_stack([at, y.place(lines.rms_um)])
     width = float(np.clip(250.0 / len(row), 0.3, 2.0))
-    name = "line" if otf else "point"
+    name, rows = ("line", "path") if otf else ("point", "points")
     return join_shapes(
         [
             frame.write_title(f"Residual by {name} (dashed: what noise alone leaves)"),
-            frame.draw_axes(
-                x,
-                y,
-                f"row of the {'path' if otf else 'points'}",
-                "rms, µm",
-                upright=False,
-            ),
-            draw_segments(begin, end, Colour.ACCENT, width=width),
+            frame.draw_axes(x, y, f"row of the {rows}", "rms, µm", upright=False),
+            draw_segments(foot, top, Colour.ACCENT, width=width),
             _draw_level(frame, y, floor, Colour.SECOND, width=1.0, dash="4 2"),
         ]
     )

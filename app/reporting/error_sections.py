@@ -32,7 +32,6 @@ def describe_error_motions(findings: Findings) -> View:
     """Return each error motion: its size, its figure and its values."""
     axes = findings.estimate.model.machine.axes
     return {
-        "any_tool": findings.tables.any_tool,
         "sizes": [
             (
                 symbol,
@@ -56,44 +55,29 @@ def describe_error_motions(findings: Findings) -> View:
 def describe_squareness(findings: Findings) -> View:
     """Return squareness between linear axes, and location errors of rotary axes."""
     tables = findings.tables
-    numbers = [
-        *((s.symbol, s.value, s.uncertainty, "urad") for s in tables.squareness),
-        *((s.symbol, s.value, s.uncertainty, s.unit) for s in tables.locations),
-    ]
     return {
         "rows": [
             (
-                symbol,
-                describe_symbol(symbol),
-                f"{format_expanded(value, sigma)} {SIGN[unit]}",
+                one.symbol,
+                describe_symbol(one.symbol),
+                f"{format_expanded(one.value, one.uncertainty)} {SIGN[one.unit]}",
             )
-            for symbol, value, sigma, unit in numbers
+            for one in (*tables.squareness, *tables.locations)
         ]
     }
 
 
 def describe_direction(findings: Findings) -> View:
     """Return half the difference between + and − direction where it is significant."""
-    estimate = findings.estimate
-    halves = compute_half_differences(estimate)
+    halves = compute_half_differences(findings.estimate)
     rows: list[tuple[str, str, str]] = []
     for half in halves:
-        if np.any(np.abs(half.value) > 2.0 * half.uncertainty):
+        if np.any(np.abs(half.value) > _K * half.uncertainty):
             i = int(np.argmax(np.abs(half.value)))
-            value = format_expanded(float(half.value[i]), float(half.uncertainty[i]))
-            rows.append(
-                (
-                    half.symbol,
-                    describe_symbol(half.symbol),
-                    f"{value} {SIGN[half.unit]}",
-                )
-            )
-    return {
-        "found": estimate.direction,
-        "modelled": bool(halves),
-        "rows": rows,
-        "others": len(halves) - len(rows),
-    }
+            value = format_expanded(half.value[i], half.uncertainty[i])
+            text = f"{value} {SIGN[half.unit]}"
+            rows.append((half.symbol, describe_symbol(half.symbol), text))
+    return {"halves": halves, "rows": rows}
 
 
 def describe_volume(findings: Findings) -> View:
@@ -124,19 +108,14 @@ def describe_volume(findings: Findings) -> View:
 
 def describe_effects(findings: Findings) -> View:
     """Return the effects of a given model, before and with this measurement."""
-    used = findings.provenance.model
-    if used is None:
-        raise ValueError("the analysis has no model")
-    estimate = findings.estimate
+    estimate, repeats_model = findings.estimate, findings.provenance.repeats_model
     effects = list_updated_effects(estimate.known, estimate, estimate.chances)
     return {
-        "version": used.version,
-        "source": used.source,
-        "use": describe_use(used),
+        "use": describe_use(repeats_model=repeats_model),
         "rows": [
             (
                 one.title,
-                "not used" if used.of_these_runs else _state_numbers(one.before),
+                "not used" if repeats_model else _state_numbers(one.before),
                 _state_numbers(one.after),
             )
             for one in effects
@@ -166,10 +145,7 @@ def _list_values(findings: Findings, axis: Axis) -> View:
         "rows": [
             (
                 format_number(position, 2),
-                *(
-                    format_expanded(float(t.value[i]), float(t.uncertainty[i]))
-                    for t in tables
-                ),
+                *(format_expanded(t.value[i], t.uncertainty[i]) for t in tables),
             )
             for i, position in enumerate(positions)
         ],

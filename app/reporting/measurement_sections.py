@@ -38,9 +38,8 @@ def describe_machine(findings: Findings) -> View:
     """Return machine, grade of the set-up, and how each Run was measured."""
     machine, grade = findings.estimate.model.machine, findings.grade
     return {
-        "machine": machine.name,
-        "chain": machine.chain,
-        "travel": ", ".join(_state_travel(axis) for axis in machine.axes),
+        "machine": machine,
+        "travel": ", ".join(_state_travel(a, a.low, a.high) for a in machine.axes),
         "targets": _state_targets(machine),
         "grade": None
         if grade is None
@@ -66,12 +65,8 @@ def describe_residuals(findings: Findings) -> View:
 
 def describe_limits(findings: Findings) -> View:
     """Return what this measurement does not observe, or observes poorly."""
-    observability = findings.estimate.observability
     return {
-        "unobservable": observability.unobservable,
-        "poorly_observable": observability.poorly_observable,
-        "rank": observability.rank,
-        "parameters": observability.parameters,
+        "found": findings.estimate.observability,
         "extrapolated": _list_extrapolated(findings),
     }
 
@@ -89,40 +84,24 @@ def describe_validation(findings: Findings) -> View:
 def describe_trials(trials: TrialResults) -> View:
     """Return the linear uncertainty against the trials, quantity by quantity."""
     return {
-        "settled": trials.settled,
-        "agree": trials.agrees,
+        "found": trials,
         "trials": f"{trials.trials:,}",
-        "agreeing": trials.agreeing,
-        "numbers": trials.numbers,
         "failed": [q.name for q in trials.quantities if not q.agrees.all()],
         "rows": [_state_quantity(q) for q in trials.quantities],
-        "digits": trials.plan.digits,
-        "symmetric": trials.plan.interval == "symmetric",
-        "seed": trials.plan.seed,
     }
 
 
 def describe_documentation(findings: Findings) -> View:
     """Return the origin of the numbers."""
-    provenance, across_only = findings.provenance, findings.estimate.perpendicular_only
     return {
-        "software": provenance.software_version,
-        "analysed": provenance.created.isoformat(timespec="seconds"),
-        "parameters": findings.estimate.model.size,
-        "timing": any(run.mode == "otf" for run in provenance.runs),
-        "runs": [
-            _describe_origin(run, across_only=across_only) for run in findings.runs
-        ],
+        "timing": any(run.mode == "otf" for run in findings.provenance.runs),
+        "runs": [_describe_pose(run) for run in findings.runs],
     }
 
 
-def _state_travel(axis: Axis) -> str:
-    low, high, unit = (
-        format_number(axis.low, 0),
-        format_number(axis.high, 0),
-        position_unit(axis),
-    )
-    return f"{axis.name} {low} to {high} {unit}"
+def _state_travel(axis: Axis, low: float, high: float) -> str:
+    span = f"{format_number(low, 0)} to {format_number(high, 0)}"
+    return f"{axis.name} {span} {position_unit(axis)}"
 
 
 def _state_targets(machine: Machine) -> str:
@@ -140,8 +119,7 @@ def _list_extrapolated(findings: Findings) -> list[str]:
         low, high = findings.estimate.measured.get(axis.name, (axis.low, axis.high))
         for begin, end in ((axis.low, low), (high, axis.high)):
             if begin < end:
-                span = f"{format_number(begin, 0)} to {format_number(end, 0)}"
-                ends.append(f"{axis.name} {span} {position_unit(axis)}")
+                ends.append(_state_travel(axis, begin, end))
     return ends
 
 
@@ -163,18 +141,15 @@ def _describe_measurement(run: RunFindings) -> View:
     """Return how a Run was measured."""
     summary, estimate = run.summary, run.estimate
     return {
-        "name": summary.name,
-        "mode": summary.mode,
+        "summary": summary,
+        "estimate": estimate,
         "feed": _state_feed(summary.feed_mm_min),
-        "commanded": summary.lines,
-        "recognised": estimate.lines,
         "minutes": f"{summary.measured_s / 60.0:.1f}",
         "samples": f"{estimate.offered_samples:,}",
         "used": 100.0 * estimate.used_samples / max(estimate.offered_samples, 1),
         "cells": f"{estimate.cells:,}",
         "distance_m": f"{run.noise.distance_mm / 1000.0:.2f}",
         "rate_hz": f"{estimate.tracker.rate_hz:g}",
-        "stands_on": estimate.tracker.stands_on,
         "temperatures": ", ".join(
             f"{sensor} {low:.2f} to {high:.2f} °C"
             for sensor, (low, high) in summary.temperature_degc.items()
@@ -191,8 +166,7 @@ def _describe_run_residuals(run: RunFindings) -> View:
         ("Correlated part found", noise.ou_um),
     )
     return {
-        "name": run.summary.name,
-        "mode": run.summary.mode,
+        "summary": run.summary,
         "figure": draw_residuals(run),
         "noise": [
             (name, *(format_number(v, 2) for v in values)) for name, values in parts
@@ -203,18 +177,14 @@ def _describe_run_residuals(run: RunFindings) -> View:
     }
 
 
-def _describe_origin(run: RunFindings, *, across_only: bool) -> View:
-    """Return which data of a Run were used, and where the tracker stood."""
+def _describe_pose(run: RunFindings) -> View:
+    """Return where the tracker stood."""
     sigma = np.sqrt(np.maximum(np.diag(run.estimate.pose_covariance), 0.0))
     scale = _K * np.repeat([UM_PER_MM, URAD_PER_RAD], 3)
     half = [f"{value:.2g}" for value in scale * sigma]
     station = run.estimate.pose.invert().translation_mm.tolist()
     return {
-        "name": run.summary.name,
-        "mode": run.summary.mode,
-        "digest": run.summary.digest,
-        "source": run.summary.source,
-        "across_only": across_only,
+        "summary": run.summary,
         "station_mm": ", ".join(format_number(value) for value in station),
         "translation_um": ", ".join(half[:3]),
         "rotation_urad": ", ".join(half[3:]),

@@ -89,7 +89,7 @@ def _draw_curve(points: Sequence[Mapping[str, float]]) -> Markup:
     parts: list[Markup] = []
     decades = np.array([10.0**power for power in range(low, high + 1)])
     for decade, level in zip(decades.tolist(), y.place(decades).tolist(), strict=True):
-        ends = np.array([[_LEFT, level]]), np.array([[right, level]])
+        ends = (_LEFT, level), (right, level)
         parts.append(draw_segments(*ends, Colour.RULE, width=0.6))
         at = _LEFT - 6.0, level + 3.0
         parts.append(write_label(*at, f"{decade:g}", size=NUMBER, anchor="end"))

@@ -13,6 +13,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
+from numpy.typing import ArrayLike
 
 from app.reporting.templating import ENVIRONMENT
 
@@ -56,16 +57,19 @@ def draw_curve(
 
 
 def draw_segments(
-    begin: Float64[np.ndarray, "n 2"],
-    end: Float64[np.ndarray, "n 2"],
+    begin: ArrayLike,
+    end: ArrayLike,
     colour: str,
     *,
     width: float,
     opacity: float = 1.0,
     dash: str = "",
 ) -> Markup:
-    """Return many straight lines of one colour as one shape."""
-    pairs = np.hstack([begin, end]).tolist()
+    """Return straight lines of one colour as one shape.
+
+    begin, end : (n, 2), or (2,) of one line
+    """
+    pairs = np.hstack([np.atleast_2d(begin), np.atleast_2d(end)]).tolist()
     moves = [f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}" for a, b, c, d in pairs]
     return draw_strokes(moves, colour, width=width, opacity=opacity, dash=dash)
 

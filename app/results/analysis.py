@@ -24,7 +24,6 @@ from app.planning.grade import SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
 from app.results.findings import Findings, Provenance, state_findings
 from app.results.trial_results import run_trials
-from app.results.updated_effects import UsedModel
 
 # Share of the work that is done after alignment, estimation and trials.
 _SHARES, _SHARES_WITH_TRIALS = (0.1, 0.9, 0.9), (0.01, 0.09, 0.98)
@@ -87,11 +86,7 @@ def analyse(
         summaries,
         version("truepath"),
         datetime.now(UTC),
-        None
-        if model is None
-        else UsedModel(
-            model.source, model.version, model.sha256, model.is_of(digests), model.runs
-        ),
+        model,
     )
     return state_findings(replace(estimated, fit=None), provenance, trials, grade)
 

@@ -60,11 +60,6 @@ def comparison_csv(comparison: Comparison) -> str:
     return "".join(f"{line}\n" for line in (HEADER, *rows))
 
 
-def find_largest(error: ComparedError) -> float:
-    """Return the largest difference of an error motion."""
-    return float(np.abs(error.difference).max())
-
-
 def compute_agreement(error: ComparedError) -> float:
     """Return the share of positions at which both agree: |E_n| at most 1."""
     known = error.combined > 0
@@ -80,7 +75,7 @@ def _error_json(error: ComparedError) -> dict[str, Any]:
         **_columns_json(error),
         f"forward_{unit}": _or_none(error.forward),
         f"backward_{unit}": _or_none(error.backward),
-        f"largest_difference_{unit}": find_largest(error),
+        f"largest_difference_{unit}": float(np.abs(error.difference).max()),
         f"mean_difference_{unit}": float(np.abs(error.difference).mean()),
         "largest_en": float(np.abs(error.normalised).max()),
         "share_within": compute_agreement(error),

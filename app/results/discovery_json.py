@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -99,15 +100,8 @@ def _key(candidate: Candidate) -> dict[str, str]:
 
 
 def _segment_json(segment: Segment) -> dict[str, Any]:
-    return {
-        "segment": segment.row,
-        "axis": segment.axis,
-        "direction": segment.direction,
-        "region": segment.region,
-        "time_s": segment.time_s,
-        "feed_mm_min": segment.feed_mm_min,
-        "rms_um": segment.rms_um,
-    }
+    content = asdict(segment)
+    return {"segment": content.pop("row"), **content}
 
 
 def _worst(found: Discovery) -> list[dict[str, Any]]:

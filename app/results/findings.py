@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.batch import Estimate, RunEstimate
+from app.estimation.prior_model import PriorModel
 from app.files.run import RunSummary
 from app.files.units import UM_PER_MM
 from app.planning.grade import Grade
 from app.results.error_tables import ErrorTables, build_error_tables
 from app.results.trial_results import TrialResults
-from app.results.updated_effects import UsedModel
 from app.results.volumetric_error import VolumetricError, compute_volumetric_error
 
 
@@ -28,7 +28,16 @@ class Provenance:
     runs: tuple[RunSummary, ...]
     software_version: str
     created: datetime
-    model: UsedModel | None = None
+    model: PriorModel | None = None
+
+    @property
+    def repeats_model(self) -> bool:
+        """Whether the model was made from a Run that is analysed now.
+
+        Then the effects are taken from it and their numbers are not.
+        """
+        digests = [run.digest for run in self.runs]
+        return self.model is not None and self.model.is_of(digests)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from app.files.machine_file import machine_to_json
 from app.files.units import scale_of
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.planning.plan import Plan
-from app.results.updated_effects import predicted_effects_json
+from app.results.updated_effects import predicted_effects_json, prior_model_json
 
 SCHEMA = "plan/1"
 
@@ -26,12 +26,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "corner_path": order.corner_path,
         "perpendicular_only": order.perpendicular_only,
         "feeds_mm_min": list(order.feeds_mm_min),
-        "model": model
-        and {
-            "source": model.source,
-            "version": model.version,
-            "sha256": model.sha256,
-        },
+        "model": model and prior_model_json(model),
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.station_mm],
             "assumed": order.workspace.tracker_mm is None,

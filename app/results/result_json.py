@@ -24,9 +24,10 @@ from app.results.findings import Findings, Provenance, RunFindings
 from app.results.grade_json import grade_json
 from app.results.trial_results import trials_json
 from app.results.updated_effects import (
+    describe_use,
     list_updated_effects,
+    prior_model_json,
     updated_effects_json,
-    used_model_json,
 )
 
 
@@ -43,7 +44,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         ),
         "effects": updated_effects_json(
             list_updated_effects(estimate.known, estimate, estimate.chances),
-            found.provenance.model,
+            repeats_model=found.provenance.repeats_model,
         ),
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
         "holds_for": _holds_for(found.tables),
@@ -123,7 +124,11 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
         "runs": _runs_behind(provenance),
         "source": run.source,
         "options": {"perpendicular_only": found.estimate.perpendicular_only},
-        "model": used_model_json(provenance.model),
+        "model": provenance.model
+        and {
+            **prior_model_json(provenance.model),
+            "taken": describe_use(repeats_model=provenance.repeats_model),
+        },
         "measured_s": run.measured_s,
         "feed_mm_min": list(run.feed_mm_min) if run.feed_mm_min else None,
         "temperature_degC": {k: list(v) for k, v in run.temperature_degc.items()},

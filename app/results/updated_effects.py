@@ -13,29 +13,13 @@ from typing import Any
 import numpy as np
 
 from app.estimation.known_effects import KnownEffects
+from app.estimation.prior_model import PriorModel
 from app.files.model_file import EstimatedModel
 from app.kinematics.effects.catalogue import Quantity
 from app.kinematics.model import CatalogueEffect
 from app.planning.forecast import Forecast
 
 _DOUBTFUL = 1e-3  # chance below which a Run contradicts what was known
-
-
-@dataclass(frozen=True, slots=True)
-class UsedModel:
-    """The model whose effects an analysis has beside the error motions.
-
-    source : its file, or its identifier in the service; sha256 : of the file
-    of_these_runs : it was made from a Run that is analysed now; then the effects are
-        taken from it and their numbers are not
-    runs : that its numbers come from, each with its name and digest
-    """
-
-    source: str
-    version: int
-    sha256: str
-    of_these_runs: bool
-    runs: tuple[dict[str, Any], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +66,10 @@ def list_updated_effects(
 
 
 def updated_effects_json(
-    effects: tuple[UpdatedEffect, ...], used: UsedModel | None
+    effects: tuple[UpdatedEffect, ...], *, repeats_model: bool
 ) -> list[dict[str, Any]]:
     """Return the effects as `result.json` states them."""
-    if used is not None and used.of_these_runs:  # nothing was known before
+    if repeats_model:  # nothing was known before
         return [_effect_json(one, None) | {"agrees": None} for one in effects]
     return [
         _effect_json(one, parameters_json(one.before)) | {"agrees": one.agrees}
@@ -126,21 +110,14 @@ def _effect_json(one: UpdatedEffect, before: dict[str, Any] | None) -> dict[str,
     }
 
 
-def used_model_json(used: UsedModel | None) -> dict[str, Any] | None:
-    """Return the model as the provenance of a result states it."""
-    if used is None:
-        return None
-    return {
-        "source": used.source,
-        "version": used.version,
-        "sha256": used.sha256,
-        "taken": describe_use(used),
-    }
+def prior_model_json(model: PriorModel) -> dict[str, Any]:
+    """Return the model that a result or a plan was made with."""
+    return {"source": model.source, "version": model.version, "sha256": model.sha256}
 
 
-def describe_use(used: UsedModel) -> str:
+def describe_use(*, repeats_model: bool) -> str:
     """Say what an analysis has taken from a model."""
-    if used.of_these_runs:
+    if repeats_model:
         return (
             "the effects of the machine; their numbers are estimated from this "
             "measurement alone, for the model was made from it; so are the error "
