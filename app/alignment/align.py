@@ -12,7 +12,6 @@ from app.alignment.cell_blocks import (
     join_blocks,
     reduce_pass,
     reduce_standstills,
-    uses_standstills,
 )
 from app.alignment.cleaning import find_valid_samples, require_units
 from app.alignment.nominal_path import NominalPath, compute_nominal_path
@@ -65,9 +64,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
     matching = match_stops(stops, nominal.place_mm, ordered_by=commanded)
     stream = Stream(time_s, tracker_mm, matching.pose)
-    parts: list[CellBlock] = []
-    if uses_standstills(run):
-        parts = reduce_standstills(run, stops, matching, stream, nominal)
+    parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         return join_blocks(run, _require_standstill(parts), matching.pose, ())
     passes = cut_into_passes(stream, stops, matching, nominal)

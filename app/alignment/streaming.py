@@ -17,7 +17,6 @@ from app.alignment.cell_blocks import (
     join_blocks,
     reduce_pass,
     reduce_standstills,
-    uses_standstills,
 )
 from app.alignment.cleaning import find_valid_samples
 from app.alignment.nominal_path import compute_nominal_path
@@ -171,10 +170,8 @@ class StreamingAlignment:
         ends = np.array([0, len(stops) - 1]), np.array([here[1], there[1]])
         matching = Matching(*ends, self.pose)
         block = join_stops(stops, origin)
-        found: list[CellBlock] = []
-        if uses_standstills(self._run):
-            first = Matching(ends[0][:1], ends[1][:1], self.pose)
-            found = reduce_standstills(self._run, block, first, stream, self._nominal)
+        first = Matching(ends[0][:1], ends[1][:1], self.pose)
+        found = reduce_standstills(self._run, block, first, stream, self._nominal)
         if self._run.mode == "standstill":
             return found
         for each in cut_into_passes(stream, block, matching, self._nominal):
@@ -185,7 +182,7 @@ class StreamingAlignment:
         return found
 
     def _last_standstill(self) -> list[CellBlock]:
-        if not uses_standstills(self._run) or not self._matched:
+        if not self._matched:
             return []
         last = self._matched[-1]
         return self._between(last, last)

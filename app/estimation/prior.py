@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.special import wrightomega
 
 from app.estimation.information import (
     Information,
@@ -175,16 +176,9 @@ def _usual_precision(prior: BendingPrior) -> dict[str, float]:
 
 
 def _pooled_precision(free: float, energy: float, centre: float) -> float:
-    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ.
-
-    Increasing and convex in log λ: Newton's steps from above go straight to the root.
-    """
-    x = max(0.0, 0.5 * free * _SPREAD**2)  # log(λ / centre), above the root
-    for _ in range(_ROUNDS):
-        pull = centre * np.exp(x) * energy
-        slope = pull + 2.0 / _SPREAD**2
-        step = (pull + 2.0 * x / _SPREAD**2 - free) / slope
-        x -= step
-        if abs(step) < 1e-6:
-            break
+    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ."""
+    relative = 0.5 * _SPREAD**2 * free
+    pull = 0.5 * _SPREAD**2 * centre * energy
+    # x + pull exp(x) = relative for x = log(λ / centre)
+    x = relative - wrightomega(relative + np.log(pull))
     return centre * float(np.exp(x))

@@ -40,6 +40,7 @@ from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 # time.
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
+_MOST_INTERVALS = 64
 _SAME_TARGET_MM = 1e-6  # rounding
 _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
 _PROBE = 700  # configurations that stand for the whole volume
@@ -106,7 +107,8 @@ def _intervals(axis: Axis, spacing_mm: float) -> int:
     if isinstance(axis, RotaryAxis):
         spacing = KNOT_SPACING_DEG * spacing_mm / KNOT_SPACING_MM
         return max(6, round(min(axis.high - axis.low, 360.0) / spacing))
-    return max(3, round((axis.high - axis.low) / spacing_mm))
+    most = round(_MOST_INTERVALS * KNOT_SPACING_MM / spacing_mm)
+    return min(most, max(3, round((axis.high - axis.low) / spacing_mm)))
 
 
 @lru_cache(maxsize=16)  # asked anew by every stage of an estimate

@@ -19,7 +19,7 @@ from app.kinematics.effects.base import (
     columns_along,
 )
 from app.kinematics.machine import Axis, RotaryAxis, find_local_directions
-from app.kinematics.splines import cyclic_spline, natural_spline
+from app.kinematics.splines import CubicSpline, cyclic_spline, natural_spline
 from app.kinematics.symbols import DIRECTION, is_straightness, is_turn
 
 _USUAL_MM, _USUAL_RAD = 0.01, 2e-5
@@ -104,7 +104,8 @@ def make_error_motion_over(
     fixed = np.array([reference_position_mm(axis)])
     if is_straightness(symbol):
         fixed = np.array([axis.low, axis.high])
-    return ErrorMotion(symbol, axis, spline, null_space(spline.basis(fixed)))
+    shapes = _find_shapes(spline, spline.basis(fixed))
+    return ErrorMotion(symbol, axis, spline, shapes)
 
 
 def reference_position_mm(axis: Axis) -> float:
@@ -122,4 +123,17 @@ def _turning_motion(
     if DIRECTION[symbol[1]] != DIRECTION[axis.name]:
         mean = spline.gram() @ np.ones(spline.size)
         fixed = np.vstack([fixed, mean / mean.sum()])
-    return ErrorMotion(symbol, axis, spline, null_space(fixed))
+    return ErrorMotion(symbol, axis, spline, _find_shapes(spline, fixed))
+
+
+def _find_shapes(
+    spline: CubicSpline, fixed: Float64[np.ndarray, "c k"]
+) -> Float64[np.ndarray, "k p"]:
+    """Return control values of shapes that what is fixed leaves, straight ones first.
+
+    Orthonormal, and without a product of bending between two of them (Demmler & Reinsch
+    1975): in this basis prior and data are both well scaled, however many the knots.
+    """
+    free = null_space(fixed)
+    _, shapes = np.linalg.eigh(free.T @ spline.bending() @ free)
+    return free @ shapes
