@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
 
 _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
+_AROUND = 21  # samples: far fewer than change the speed of a machine
+_CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 
 
 def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
-    """Tell which samples are measurements: status 0, finite, not a lone spike."""
+    """Tell which samples are measurements: status 0, finite, on a way that goes on.
+
+    Not a lone spike, nor a burst that jumps aside and back.
+    """
     valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
     for _ in range(_ROUNDS):
         kept = np.flatnonzero(valid)
@@ -21,7 +26,58 @@ def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
         if not spikes.any():
             break
         valid[kept[spikes]] = False
+    kept = np.flatnonzero(valid)
+    valid[kept[_aside(samples.device_time_s[kept], samples.position_mm[kept])]] = False
     return valid
+
+
+def _aside(
+    time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Tell which samples lie between a jump aside and the jump back.
+
+    A jump is a step that no speed nearby explains. The shortest stretches between jumps
+    go first; without them the motion must go on from where it was.
+    """
+    aside = np.zeros(len(time_s), bool)
+    if len(time_s) < 2 * _AROUND:
+        return aside
+    step_s = np.diff(time_s)
+    speed = np.diff(position_mm, axis=0) / step_s[:, None]
+    usual = _usual(speed)
+    off = np.linalg.norm(speed - usual, axis=1) * step_s
+    limit = max(_SPIKE_MM, 10.0 * float(np.median(off)))
+    begin = np.concatenate([[0], np.flatnonzero(off > limit) + 1])
+    while len(begin) > 2:
+        # From the last sample before each inner stretch to the first one after it.
+        a, b, after = begin[1:-1] - 1, begin[1:-1], begin[2:]
+        mean = 0.5 * (usual[np.maximum(a - _AROUND, 0)] + _later(usual, after))
+        left = position_mm[after] - position_mm[a]
+        left = left - mean * (time_s[after] - time_s[a])[:, None]
+        least = np.minimum(off[a], off[after - 1])
+        goes_on = np.linalg.norm(left, axis=1) < _CLOSED * least
+        if not goes_on.any():
+            break
+        length = np.where(goes_on, after - b, len(time_s))
+        shortest = int(np.argmin(length))
+        aside[b[shortest] : after[shortest]] = True
+        begin = np.delete(begin, [shortest + 1, shortest + 2])
+    return aside
+
+
+def _usual(speed: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3"]:
+    """Return the medians of blocks of samples, straight from one to the next."""
+    blocks = len(speed) // _AROUND
+    medians = np.median(speed[: blocks * _AROUND].reshape(blocks, _AROUND, 3), axis=1)
+    middle = _AROUND * (np.arange(blocks) + 0.5) - 0.5
+    at = np.arange(len(speed))
+    return np.stack([np.interp(at, middle, m) for m in medians.T], axis=1)
+
+
+def _later(
+    speed: Float64[np.ndarray, "m 3"], sample: Int64[np.ndarray, " k"]
+) -> Float64[np.ndarray, "k 3"]:
+    return speed[np.minimum(sample + _AROUND, len(speed) - 1)]
 
 
 def _spikes(
