@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.ndimage import maximum_filter1d
 
 from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
 
 _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
 _AROUND = 21  # samples: far fewer than change the speed of a machine
+_BESIDE = 0.1  # of the largest step nearby
 _CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 
@@ -47,7 +49,10 @@ def _aside(
     usual = _usual(speed)
     off = np.linalg.norm(speed - usual, axis=1) * step_s
     limit = max(_SPIKE_MM, 10.0 * float(np.median(off)))
-    begin = np.concatenate([[0], np.flatnonzero(off > limit) + 1])
+    # The usual speed is off as well beside a jump, by far less.
+    nearby = maximum_filter1d(off, 2 * _AROUND + 1)
+    jumps = np.flatnonzero((off > limit) & (off > _BESIDE * nearby))
+    begin = np.concatenate([[0], jumps + 1])
     while len(begin) > 2:
         # From the last sample before each inner stretch to the first one after it.
         a, b, after = begin[1:-1] - 1, begin[1:-1], begin[2:]
