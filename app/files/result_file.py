@@ -18,6 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from app.files.file_model import FileModel, Text, parse_json, refuse, validate
 from app.files.machine_file import MachineFile
 from app.files.model_file import EstimatedModel, model_from_json
+from app.files.verdict import State, Verdict
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
 
@@ -37,6 +38,7 @@ class CalibrationResult(EstimatedModel):
         positioning, as (position mm, value µm), by axis; none where direction plays no
         part
     version : of the model; that of a result, which has no parent, is 1
+    verdict : what the result says of itself; of a file that says nothing, usable
     """
 
     mode: str = "otf"
@@ -47,6 +49,7 @@ class CalibrationResult(EstimatedModel):
     )
     half_difference_um: dict[str, Table] = field(default_factory=dict[str, Table])
     version: int = 1
+    verdict: Verdict = field(default_factory=Verdict)
 
     @property
     def machine(self) -> Machine:
@@ -95,6 +98,11 @@ class _Direction(FileModel):
     ]
 
 
+class _Verdict(FileModel):
+    state: State
+    reasons: list[Text]
+
+
 class _Document(FileModel):
     """What is read of both; the key `model` is validated when the machine is known."""
 
@@ -105,6 +113,7 @@ class _Document(FileModel):
     observability: _Observability
     provenance: dict[str, Any]
     model: Any
+    verdict: _Verdict | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -126,6 +135,12 @@ class _Document(FileModel):
         """Return the measured range of each axis that the file states one for."""
         stated = self.measured_range.model_dump(exclude_none=True)
         return {name: tuple(ends.values()) for name, ends in stated.items()}
+
+    def stated_verdict(self) -> Verdict:
+        """Return the verdict; a file without one is of a result that is usable."""
+        if self.verdict is None:
+            return Verdict()
+        return Verdict(self.verdict.state, tuple(self.verdict.reasons))
 
     def half_differences_um(self) -> dict[str, Table]:
         """Return the half difference of each axis that the file states one for."""
@@ -190,4 +205,5 @@ def result_from_json(
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
         document.half_differences_um(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
+        document.stated_verdict(),
     )

@@ -12,6 +12,7 @@ from app.estimation.batch import Estimate, RunEstimate
 from app.estimation.prior_model import PriorModel
 from app.files.run import RunSummary
 from app.files.units import UM_PER_MM
+from app.files.verdict import Verdict
 from app.planning.grade import Grade
 from app.results.error_tables import ErrorTables, build_error_tables
 from app.results.trial_results import TrialResults
@@ -90,6 +91,7 @@ class Findings:
     runs : the Runs that it was made from, in the order given
     trials : what trials say of it, if they were run
     grade : what the set-up was worth before the measurement, if it was asked
+    verdict : whether the result may be used
     """
 
     estimate: Estimate
@@ -99,6 +101,7 @@ class Findings:
     runs: tuple[RunFindings, ...]
     trials: TrialResults | None = None
     grade: Grade | None = None
+    verdict: Verdict = Verdict()
 
     @property
     def main(self) -> RunFindings:

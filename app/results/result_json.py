@@ -39,6 +39,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "schema": RESULT_SCHEMA,
         "machine": machine_to_json(machine),
         "mode": found.main.summary.mode,
+        "verdict": asdict(found.verdict),
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),

@@ -12,6 +12,7 @@ from app.files.covariance_file import pack_symmetric
 from app.files.machine_file import machine_from_json
 from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import result_from_json
+from app.files.verdict import Verdict
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.nuisance import TrackerPose
 from app.results.error_tables import build_error_tables
@@ -37,6 +38,7 @@ def test_every_key_of_the_contract_is_there(content):
         "residuals",
         "observability",
         "provenance",
+        "verdict",
     }
     assert content["mode"] == "otf"
     assert content["residuals"]["rms_um"] > 0.0
@@ -54,6 +56,17 @@ def test_keys_name_the_unit_of_their_numbers(content):
         assert len({len(column) for column in table.values()}) == 1
     for square in content["squareness_urad"].values():
         assert set(square) == {"value", "uncertainty"}
+
+
+def test_the_verdict_comes_back_as_it_was_stated(found):
+    stated = Verdict("doubtful", ("Line 4 (12.0 s to 15.5 s) is left out.",))
+    content = result_json(replace(found, verdict=stated))
+    assert result_from_json(json.loads(json.dumps(content))).verdict == stated
+
+
+def test_a_file_of_old_says_nothing_against_its_result(content):
+    del content["verdict"]
+    assert result_from_json(content).verdict == Verdict("usable", ())
 
 
 def test_the_machine_is_that_of_the_machine_file(estimate, content):
@@ -183,6 +196,7 @@ BAD = [
     (with_value("flying", "mode"), 'mode is "flying"'),
     (with_value(3, "provenance"), "provenance is 3"),
     (with_value("x", "observability", "unobservable"), 'unobservable is "x"'),
+    (with_value("fine", "verdict", "state"), 'verdict.state is "fine"'),
     (without("machine", "axes", "X", "max_mm"), "machine.axes.X.max_mm is missing"),
     (with_value("model/7", "model", "schema"), 'model.schema is "model/7"'),
     (with_value("magic", *FIRST, "effect"), 'effects[0].effect is "magic"'),
