@@ -25,5 +25,6 @@ class Verdict:
     def worst(verdicts: Iterable[Verdict]) -> Verdict:
         """Return the worst state among verdicts, with the reasons of all."""
         every = tuple(verdicts)
-        state = max((v.state for v in every), key=STATES.index, default="usable")
-        return Verdict(state, tuple(reason for v in every for reason in v.reasons))
+        worst = max((STATES.index(verdict.state) for verdict in every), default=0)
+        reasons = (reason for verdict in every for reason in verdict.reasons)
+        return Verdict(STATES[worst], tuple(reasons))

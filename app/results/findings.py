@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 import numpy as np
@@ -101,7 +101,7 @@ class Findings:
     runs: tuple[RunFindings, ...]
     trials: TrialResults | None = None
     grade: Grade | None = None
-    verdict: Verdict = Verdict()
+    verdict: Verdict = field(default_factory=Verdict)
 
     @property
     def main(self) -> RunFindings:
