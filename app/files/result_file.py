@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from app.files.file_model import FileModel, Text, parse_json, refuse, validate
 from app.files.machine_file import MachineFile
 from app.files.model_file import EstimatedModel, model_from_json
-from app.files.verdict import State, Verdict
+from app.files.verdict import Reason, State, Value, Verdict, restore_verdict
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
 
@@ -98,9 +98,17 @@ class _Direction(FileModel):
     ]
 
 
+class _Reason(FileModel):
+    kind: Text
+    state: State
+    run: str = ""
+    values: dict[str, Value]
+
+
 class _Verdict(FileModel):
     state: State
     reasons: list[Text]
+    details: list[_Reason] = []
 
 
 class _Document(FileModel):
@@ -140,7 +148,8 @@ class _Document(FileModel):
         """Return the verdict; a file without one is of a result that is usable."""
         if self.verdict is None:
             return Verdict()
-        return Verdict(self.verdict.state, tuple(self.verdict.reasons))
+        known = [Reason(d.kind, d.state, d.values, d.run) for d in self.verdict.details]
+        return restore_verdict(self.verdict.state, self.verdict.reasons, known)
 
     def half_differences_um(self) -> dict[str, Table]:
         """Return the half difference of each axis that the file states one for."""

@@ -1,30 +1,165 @@
-"""What a whole result says of itself: whether it may be used, and why not."""
+"""What a result says of itself: whether it may be used, and for which reasons.
+
+A reason is a kind and the values that its sentence names, so that it can be said in any
+language. The unit of a value stands in its name, as everywhere in files.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 State = Literal["usable", "doubtful", "not-usable"]
 STATES: tuple[State, ...] = ("usable", "doubtful", "not-usable")  # from best to worst
+Value = int | float | str
+
+
+class Sentence(NamedTuple):
+    """How a kind of reason is said, with `{name}` for values, and what to do about it."""
+
+    text: str
+    remedy: str
+
+
+STATED = "stated"
+SENTENCES: Mapping[str, Sentence] = {
+    "samples-left-out": Sentence(
+        "{samples} samples of line {line}, from {from_s} to {to_s}, are left out: they "
+        "lie {distance_um} aside from the others.",
+        "Look at what crossed the beam or moved the reflector at that time.",
+    ),
+    "line-left-out": Sentence(
+        "Line {line}, from {from_s} to {to_s}, is left out: its residual is {ratio} "
+        "times that of noise.",
+        "Look at what happened on that line; measure again if several are left out.",
+    ),
+    "much-left-out": Sentence(
+        "{left_out_percent} of the samples are left out; up to {usual_percent} is "
+        "usual.",
+        "Clear the line of sight, look at the lock of the tracker, measure again.",
+    ),
+    "fit-beyond-noise": Sentence(
+        "The residual of the whole fit is {ratio} times that of noise; up to "
+        "{limit_ratio} is usual.",
+        "Let a discovery look for what the model lacks, or measure again.",
+    ),
+    "loop-open": Sentence(
+        "Places that were measured early and late differ by {distance_um}; up to "
+        "{limit_um} is usual.",
+        "Let tracker and machine warm up, fasten tracker and reflector, measure again.",
+    ),
+    "set-up-moved": Sentence(
+        "Tracker or reflector moved by {distance_um} at {at_s}; the Run is split there "
+        "and solved with both places.",
+        "Fasten tracker and reflector, and measure again where it matters.",
+    ),
+    STATED: Sentence("{text}", ""),
+}
+"""Every kind of reason; the operator page says the same kinds in its languages."""
+
+# Decimals and sign of a value by the last word of its name.
+_SHOWN = {
+    "s": (1, " s"),
+    "um": (1, " µm"),
+    "mm": (2, " mm"),
+    "percent": (1, " %"),
+    "ratio": (2, ""),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """One thing to know before a result is used.
+
+    kind : one of `SENTENCES`
+    state : the best that a result with this reason may be
+    values : what the sentence names
+    run : name of the Run that it is about, where there are several
+    """
+
+    kind: str
+    state: State
+    values: Mapping[str, Value]
+    run: str = ""
+
+    def __str__(self) -> str:
+        shown = {name: _show(name, value) for name, value in self.values.items()}
+        text = SENTENCES[self.kind].text.format(**shown)
+        return f"Run {self.run}: {text}" if self.run else text
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it; may be empty."""
+        return SENTENCES[self.kind].remedy
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """Whether a result may be used.
 
-    reasons : plain sentences that name line and time; a usable result has some as well,
-        where data were left out
+    reasons : a usable result has some as well, where data were left out
     """
 
-    state: State = "usable"
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """The worst that any reason asks for."""
+        worst = max((STATES.index(r.state) for r in self.reasons), default=0)
+        return STATES[worst]
 
     @staticmethod
-    def worst(verdicts: Iterable[Verdict]) -> Verdict:
-        """Return the worst state among verdicts, with the reasons of all."""
-        every = tuple(verdicts)
-        worst = max((STATES.index(verdict.state) for verdict in every), default=0)
-        reasons = (reason for verdict in every for reason in verdict.reasons)
-        return Verdict(STATES[worst], tuple(reasons))
+    def merge(verdicts: Iterable[Verdict]) -> Verdict:
+        """Return the verdict for the reasons of all."""
+        return Verdict(tuple(reason for v in verdicts for reason in v.reasons))
+
+
+def restore_verdict(
+    state: State, texts: Sequence[str], reasons: Sequence[Reason]
+) -> Verdict:
+    """Return the verdict that a file states.
+
+    texts : its sentences; reasons : what they are of, where the file says so
+
+    A file may be of another version, or written by hand: where its reasons cannot be
+    said, or do not carry its state, its sentences are kept as they are.
+    """
+    restored = Verdict(tuple(reasons))
+    if [*map(_say, reasons)] == [*texts] and restored.state == state:
+        return restored
+    texts = texts or ["The file states no reason."]
+    return Verdict(tuple(Reason(STATED, state, {"text": text}) for text in texts))
+
+
+def verdict_json(verdict: Verdict) -> dict[str, Any]:
+    """Return the key `verdict` of a result: state, sentences, and what they are of."""
+    return {
+        "state": verdict.state,
+        "reasons": [str(reason) for reason in verdict.reasons],
+        "details": [
+            {
+                "kind": reason.kind,
+                "state": reason.state,
+                "run": reason.run,
+                "values": dict(reason.values),
+                "remedy": reason.remedy,
+            }
+            for reason in verdict.reasons
+        ],
+    }
+
+
+def _say(reason: Reason) -> str | None:
+    try:
+        return str(reason)
+    except (KeyError, ValueError):
+        return None
+
+
+def _show(name: str, value: Value) -> str:
+    if isinstance(value, str):
+        return value
+    usual = 0 if isinstance(value, int) else 2
+    decimals, sign = _SHOWN.get(name.rsplit("_", 1)[-1], (usual, ""))
+    return f"{value:.{decimals}f}{sign}"

@@ -18,6 +18,7 @@ from app.files.model_file import model_to_json
 from app.files.result_file import RESULT_SCHEMA
 from app.files.run import combine_digests
 from app.files.units import UM_PER_MM, URAD_PER_RAD
+from app.files.verdict import verdict_json
 from app.results.error_table_files import observability_json, tables_json
 from app.results.error_tables import ErrorTables, compute_half_differences
 from app.results.findings import Findings, Provenance, RunFindings
@@ -39,7 +40,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "schema": RESULT_SCHEMA,
         "machine": machine_to_json(machine),
         "mode": found.main.summary.mode,
-        "verdict": asdict(found.verdict),
+        "verdict": verdict_json(found.verdict),
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),

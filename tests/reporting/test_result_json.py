@@ -12,7 +12,7 @@ from app.files.covariance_file import pack_symmetric
 from app.files.machine_file import machine_from_json
 from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import result_from_json
-from app.files.verdict import Verdict
+from app.files.verdict import Reason, Verdict
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.nuisance import TrackerPose
 from app.results.error_tables import build_error_tables
@@ -59,14 +59,15 @@ def test_keys_name_the_unit_of_their_numbers(content):
 
 
 def test_the_verdict_comes_back_as_it_was_stated(found):
-    stated = Verdict("doubtful", ("Line 4 (12.0 s to 15.5 s) is left out.",))
+    values = {"line": 4, "from_s": 12.0, "to_s": 15.5, "ratio": 8.2}
+    stated = Verdict((Reason("line-left-out", "doubtful", values),))
     content = result_json(replace(found, verdict=stated))
     assert result_from_json(json.loads(json.dumps(content))).verdict == stated
 
 
 def test_a_file_of_old_says_nothing_against_its_result(content):
     del content["verdict"]
-    assert result_from_json(content).verdict == Verdict("usable", ())
+    assert result_from_json(content).verdict == Verdict()
 
 
 def test_the_machine_is_that_of_the_machine_file(estimate, content):

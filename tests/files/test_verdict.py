@@ -1,0 +1,86 @@
+"""Reasons as sentences, as JSON and back; the state that they ask for together."""
+
+import json
+from string import Formatter
+
+import pytest
+
+from app.files.verdict import (
+    SENTENCES,
+    Reason,
+    Verdict,
+    restore_verdict,
+    verdict_json,
+)
+
+LEFT_OUT = Reason(
+    "samples-left-out",
+    "usable",
+    {"samples": 42, "line": 7, "from_s": 61.25, "to_s": 61.33, "distance_um": 5012.0},
+)
+BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
+
+
+def restore(content):
+    stated = json.loads(json.dumps(content))
+    details = [Reason(**{k: v for k, v in d.items() if k != "remedy"}) for d in stated]
+    return details
+
+
+def test_a_reason_is_a_sentence_with_its_numbers_and_units():
+    assert str(LEFT_OUT) == (
+        "42 samples of line 7, from 61.2 s to 61.3 s, are left out: they lie "
+        "5012.0 µm aside from the others."
+    )
+    assert "3.50 times that of noise; up to 1.30" in str(BEYOND)
+
+
+def test_a_reason_names_its_run_where_there_are_several():
+    reason = Reason(LEFT_OUT.kind, "usable", LEFT_OUT.values, "monday")
+    assert str(reason) == f"Run monday: {LEFT_OUT}"
+
+
+def test_the_state_is_the_worst_that_any_reason_asks_for():
+    doubtful = Reason("loop-open", "doubtful", {"distance_um": 9.0, "limit_um": 3.0})
+    assert Verdict().state == "usable"
+    assert Verdict((LEFT_OUT,)).state == "usable"
+    assert Verdict((LEFT_OUT, doubtful)).state == "doubtful"
+    both = Verdict.merge([Verdict((BEYOND,)), Verdict((LEFT_OUT, doubtful))])
+    assert both.state == "not-usable"
+    assert both.reasons == (BEYOND, LEFT_OUT, doubtful)
+
+
+def test_a_verdict_is_restored_from_its_file():
+    verdict = Verdict((LEFT_OUT, BEYOND))
+    content = json.loads(json.dumps(verdict_json(verdict)))
+    assert content["state"] == "not-usable"
+    assert content["reasons"] == [str(LEFT_OUT), str(BEYOND)]
+    known = restore(content["details"])
+    assert restore_verdict(content["state"], content["reasons"], known) == verdict
+
+
+@pytest.mark.parametrize(
+    ("state", "texts", "known"),
+    [
+        ("not-usable", ["Line 3 is odd."], []),  # sentences alone
+        ("not-usable", [], []),
+        ("not-usable", [str(LEFT_OUT)], [LEFT_OUT]),  # the reason does not carry it
+        ("doubtful", ["New."], [Reason("of-a-later-version", "doubtful", {})]),
+        ("doubtful", ["Short."], [Reason("loop-open", "doubtful", {})]),
+    ],
+)
+def test_a_state_stands_whatever_its_reasons_are(state, texts, known):
+    restored = restore_verdict(state, texts, known)
+    assert restored.state == state
+    assert [str(r) for r in restored.reasons] == (
+        texts or ["The file states no reason."]
+    )
+
+
+@pytest.mark.parametrize("kind", sorted(SENTENCES))
+def test_every_kind_is_a_sentence_and_says_what_to_do(kind):
+    text, remedy = SENTENCES[kind]
+    names = [name for _, name, _, _ in Formatter().parse(text) if name]
+    assert names
+    if kind != "stated":
+        assert text.endswith(".") and remedy.endswith(".")
