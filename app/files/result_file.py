@@ -6,7 +6,7 @@ result does so from a model as well.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -108,7 +108,7 @@ class _Reason(FileModel):
 class _Verdict(FileModel):
     state: State
     reasons: list[Text]
-    details: list[_Reason] = []
+    details: Sequence[_Reason] = ()
 
 
 class _Document(FileModel):

@@ -16,7 +16,7 @@ Value = int | float | str
 
 
 class Sentence(NamedTuple):
-    """How a kind of reason is said, with `{name}` for values, and what to do about it."""
+    """How a kind of reason is said, `{name}` for a value, and what to do about it."""
 
     text: str
     remedy: str

@@ -83,4 +83,5 @@ def test_every_kind_is_a_sentence_and_says_what_to_do(kind):
     names = [name for _, name, _, _ in Formatter().parse(text) if name]
     assert names
     if kind != "stated":
-        assert text.endswith(".") and remedy.endswith(".")
+        assert text.endswith(".")
+        assert remedy.endswith(".")
