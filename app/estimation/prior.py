@@ -83,7 +83,10 @@ def guess_prior(model: MachineModel) -> BendingPrior:
     """Return a prior for effects of usual size."""
     asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
-    precision = {name: 8.0 / charge.usual for name, charge in charges.items()}
+    precision = {
+        name: 1.0 if charge.is_known else 8.0 / charge.usual
+        for name, charge in charges.items()
+    }
     log_forms = sum(_log_determinant(charge) for charge in charges.values())
     return BendingPrior(model, charges, precision, log_forms)
 
@@ -141,6 +144,9 @@ def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, 
     """
     variance: dict[str, float] = {}
     for name, charge in prior.charges.items():
+        if charge.is_known:
+            variance[name] = 0.0
+            continue
         part = prior.model.slices[name]
         P = prior.precision[name] * charge.form
         free = charge.rank - float(np.sum(P * result.covariance[part, part]))
@@ -153,6 +159,9 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
     precision: dict[str, float] = {}
     for name, charge in prior.charges.items():
         part, old = prior.model.slices[name], prior.precision[name]
+        if charge.is_known:
+            precision[name] = old
+            continue
         theta, spread = result.theta[part], result.covariance[part, part]
         free = charge.rank - old * float(np.sum(spread * charge.form))
         # An effect that is nothing within the noise, or not seen yet, keeps a finite

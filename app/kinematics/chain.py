@@ -96,9 +96,9 @@ class NominalChain:
 
     @cached_property
     def workpiece_frame(self) -> Float64[np.ndarray, "n 3 3"]:
-        """Turn of the workpiece seen from the base; 0 where the target is not on it."""
+        """Turn of the workpiece for the observer; 0 where the target is not on it."""
         if self.observer != "base":
-            return np.zeros((len(self.position), 3, 3))
+            return self._where(np.eye(3)[None], True)
         turned = np.swapaxes(self._compose_turns(self.machine.workpiece_side), 1, 2)
         return self._where(turned, True)
 

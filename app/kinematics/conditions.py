@@ -53,7 +53,8 @@ class Conditions:
     """The state of the machine at n moments.
 
     position_mm : (n, axes) nominal axis positions, in the machine's column order
-    offset_mm : (n, 3) offset of the measured target
+    offset_mm : (n, 3) offset of the measured target as the machine states it
+    seat_mm : (n, 3) how far the target is known to sit off that; 0 where left out
     time_s : (n,) the tracker's clock
     line : (n,) row of the path that the machine moves towards, -1 at a standstill
     line_time_s : (n,) time from the middle of that line
@@ -81,6 +82,7 @@ class Conditions:
     line_speed_mm_s: Float64[np.ndarray, " n"] | None = None
     run: int = 0
     recorded: RecordedState | None = None
+    seat_mm: Float64[np.ndarray, "n 3"] | None = None
 
     def __len__(self) -> int:
         return len(self.position_mm)
@@ -96,8 +98,11 @@ class Conditions:
         on_workpiece = self.on_workpiece
         if on_workpiece is None:
             on_workpiece = np.zeros(len(self), bool)
+        offset = self.offset_mm
+        if self.seat_mm is not None:
+            offset = offset + self.seat_mm
         return NominalChain(
-            self.machine, self.position_mm, self.offset_mm, on_workpiece, self.observer
+            self.machine, self.position_mm, offset, on_workpiece, self.observer
         )
 
     def select(self, rows: Int64[np.ndarray, " m"]) -> Conditions:
@@ -116,6 +121,7 @@ class Conditions:
             None if self.line_speed_mm_s is None else self.line_speed_mm_s[rows],
             self.run,
             None if self.recorded is None else self.recorded.select(rows),
+            None if self.seat_mm is None else self.seat_mm[rows],
         )
 
     def view_from(

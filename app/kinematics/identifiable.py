@@ -8,9 +8,8 @@ tool lengths give 16, three offsets off one line 18. What is confounded is left 
 the solve and named; a pseudo-inverse would return it as a silent zero.
 
 A motion is confounded if at every position of its axis its arm is a combination of the
-arms of motions that are kept. Squarenesses, locations of rotary axes and how the
-targets sit enter one by one where they add a shape that pose and motions do not make
-yet.
+arms of motions that are kept. Squarenesses and locations of rotary axes enter one by
+one where they add a shape that pose, motions and seats of the targets do not make yet.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.error_motion import find_arm, make_error_motion
 from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
 from app.kinematics.effects.nuisance import (
+    TargetSeat,
     TrackerPose,
-    find_tool_orientation,
-    list_workpiece_placements,
+    list_target_seats,
 )
-from app.kinematics.machine import Axis, Machine, RotaryAxis, Target
+from app.kinematics.machine import SAME_TARGET_MM, Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 
@@ -41,7 +40,6 @@ from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
 _MOST_INTERVALS = 64
-_SAME_TARGET_MM = 1e-6  # rounding
 _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
 _PROBE = 700  # configurations that stand for the whole volume
 _INTERVALS = 8  # shapes of motions against which single numbers are held
@@ -97,7 +95,7 @@ def _targets_at(
     offsets_mm = np.unique(offsets_mm, axis=0)
     stated = np.array([t.offset_mm for t in machine.targets]).reshape(-1, 3)
     away = np.abs(offsets_mm[:, None] - stated).max(axis=2, initial=0.0)
-    same = away < _SAME_TARGET_MM
+    same = away < SAME_TARGET_MM
     known = [machine.targets[k] for k in np.flatnonzero(same.any(axis=0))]
     others = offsets_mm[~same.any(axis=1)]
     return (*known, *(Target("", "tool", (x, y, z)) for x, y, z in others.tolist()))
@@ -193,42 +191,59 @@ def _single_numbers(
     ]
     axes = {axis.name: axis for axis in machine.axes}
     known: list[Effect] = [make_error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
-    blocks = [_pose_columns(each_run), *(_columns(e, each_run) for e in known)]
+    poses, seats = _find_seats(runs, each_run)
+    blocks = [poses, *(_columns(e, each_run) for e in (*known, *seats))]
     basis, _ = np.linalg.qr(np.hstack(blocks))
     added: list[Effect] = []
     confounded: list[Confounded] = []
-    for effect in _candidates(machine, runs):
+    for effect in _list_numbers(machine):
         own = _columns(effect, each_run)
         size = float(np.linalg.norm(own))
-        new = own - basis @ (basis.T @ own)
-        new = new - basis @ (basis.T @ new)
+        new = _remove(basis, own)
         if size > 0.0 and np.linalg.norm(new) > _NEW_SHAPE * size:
             more, _ = np.linalg.qr(new)
             basis = np.hstack([basis, more])
             added.append(effect)
-        elif effect.role is Role.MACHINE:
+        else:
             mates = _nearest(own, [*known, *added], each_run) if size > 0.0 else ()
             confounded.append(Confounded(effect.name, mates))
-    return added, confounded
+    return [*added, *seats], confounded
 
 
-def _candidates(machine: Machine, runs: Sequence[Sequence[Target]]) -> list[Effect]:
-    """Return single numbers; how the targets sit before what could be mistaken."""
+def _list_numbers(machine: Machine) -> list[Effect]:
+    """Return squarenesses and locations."""
     found: list[Effect] = [*list_squarenesses(machine.axis_names)]
-    for run, targets in enumerate(runs):
-        tool, part = _offsets(targets, "tool"), _offsets(targets, "workpiece")
-        if len(part) and machine.tracker.stands_on == "base":
-            found += list_workpiece_placements(part, run)
-        if len(tool):
-            found += find_tool_orientation(machine, tool, run)
     for axis in machine.rotary_axes:
         found += list_axis_locations(axis)
     return found
 
 
-def _offsets(targets: Sequence[Target], side: str) -> Float64[np.ndarray, "t 3"]:
-    rows = [t.offset_mm for t in targets if t.on == side]
-    return np.array(rows, np.float64).reshape(-1, 3)
+def _find_seats(
+    runs: Sequence[Sequence[Target]], each_run: Sequence[Conditions]
+) -> tuple[Float64[np.ndarray, "m q"], list[TargetSeat]]:
+    """Return the columns of the poses, and the seats that are no matter of a pose.
+
+    A seat that looks like an error motion stays: its prior says how much it may be.
+    """
+    poses = _pose_columns(each_run)
+    basis, _ = np.linalg.qr(poses)
+    found: list[TargetSeat] = []
+    for seat in list_target_seats(runs):
+        own = _columns(seat, each_run)
+        new = _remove(basis, own)
+        if np.linalg.norm(new) > _NEW_SHAPE * np.linalg.norm(own):
+            more, size, _ = np.linalg.svd(new, full_matrices=False)
+            basis = np.hstack([basis, more[:, size > _NEW_SHAPE * size[0]]])
+            found.append(seat)
+    return poses, found
+
+
+def _remove(
+    basis: Float64[np.ndarray, "m b"], columns: Float64[np.ndarray, "m p"]
+) -> Float64[np.ndarray, "m p"]:
+    """Return what an orthonormal basis does not make of columns."""
+    once = columns - basis @ (basis.T @ columns)
+    return once - basis @ (basis.T @ once)
 
 
 def _pose_columns(each_run: Sequence[Conditions]) -> Float64[np.ndarray, "m q"]:

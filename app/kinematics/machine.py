@@ -14,6 +14,8 @@ from jaxtyping import Float64
 
 from app.kinematics.symbols import TURNS
 
+SAME_TARGET_MM = 1e-6  # rounding
+
 
 @dataclass(frozen=True, slots=True)
 class LinearAxis:
@@ -53,11 +55,16 @@ def position_unit(axis: Axis) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A reflector and the side that carries it: `tool` or `workpiece`."""
+    """A reflector and the side that carries it: `tool` or `workpiece`.
+
+    seat_sigma_mm : how well its place is known, each coordinate; nests are known to a
+        millimetre
+    """
 
     name: str
     on: str
     offset_mm: tuple[float, float, float]
+    seat_sigma_mm: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions, make_standstill
+from app.kinematics.effects.base import Role
 from app.kinematics.identifiable import Confounded, build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -37,7 +38,10 @@ class VolumetricMap:
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return ∂(volumetric error, mm)/∂θ."""
-        return self.model.jacobian(at) - _rigid_columns(at, self.centre_mm) @ self.rigid
+        return (
+            _machine_columns(self.model, at)
+            - _rigid_columns(at, self.centre_mm) @ self.rigid
+        )
 
     def error_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
@@ -59,7 +63,7 @@ def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap
     """Return the map of one target's volumetric error over the axis travel."""
     at, weight = _quadrature(model.machine, target)
     centre = weight @ at.point_mm
-    columns = model.jacobian(at) * np.sqrt(weight)[:, None, None]
+    columns = _machine_columns(model, at) * np.sqrt(weight)[:, None, None]
     rigid = _rigid_columns(at, centre) * np.sqrt(weight)[:, None, None]
     fit, *_ = np.linalg.lstsq(
         rigid.reshape(-1, 6), columns.reshape(-1, model.size), rcond=None
@@ -107,6 +111,17 @@ def build_shape_model(
         machine, *offsets_mm, intervals=intervals
     )
     return ShapeModel(model, confounded, compute_volumetric_gram(model))
+
+
+def _machine_columns(
+    model: MachineModel, at: Conditions
+) -> Float64[np.ndarray, "n 3 p"]:
+    """Return the Jacobian of the machine alone: how targets sit is no error of it."""
+    columns = model.jacobian(at)
+    for effect in model.effects:
+        if effect.role is Role.NUISANCE:
+            columns[:, :, model.slices[effect.name]] = 0.0
+    return columns
 
 
 def _quadrature(

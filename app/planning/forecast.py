@@ -65,8 +65,12 @@ class Assumptions:
         """Return the precision of the parameters of a model that has the effects."""
         precision = self.prior_precision
         if not precision:
-            usual = guess_prior(model).precision
-            precision = {name: _SMOOTHER * value for name, value in usual.items()}
+            usual = guess_prior(model)
+            precision = {
+                name: _SMOOTHER * value
+                for name, value in usual.precision.items()
+                if not usual.charges[name].is_known
+            }
         prior = usual_precision_matrix(model, precision)
         part = self.known.locate(model)
         prior[part, part] += self.known.precision_matrix()

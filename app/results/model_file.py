@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from app.discovery.discover import Discovery
 from app.discovery.extended_model import (
@@ -28,15 +29,13 @@ from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run, digest_run
 from app.files.units import unit_of
-from app.kinematics.effects.nuisance import find_tool_orientation
+from app.kinematics.effects.nuisance import list_target_seats
 from app.kinematics.model import MachineModel
 from app.kinematics.volumetric_map import build_shape_model
 from app.results.discovery_json import effect_json
 from app.results.error_table_files import observability_json, tables_json
 from app.results.error_tables import build_error_tables, compute_half_differences
 from app.results.model_difference import list_differences
-
-_TURN_RAD = 1e-3  # how a tool may sit in the spindle
 
 
 def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
@@ -47,13 +46,13 @@ def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
     earlier.require_same(run.machine)
     loaded = earlier.result
     model = MachineModel(run.machine, loaded.model.effects)
-    offsets = np.array([t.offset_mm for t in run.machine.targets], float)
-    model = model.with_effects(*find_tool_orientation(run.machine, offsets))
+    seats = list_target_seats([run.machine.targets])
+    model = model.with_effects(*seats)
     size = loaded.model.size
     theta = np.zeros(model.size)
     theta[:size] = loaded.theta
-    covariance = np.eye(model.size) * _TURN_RAD**2
-    covariance[:size, :size] = loaded.covariance
+    sigma = np.repeat([seat.target.seat_sigma_mm for seat in seats], 3)
+    covariance = block_diag(loaded.covariance, np.diag(sigma**2))
     return EstimatedModel(model, theta, covariance)
 
 

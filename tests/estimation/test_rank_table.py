@@ -127,11 +127,15 @@ def test_phase_and_speed_of_each_line_left_free_cost_no_rank(travel):
     assert rank(np.concatenate([across, curved])) == 73
 
 
-@pytest.mark.parametrize(("offsets", "expected"), [(ONE, 73), (TWO, 85), (THREE, 96)])
+@pytest.mark.parametrize(
+    ("offsets", "turns", "expected"), [(ONE, 0, 73), (TWO, 2, 85), (THREE, 3, 96)]
+)
 def test_the_model_that_is_solved_has_this_rank_less_the_rigid_motions(
-    offsets, expected
+    offsets, turns, expected
 ):
+    """Those of the volume, and of the targets where their places are known exactly."""
     model, _ = build_identifiable_model(
         machine(TRAVELS[1]), np.array(offsets), intervals=KNOTS - 1
     )
-    assert model.size + 6 == expected
+    seats = 3 * (len(offsets) - 1)
+    assert model.size - seats + turns + 6 == expected

@@ -239,7 +239,7 @@ def test_planned_lines_tell_more_than_random_ones_in_the_same_time(
     rng: np.random.Generator,
 ) -> None:
     mill = trunnion(SIX_TARGETS)
-    path = default_path(mill, lines=36)
+    path = default_path(mill, lines=48)
     low = np.array([axis.low for axis in mill.axes])
     high = np.array([axis.high for axis in mill.axes])
     position = rng.uniform(low, high, path.position.shape)

@@ -50,12 +50,14 @@ class QuadraticPrior:
     form : (p, p) K; rank : shapes that it charges; the others are free
     usual : θᵀKθ of an effect of usual size
     kind : effects of a kind are of like precision; empty for one on its own
+    is_known : the form is the precision itself; nothing of it is found from the data
     """
 
     form: Float64[np.ndarray, "p p"]
     rank: int
     usual: float
     kind: str = ""
+    is_known: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,29 @@
-"""What every estimate of a Run has beside the machine: pose, timing, seat of targets.
+"""What every estimate of a Run has beside the machine: pose, timing, targets' seats.
 
-How the measured targets of a Run sit on tool and workpiece is its own in every Run. On
-the tool: a turn of their offsets as a whole. With one target this is a shift, which
-the tracker's pose takes; with several, the turn of the last axis at its zero shows, and
-the gauge of the tables has no place for it. On the workpiece, seen by a tracker on the
-base: at the axis zero they need not be where the file says to a micrometre; relative to
-the tool they may be shifted and turned as a whole.
+Where a nest is on tool or workpiece is known to a millimetre, never to a micrometre,
+and is its own in every Run. A shift of one target on the tool is a matter of the pose,
+and of where the rotary axes are: the volumetric error is that of this target as it
+sits, and locations of rotary axes are stated against it. Every other target may sit off
+its place in three directions.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Parameter, Role, name_in_run
-from app.kinematics.machine import Machine
+from app.kinematics.effects.base import (
+    Effect,
+    Parameter,
+    QuadraticPrior,
+    Role,
+    name_in_run,
+)
+from app.kinematics.machine import SAME_TARGET_MM, Target
 from app.numerics.rigid import RigidTransform, cross_matrix
 
 
@@ -87,101 +93,54 @@ class TimingLaw(Effect):
 
 
 @dataclass(frozen=True)
-class ToolOrientation(Effect):
-    """A small turn of all offsets about the machine's first target on the tool.
+class TargetSeat(Effect):
+    """How far a target sits off where the machine file states it, in one Run.
 
-    The volumetric error is stated for that target: how the others sit is none of it.
+    The volumetric error is stated for the first target on the tool as it sits: the
+    others sit relative to that one.
 
-    about_mm : offset of the first target
-    turns : (3, p) turns that the offsets can show; p = 2 where they lie on one line
-    run : the Run that it belongs to; the targets of others are not moved
+    target : whose rows it moves, by its offset; run : the Run that it belongs to
     """
 
     role = Role.NUISANCE
-    about_mm: tuple[float, float, float]
-    turns: Float64[np.ndarray, "3 p"]
+    target: Target
     run: int = 0
 
     def compose_name(self, digits: str) -> str:
-        """Return the kind with its Run."""
+        """Return the target, by its name or offset, with its Run."""
         del digits
-        return name_in_run("tool-orientation", self.run)
+        offset = ",".join(f"{value:g}" for value in self.target.offset_mm)
+        return name_in_run(f"seat-{self.target.name or offset}", self.run)
 
     @property
     def own_run(self) -> int:
-        """The Run of these targets."""
+        """The Run of the target."""
         return self.run
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Two or three angles."""
-        count = self.turns.shape[1]
-        return tuple(Parameter(f"tool-turn-{i}", "rad") for i in range(count))
+        """Three shifts, along the directions of tool or workpiece at rotary zero."""
+        return tuple(Parameter(f"{self.name}-{d}", "mm") for d in "xyz")
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
-        """Return turn × (offset − first offset)."""
-        if at.run != self.run:
-            return np.zeros((len(at), 3, self.turns.shape[1]))
-        columns = cross_matrix(at.offset_mm - np.array(self.about_mm)) @ self.turns
-        return at.chain.tool_frame @ columns
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
+        """Return the turn of what carries the target, in its own rows."""
+        away = np.abs(at.offset_mm - np.array(self.target.offset_mm)).max(axis=1)
+        mine = (away < SAME_TARGET_MM) & (at.run == self.run)
+        is_tool = self.target.on == "tool"
+        frame = at.chain.tool_frame if is_tool else at.chain.workpiece_frame
+        return frame * mine[:, None, None]
 
-
-def find_tool_orientation(
-    machine: Machine, offsets_mm: Float64[np.ndarray, "t 3"], run: int = 0
-) -> tuple[ToolOrientation, ...]:
-    """Return the effect for the offsets of a Run; none where there is but one."""
-    _, size, direction = np.linalg.svd(offsets_mm - offsets_mm[0])
-    if size[0] < 1e-6:
-        return ()
-    on_a_line = len(size) < 2 or size[1] < 1e-6 * size[0]
-    turns = direction[1:].T if on_a_line else direction.T
-    first = next(t for t in machine.targets if t.on == "tool")
-    return (ToolOrientation(first.offset_mm, turns, run),)
+    def prior(self) -> QuadraticPrior:
+        """Return what the machine file knows of the place."""
+        form = np.eye(3) / self.target.seat_sigma_mm**2
+        return QuadraticPrior(form, 3, 3.0, is_known=True)
 
 
-@dataclass(frozen=True)
-class WorkpiecePlacement(Effect):
-    """A small shift (k = 0, 1, 2) or turn (3, 4, 5) of all targets on the workpiece.
+def list_target_seats(runs: Sequence[Sequence[Target]]) -> list[TargetSeat]:
+    """Return the seats of all targets but the one that the error is stated for.
 
-    centre_mm : about which they turn
-    run : the Run that it belongs to; the targets of others are not moved
+    runs : the targets of each Run, in the order of the machine
     """
-
-    role = Role.NUISANCE
-    k: int
-    centre_mm: tuple[float, float, float]
-    run: int = 0
-
-    def compose_name(self, digits: str) -> str:
-        """Return shift or turn, direction and Run."""
-        del digits
-        kind = "shift" if self.k < 3 else "turn"
-        return name_in_run(f"workpiece-{kind}-{'xyz'[self.k % 3]}", self.run)
-
-    @property
-    def own_run(self) -> int:
-        """The Run of these targets."""
-        return self.run
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The shift or the angle."""
-        return (Parameter(self.name, "mm" if self.k < 3 else "rad"),)
-
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return R d, or R (d × arm), R the turn of the workpiece in the base."""
-        if at.run != self.run:
-            return np.zeros((len(at), 3, 1))
-        unit = np.eye(3)[:, self.k % 3]
-        arm = np.tile(unit, (len(at), 1))
-        if self.k >= 3:
-            arm = cross_matrix(at.offset_mm - np.array(self.centre_mm)) @ unit
-        return np.einsum("nij,nj->ni", at.chain.workpiece_frame, arm)[:, :, None]
-
-
-def list_workpiece_placements(
-    offsets_mm: Float64[np.ndarray, "t 3"], run: int = 0
-) -> tuple[WorkpiecePlacement, ...]:
-    """Return the six effects for the targets of a Run on the workpiece."""
-    x, y, z = (float(v) for v in offsets_mm.mean(axis=0))
-    return tuple(WorkpiecePlacement(k, (x, y, z), run) for k in range(6))
+    seats = [TargetSeat(t, run) for run, targets in enumerate(runs) for t in targets]
+    stated = next((seat for seat in seats if seat.target.on == "tool"), None)
+    return [seat for seat in seats if seat is not stated]
