@@ -176,6 +176,9 @@ def _print_plan(document: Mapping[str, Any]) -> None:
     if document["tracker"]["assumed"]:
         place = ", ".join(f"{v:.0f}" for v in document["tracker"]["position_mm"])
         print(f"tracker taken to stand at {place} mm; state it in a workspace file")
+    if document["stations"] is not None:
+        for statement in document["stations"]["statement"]:
+            print(f"tracker: {statement}")
     print(
         f"{document['rows']} rows, {document['duration_s'] / 60.0:.1f} min, volumetric "
         f"uncertainty {predicted['volumetric_uncertainty_um']:.2f} µm (k = 1), "

@@ -6,7 +6,7 @@ unknown, by the model, prior and noise that the estimate will be made with.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,12 @@ from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.configurations import Commanded, join_rows
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive, row_times_s
-from app.motion.workspace import Workspace, moves_where_seen, moving_targets
+from app.motion.workspace import (
+    StationAreas,
+    Workspace,
+    moves_where_seen,
+    moving_targets,
+)
 from app.planning.design_state import DesignState, LineDesignState, PointDesignState
 from app.planning.forecast import Assumptions, Forecast, forecast
 from app.planning.initial_design import (
@@ -26,14 +31,20 @@ from app.planning.initial_design import (
     predict_lag_sigmas_s,
     start_design,
 )
+from app.planning.leg_choice import SearchEffort
 from app.planning.planner import Planner, PlanShare, plan_in_turn
+from app.planning.station_choice import StationAdvice, StationChoice, choose_place
+from app.planning.station_information import StationJudge, Survey
 from app.progress import Progress, ignore_progress
+from drivers.interfaces.records import Path
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0
 DEFAULT_MINUTES = {"otf": 3.0, "standstill": 4.0}
 LONGEST_S = 3600.0
 _FIRST_TRY_S = 60.0
 _TRIES = 5
+_SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
+_SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
 _CLOSE = 0.93  # a plan that would be shorter by less is not tried
 
 
@@ -63,6 +74,11 @@ class PlanOrder:
     def is_on_the_fly(self) -> bool:
         """Whether lines are measured, not points."""
         return self.mode == "otf"
+
+    @property
+    def budget_s(self) -> float:
+        """The time that a plan without a target takes, at most."""
+        return 60.0 * (self.minutes or DEFAULT_MINUTES[self.mode])
 
     @property
     def design_kind(self) -> type[DesignState]:
@@ -113,6 +129,7 @@ class Plan:
 
     station_mm : of the tracker; time_s : (rows,) at which each row is done
     lag_sigma_s : of each axis behind the others, where there are several feeds
+    stations : what is said of the tracker's place, where areas for it are known
     """
 
     machine: Machine
@@ -122,6 +139,7 @@ class Plan:
     time_s: NDArray[np.float64]
     forecast: Forecast
     lag_sigma_s: dict[str, float]
+    stations: StationAdvice | None = None
 
     @property
     def duration_s(self) -> float:
@@ -155,12 +173,22 @@ def make_plan(
     on_progress(0.0, "planning")
     station_mm = choose_station(machine, order.workspace)
     attempt = _PlanAttempt(machine, order, order.assume(machine), station_mm)
+    if order.workspace.stations is None:
+        return _plan_as_ordered(attempt, on_progress)
+    choice = attempt.choose_place(order.workspace.stations)
+    plan = _plan_as_ordered(attempt.place_tracker(choice.first.place_mm), on_progress)
+    advice = choice.advise(plan.duration_s, plan.forecast.volumetric_sigma_mm)
+    return replace(plan, stations=advice)
+
+
+def _plan_as_ordered(attempt: _PlanAttempt, on_progress: Progress) -> Plan:
+    """Return the plan from where the tracker stands."""
+    order = attempt.order
     if order.corner_path:
         return attempt.plan_corners()
-    minutes = order.minutes
     if order.target_um is None:
-        return attempt.plan_within(60.0 * (minutes or DEFAULT_MINUTES[order.mode]))
-    longest_s = 60.0 * minutes if minutes else LONGEST_S
+        return attempt.plan_within(order.budget_s)
+    longest_s = 60.0 * order.minutes if order.minutes else LONGEST_S
     return _plan_for_target(attempt, order.target_um, longest_s, on_progress)
 
 
@@ -203,34 +231,71 @@ class _PlanAttempt:
     station_mm: NDArray[np.float64]
 
     def plan_within(self, budget_s: float) -> Plan:
-        choose = self._lines if self.order.is_on_the_fly else self._points
-        return self._evaluate(choose(budget_s))
+        return self._evaluate(self._choose(budget_s))
 
     def plan_corners(self) -> Plan:
-        dwell_s = self.order.drive(self.machine).dwell_s
-        path = corner_path(self.machine, self.order.feeds_mm_min[0], dwell_s)
+        path = self._corners()
         self.order.workspace.refuse(self.machine, path)
         return self._evaluate(path)
 
-    def _lines(self, budget_s: float) -> Commanded:
+    def place_tracker(self, place_mm: NDArray[np.float64]) -> _PlanAttempt:
+        """Return the attempt with the tracker at a place."""
+        workspace = self.order.workspace.place_tracker(place_mm)
+        order = replace(self.order, workspace=workspace)
+        return replace(self, order=order, station_mm=place_mm)
+
+    def choose_place(self, areas: StationAreas) -> StationChoice:
+        """Judge places by lines or points that do not regard what each place sees."""
+        order, workspace = self.order, self.order.workspace
+        free = replace(order, workspace=replace(workspace, tracker_mm=None))
+        survey = Survey(
+            self.machine,
+            order.moving(self.machine),
+            replace(self, order=free).survey(),
+            workspace,
+            order.feeds_mm_min[0],
+        )
+        judge = StationJudge.of(survey, self.assumed, areas.specification)
+        stated_mm = None if workspace.tracker_mm is None else self.station_mm
+        return choose_place(judge, areas, order.budget_s, stated_mm)
+
+    def survey(self) -> Commanded:
+        """Return a few lines or points of the whole travel, chosen in no time."""
+        if self.order.corner_path:
+            return self._corners()
+        return self._choose(np.inf, True)
+
+    def _corners(self) -> Path:
+        dwell_s = self.order.drive(self.machine).dwell_s
+        return corner_path(self.machine, self.order.feeds_mm_min[0], dwell_s)
+
+    def _choose(self, budget_s: float, survey: bool = False) -> Commanded:
+        choose = self._lines if self.order.is_on_the_fly else self._points
+        return choose(budget_s, survey)
+
+    def _lines(self, budget_s: float, survey: bool) -> Commanded:
         moving = self.order.moving(self.machine)
         if not moves_where_seen(moving, self.machine.target()):
             raise PlanningError(
                 f"the first target of {self.machine.name} does not move while the "
                 "rotary axes stand; state one on the tool first, or use mode standstill"
             )
-        return self._line_planner().plan(budget_s, seed=self.order.seed)
+        legs, effort = (_SURVEY_LINES, _SURVEY_EFFORT) if survey else (None, None)
+        return self._line_planner().plan(
+            budget_s, legs=legs, seed=self.order.seed, effort=effort
+        )
 
     def _line_planner(self) -> Planner:
         feeds = self.order.feeds_mm_min
         return self._make_planner(feeds, dynamic=len(feeds) > 1)
 
-    def _points(self, budget_s: float) -> Commanded:
+    def _points(self, budget_s: float, survey: bool) -> Commanded:
         """Return a block of points for each target that moves, one after another."""
         targets, feeds = moving_targets(self.machine), self.order.feeds_mm_min[:1]
         planners = [self._make_planner(feeds, target=t.name) for t in targets]
-        shares = [PlanShare(planner, budget_s / len(targets)) for planner in planners]
-        return join_rows(plan_in_turn(shares, seed=self.order.seed))
+        legs, effort = (_SURVEY_POINTS, _SURVEY_EFFORT) if survey else (None, None)
+        shares = [PlanShare(one, budget_s / len(targets), legs) for one in planners]
+        return join_rows(plan_in_turn(shares, seed=self.order.seed, effort=effort))
 
     def _make_planner(
         self,

@@ -51,17 +51,20 @@ def predict_cells(
     machine: Machine,
     commanded: Commanded,
     station_mm: Float64[np.ndarray, "3"],
+    *,
+    cell_mm: float = _CELL_MM,
 ) -> Observations:
     """Return the cells of a measurement with the tracker at a place.
 
     They know their surroundings, temperatures left out.
 
     station_mm : in the frame that the tracker stands on (workpiece or base)
+    cell_mm : length of cells along lines, at least
 
     Raises PlanningError if nothing moves and nothing dwells.
     """
     is_path = isinstance(commanded, Path)
-    parts = list(_lines(commanded) if is_path else _dwells(commanded))
+    parts = list(_lines(commanded, cell_mm) if is_path else _dwells(commanded))
     if not parts:
         raise PlanningError(
             "no line has a length and no point a dwell; nothing would be measured"
@@ -85,7 +88,7 @@ def predict_cells(
     return add_surroundings(seen, commanded)
 
 
-def _lines(path: Path) -> Iterator[_Stretch]:
+def _lines(path: Path, cell_mm: float) -> Iterator[_Stretch]:
     """Yield the part of each line that is driven at constant feed."""
     row_s = row_times_s(path)
     begin_s = np.cumsum(row_s) - row_s
@@ -93,7 +96,7 @@ def _lines(path: Path) -> Iterator[_Stretch]:
     length = Drive.of(path.axes, 0.0).length(legs)
     speed = path.feed_mm_min[1:] / 60.0
     steady = np.maximum(length - speed**2 / ACCELERATION_MM_S2, _STEADY * length)
-    cell = np.maximum(_CELL_MM, steady.clip(0.0).sum() / _MOST_CELLS)
+    cell = np.maximum(cell_mm, steady.clip(0.0).sum() / _MOST_CELLS)
     for k in np.flatnonzero(steady > 0.0):
         cells = max(1, round(float(steady[k] / min(cell, max(speed[k], cell)))))
         place = (np.arange(cells) + 0.5) / cells * steady[k]

@@ -8,6 +8,7 @@ from app.files.machine_file import machine_to_json
 from app.files.units import scale_of
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.planning.plan import Plan
+from app.results.station_json import stations_json
 from app.results.updated_effects import predicted_effects_json, prior_model_json
 
 SCHEMA = "plan/1"
@@ -30,7 +31,9 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.station_mm],
             "assumed": order.workspace.tracker_mm is None,
+            "chosen": planned.stations is not None and planned.stations.chosen,
         },
+        "stations": planned.stations and stations_json(planned.stations),
         "predicted": {
             **_state_both(planned.uncertainty_um),
             "errors": _errors(planned),

@@ -1,4 +1,7 @@
-"""Errors of the tracker: a circle off its axis, and a wrong distance."""
+"""Errors of the tracker: circles off their axis or zero, a wrong distance, bent beams.
+
+No time averages them, and a tracker within its maker's specification has all of them.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
+from app.kinematics.conditions import Conditions, RecordedState
 from app.kinematics.effects.base import Effect, Role, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
@@ -39,14 +42,12 @@ class TrackerEccentricity(Effect):
         if at.recorded is None:
             return np.zeros((len(at), 3, 2))
         x, y, z = at.recorded.tracker_mm.T
-        flat = np.hypot(x, y)
-        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
         if self.circle == "azimuth":
-            angle = azimuth
+            angle = np.arctan2(y, x)
             moved = np.stack([-y, x, np.zeros_like(x)], axis=1)
         else:
-            angle = elevation
-            moved = np.stack([-z * np.cos(azimuth), -z * np.sin(azimuth), flat], axis=1)
+            angle = np.arctan2(z, np.hypot(x, y))
+            moved = _raise_beam(at.recorded)
         return columns_along(moved @ at.recorded.rotation, sine_and_cosine(angle))
 
 
@@ -135,3 +136,76 @@ class TrackerRangeOffsetFamily(Family):
         if at.recorded is None:
             return []
         return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
+
+
+@dataclass(frozen=True)
+class ElevationIndex(Effect):
+    """Every elevation is read too high by the same angle."""
+
+    kind = "elevation-index"
+    role = Role.MEASUREMENT
+    units = {"": "rad"}
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return how the target seems to rise."""
+        if at.recorded is None:
+            return np.zeros((len(at), 3, 1))
+        return (_raise_beam(at.recorded) @ at.recorded.rotation)[:, :, None]
+
+
+@dataclass(frozen=True)
+class BeamBending(Effect):
+    """The beam bends up or down, as air that is warmer above than below bends it.
+
+    Its parameter is the curvature of a level beam, rad per mm.
+    """
+
+    kind = "beam-bending"
+    role = Role.MEASUREMENT
+    units = {"": "1/mm"}
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+        """Return how the target seems to rise, with the square of its distance."""
+        if at.recorded is None:
+            return np.zeros((len(at), 3, 1))
+        flat = np.linalg.norm(at.recorded.tracker_mm[:, :2], axis=1, keepdims=True)
+        moved = 0.5 * flat * _raise_beam(at.recorded)
+        return (moved @ at.recorded.rotation)[:, :, None]
+
+
+def _raise_beam(recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+    """Return how a target moves with its elevation, mm per rad."""
+    x, y, z = recorded.tracker_mm.T
+    azimuth = np.arctan2(y, x)
+    across = [-z * np.cos(azimuth), -z * np.sin(azimuth), np.hypot(x, y)]
+    return np.stack(across, axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSpecification:
+    """Standard uncertainties of what a tracker in order may be off by.
+
+    eccentricity_rad : amplitude of each circle; index_rad : of the elevation's zero
+    range_offset_mm : of the home distance, with the reflector
+    bending_rad_per_mm : curvature of the beam; 0.9e-9 for each kelvin a metre of height
+    """
+
+    eccentricity_rad: float = 1e-6
+    index_rad: float = 1e-6
+    range_offset_mm: float = 1e-3
+    bending_rad_per_mm: float = 0.3e-9
+
+    def list_effects(self) -> tuple[tuple[Effect, float, bool], ...]:
+        """Return each cause, its standard uncertainty, and whether stations share it.
+
+        Circles lie about the plumb line anyhow at each station: the azimuth's phase is
+        another every time. All else stays with the tracker, and the air with the hall.
+        """
+        part = self.eccentricity_rad / 2.0**0.5
+        return (
+            (TrackerEccentricity("azimuth"), part, False),
+            (TrackerEccentricity("elevation"), part, True),
+            (ElevationIndex(), self.index_rad, True),
+            (TrackerRangeOffset(), self.range_offset_mm, True),
+            (BeamBending(), self.bending_rad_per_mm, True),
+        )

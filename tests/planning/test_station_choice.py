@@ -1,0 +1,116 @@
+"""The tracker stands where the same time leaves least; more stations pay or do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.errors import PlanningError
+from app.kinematics.effects.tracker_error import TrackerSpecification
+from app.motion.workspace import Box, Reflector, StationAreas, Workspace
+from app.planning.plan import PlanOrder, make_plan
+
+FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))
+PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)
+FAULTY = TrackerSpecification(2e-5, 2e-5, 2e-2, 5e-9)
+
+
+@pytest.fixture(scope="module")
+def plan_of(mill):
+    def make(specification=PERFECT, *, areas=(FLOOR,), minutes=1.0, **limits):
+        move_s = limits.pop("move_s", 600.0)
+        stations = StationAreas(areas, (), move_s, specification)
+        workspace = Workspace(nearest_mm=200.0, stations=stations, **limits)
+        return make_plan(mill, PlanOrder(minutes=minutes, workspace=workspace))
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def perfect(plan_of):
+    return plan_of()
+
+
+def test_the_place_is_allowed_and_no_place_is_better(perfect):
+    advice = perfect.stations
+    assert advice.chosen
+    assert perfect.order.workspace.stations.allow(perfect.station_mm[None])[0]
+    assert perfect.order.workspace.tracker_mm == tuple(perfect.station_mm)
+    first = advice.options[0].left
+    assert first.sigma_mm == advice.best.sigma_mm <= advice.worst.sigma_mm
+    assert advice.judged > 60
+
+
+def test_the_uncertainty_of_one_station_is_that_of_the_plan(perfect):
+    left = perfect.stations.options[0].left
+    assert left.random_mm == pytest.approx(perfect.forecast.volumetric_sigma_mm)
+    assert left.systematic_mm == 0.0
+    assert left.seen == 1.0
+
+
+def test_a_near_place_is_chosen_where_noise_grows_with_distance(perfect, mill):
+    """The angle's noise is what grows with the distance; far places lose by it."""
+    near = perfect.station_mm - np.array([250.0, 200.0, -150.0])
+    assert np.linalg.norm(near) < 1500.0
+
+
+def test_without_systematic_errors_ten_minutes_of_moving_do_not_pay(perfect):
+    assert [len(option.place_mm) for option in perfect.stations.options] == [1, 2, 3]
+    assert len(perfect.stations.recommended.place_mm) == 1
+
+
+def test_systematic_errors_make_further_stations_pay(plan_of):
+    advice = plan_of(FAULTY).stations
+    assert advice.options[0].left.systematic_mm > advice.options[0].left.random_mm
+    assert len(advice.recommended.place_mm) > 1
+    assert advice.recommended.reason == "systematic"
+
+
+def test_a_travel_that_no_place_sees_whole_demands_a_second_station(plan_of):
+    """A wall across the travel; the tracker may stand on either side of it."""
+    wall = Box((240.0, -2600.0, -700.0), (260.0, 2000.0, 700.0), "wall")
+    advice = plan_of(blocks_sight=(wall,), move_s=60.0).stations
+    assert advice.options[0].left.seen < 0.9
+    assert advice.recommended.reason == "sight"
+    assert advice.recommended.left.seen > advice.options[0].left.seen
+
+
+def test_a_reflector_decides_from_which_side_it_is_seen(plan_of):
+    behind = Box((-1500.0, 900.0, -200.0), (2000.0, 2500.0, 200.0))
+    for direction, side in (((0, -1, 0), -1), ((0, 1, 0), 1)):
+        planned = plan_of(
+            areas=(FLOOR, behind), reflector=Reflector(direction, 50.0), minutes=0.5
+        )
+        assert np.sign(planned.station_mm[1] - 200.0) == side
+
+
+def test_a_stated_place_stays_and_is_held_against_the_best(plan_of):
+    far = (-1500.0, -2500.0, 200.0)
+    planned = plan_of(tracker_mm=far)
+    assert planned.station_mm.tolist() == list(far)
+    assert not planned.stations.chosen
+    assert planned.stations.best.sigma_mm < planned.stations.options[0].left.sigma_mm
+
+
+def test_nests_are_places_to_choose_from(plan_of):
+    nests = tuple(Box(p, p) for p in ((-900.0, -900.0, 0.0), (250.0, -700.0, 0.0)))
+    planned = plan_of(areas=nests, minutes=0.5)
+    assert planned.stations.judged == 2
+    assert tuple(planned.station_mm) in {nest.low_mm for nest in nests}
+
+
+def test_the_same_order_gives_the_same_place(perfect, plan_of):
+    assert np.array_equal(plan_of().station_mm, perfect.station_mm)
+
+
+def test_areas_out_of_range_are_refused(plan_of):
+    with pytest.raises(PlanningError, match="in range and in sight; correct"):
+        plan_of(farthest_mm=300.0)
+
+
+def test_points_have_a_place_too(mill, perfect):
+    order = replace(perfect.order, mode="standstill", minutes=0.5)
+    order = replace(order, workspace=replace(order.workspace, tracker_mm=None))
+    planned = make_plan(mill, order)
+    assert planned.stations.chosen
+    assert planned.stations.options[0].left.random_mm > 0.0
