@@ -61,6 +61,28 @@ class ErrorMotion:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class JointedMotion:
+    """A smooth motion with steps where pieces of a rack or of a guide meet.
+
+    joint_mm : where they meet; step : height of each step, in mm or rad
+    width_mm : of a step, as the teeth or rollers in contact bridge it
+    """
+
+    smooth: ErrorMotion
+    joint_mm: tuple[float, ...]
+    step: tuple[float, ...]
+    width_mm: float
+
+    def at(self, position_mm: np.ndarray) -> np.ndarray:
+        """Return its values at positions of any shape."""
+        value = self.smooth.at(position_mm)
+        for joint, step in zip(self.joint_mm, self.step, strict=True):
+            share = 2.0 * (position_mm - joint) / self.width_mm
+            value = value + 0.5 * step * np.tanh(share)
+        return value
+
+
 def positioning(
     rng: np.random.Generator, axis: LinearAxis, peak_mm: float
 ) -> ErrorMotion:

@@ -32,7 +32,7 @@ from simulators.scale_sensors import read_sensors
 from simulators.scenario import load_machine
 from simulators.timeline import Program, Timeline, follow
 from simulators.tracker_head import Air, TrackerClock, TrackerPose
-from simulators.truth_machine import random_machine
+from simulators.truth_machine import TruthMachine, random_machine
 
 BEAM_BROKEN = 1
 
@@ -75,6 +75,7 @@ class Setting:
 
     machine_seed : which machine, where it is not that of the recording's seed: so that
         several recordings of one machine differ in noise, clock and tracker pose
+    truth : the machine, where it is not drawn
     hidden : effects that no rigid-body model knows
     sensors : whether the scales have temperature sensors
     """
@@ -90,6 +91,7 @@ class Setting:
     pose: TrackerPose | None = None
     clock: TrackerClock | None = None
     defects: Defects = field(default_factory=Defects)
+    truth: TruthMachine | None = None
     hidden: tuple[HiddenEffect, ...] = ()
     sensors: bool = True
 
@@ -108,7 +110,7 @@ def record(
     setting = setting or Setting()
     machine = parse_machine(content)
     which = seed if setting.machine_seed is None else setting.machine_seed
-    truth = random_machine(machine, which, scale=setting.error_scale)
+    truth = setting.truth or random_machine(machine, which, scale=setting.error_scale)
     pose = setting.pose or tracker_head.random_pose(machine, seed)
     timeline = _motion(program, setting)
     device_s, true_s = _sample_times(machine, timeline, seed, setting)

@@ -7,12 +7,12 @@ carriage, whichever of the two is the one that moves; the chain multiplies them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from simulators import error_motions
-from simulators.error_motions import ErrorMotion
+from simulators.error_motions import ErrorMotion, JointedMotion
 from simulators.joint import Joint, rotation_matrices
 from simulators.machine_file import (
     DIRECTIONS,
@@ -58,7 +58,7 @@ class LinearJoint(Joint):
     axis: str
     nominal_direction: tuple[float, ...]
     direction: tuple[float, ...]
-    translation: tuple[ErrorMotion, ...]
+    translation: tuple[ErrorMotion | JointedMotion, ...]
     rotation: tuple[ErrorMotion, ...]
 
     @property
@@ -93,7 +93,7 @@ class TruthMachine:
     joints: Mapping[str, Joint]
     squareness_rad: Mapping[str, float] = field(default_factory=dict)
 
-    def error_motions(self) -> dict[str, ErrorMotion | TurningMotion]:
+    def error_motions(self) -> dict[str, ErrorMotion | JointedMotion | TurningMotion]:
         """Return every error motion by its symbol, `EXX` … `ECC`, in mm and rad."""
         return {
             f"E{letter}{name}": motion
@@ -246,6 +246,32 @@ def random_machine(
             rng, turning, turning.name in machine.workpiece_side, scale
         )
     return TruthMachine(machine, joints, squareness)
+
+
+def join_rack(
+    truth: TruthMachine,
+    axis: str,
+    seed: int,
+    step_mm: float,
+    piece_mm: float = 1000.0,
+    width_mm: float = 40.0,
+) -> TruthMachine:
+    """Return the machine with a rack of pieces: its positioning steps at each joint."""
+    joint = truth.joints[axis]
+    if not isinstance(joint, LinearJoint):
+        raise TypeError(f"{axis} does not run on a rack")
+    travel = truth.machine.axes[truth.machine.axis_names.index(axis)]
+    places = np.arange(travel.low + 0.5 * piece_mm, travel.high, piece_mm)
+    signs = generator(seed, "joints of the rack").choice([-1.0, 1.0], len(places))
+    own = list(DIRECTIONS).index(axis)
+    motions = list(joint.translation)
+    smooth = motions[own]
+    if isinstance(smooth, JointedMotion):
+        raise TypeError(f"{axis} runs on a rack already")
+    steps = tuple((step_mm * signs).tolist())
+    motions[own] = JointedMotion(smooth, tuple(places.tolist()), steps, width_mm)
+    jointed = replace(joint, translation=tuple(motions))
+    return replace(truth, joints={**truth.joints, axis: jointed})
 
 
 def _random_joint(

@@ -19,7 +19,6 @@ from app.numerics.rigid import RigidTransform
 
 _SETTLE_S = 0.05  # left out at both ends of a standstill
 _FEWEST_SAMPLES = 10  # of a standstill
-LONG_MM = 1440.0
 _CREEP_MM = 0.03  # several times what the air does in a second
 
 
@@ -62,7 +61,7 @@ def reduce_pass(
         float(time[-1] - time[0]),
         each.speed_mm_s * curve.fastest(),
         rate * curve.turn_deg,
-        cell_mm * _stretch(run, each.row),
+        cell_mm,
     )
     cells = reduce_to_cells(
         time, stream.tracker_mm[part], way, run.machine.tracker.sigma_mm, count
@@ -105,23 +104,6 @@ def _timing(
     lag = line_time_s - weight @ line_time_s
     slow = float((weight * lag) @ ahead / ((weight * lag) @ lag))
     return float(weight @ ahead) - slow * float(weight @ line_time_s), slow
-
-
-def _stretch(run: Run, row: int) -> float:
-    """Return how much longer a line's cells may be where it goes along long axes.
-
-    The error motions of a long axis have longer waves.
-    """
-    step = np.diff(run.commanded.position[row - 1 : row + 1], axis=0)[0]
-    scale = {a.name: (a.high - a.low) / LONG_MM for a in run.machine.linear_axes}
-    moved = [
-        (move, max(scale[name], 1.0))
-        for move, name in zip(step, run.commanded.axes, strict=True)
-        if name in scale
-    ]
-    shortened = float(np.linalg.norm([move / times for move, times in moved]))
-    whole = float(np.linalg.norm([move for move, _ in moved]))
-    return whole / shortened if whole else 1.0
 
 
 def reduce_standstills(

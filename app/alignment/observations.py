@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.reduction import beam_frame
+from app.alignment.reduction import CELL_S, beam_frame
 from app.kinematics.conditions import Conditions, RecordedState
 from app.motion.configurations import Configurations
 from app.numerics.rigid import RigidTransform
@@ -83,6 +84,100 @@ class Observations:
             direction=self.direction[cells],
             row=self.row[cells],
         )
+
+    def join(self, starts: Int64[np.ndarray, " m"]) -> Observations:
+        """Return means of neighbours on straight lines, from each start to the next."""
+        means = CellMeans(self.count, starts)
+        return replace(
+            self.select(starts),
+            at=_join_conditions(self.at, means),
+            tracker_mm=means.of(self.tracker_mm),
+            count=means.count,
+        )
+
+    def join_cells(self, longest_mm: Mapping[str, float]) -> Observations:
+        """Return the observations with neighbouring cells of a line as one.
+
+        longest_mm : by linear axis, how far it may move within a cell. Standstills, and
+            lines on which a rotary axis turns, stay as they are.
+        """
+        names = self.at.machine.axis_names
+        longest = np.array([longest_mm.get(name, 0.0) for name in names])
+        starts = [
+            first + _count_up(last - first, self._count_to_join(first, last, longest))
+            for first, last in self.lines
+        ]
+        joined = np.concatenate(starts)
+        return self if len(joined) == len(self) else self.join(joined)
+
+    def _count_to_join(
+        self, first: int, last: int, longest: Float64[np.ndarray, " a"]
+    ) -> int:
+        """Return how many cells of a line may become one."""
+        if self.at.line[first] < 0 or last - first < 2:
+            return 1
+        ends = [first, last - 1]
+        moved = np.abs(np.diff(self.at.position_mm[ends], axis=0)[0])
+        if (moved[longest == 0.0] > 0.0).any():
+            return 1
+        share = float(np.linalg.norm(moved[longest > 0.0] / longest[longest > 0.0]))
+        span_s = float(np.diff(self.at.time_s[ends])[0])
+        return max(1, int((last - 1 - first) / max(share, span_s / CELL_S)))
+
+
+@dataclass(frozen=True)
+class CellMeans:
+    """Means over neighbouring cells, each cell counting by its samples.
+
+    starts : first cell of each mean
+    """
+
+    weight: Float64[np.ndarray, " n"]
+    starts: Int64[np.ndarray, " m"]
+
+    @property
+    def count(self) -> Float64[np.ndarray, " m"]:
+        """Samples of each mean."""
+        return self.total(self.weight)
+
+    def total(
+        self, values: Float64[np.ndarray, "n ..."]
+    ) -> Float64[np.ndarray, "m ..."]:
+        """Return the sums of values."""
+        return np.add.reduceat(values, self.starts, axis=0)
+
+    def of(self, values: Float64[np.ndarray, "n ..."]) -> Float64[np.ndarray, "m ..."]:
+        """Return the means of values."""
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        total = self.total(values * self.weight.reshape(shape))
+        return total / self.count.reshape(shape)
+
+
+def _count_up(cells: int, together: int) -> Int64[np.ndarray, " m"]:
+    """Return the first of so many cells each, as even as they can be."""
+    parts = -(-cells // together)
+    return np.arange(parts) * cells // parts
+
+
+def _join_conditions(at: Conditions, means: CellMeans) -> Conditions:
+    recorded = at.recorded
+    firsts = at.select(means.starts)
+    if recorded is not None and firsts.recorded is not None:
+        celsius = recorded.temperature_degc
+        recorded = replace(
+            firsts.recorded,
+            span_s=means.total(recorded.span_s),
+            since_reversal=means.of(recorded.since_reversal),
+            tracker_mm=means.of(recorded.tracker_mm),
+            temperature_degc=None if celsius is None else means.of(celsius),
+        )
+    return replace(
+        firsts,
+        position_mm=means.of(at.position_mm),
+        time_s=means.of(at.time_s),
+        line_time_s=means.of(at.line_time_s),
+        recorded=recorded,
+    )
 
 
 def add_surroundings(

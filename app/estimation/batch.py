@@ -13,6 +13,12 @@ from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit, select_fit
 from app.estimation.extrapolation import Ranges, find_measured_ranges, soften_ends
 from app.estimation.information import Posterior
+from app.estimation.knots import (
+    add_hidden_variance,
+    find_intervals,
+    join_cells,
+    refine_motions,
+)
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel, floor_mm
 from app.estimation.noise_fit import guess_noise, refine_runs
@@ -20,7 +26,7 @@ from app.estimation.observability import Observability, assess_observability
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInformation, RunInput
 from app.files.model_file import EstimatedModel
-from app.kinematics.coarse_model import RunModels
+from app.kinematics.coarse_model import NestedModels, RunModels
 from app.kinematics.machine import TrackerNoise
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
@@ -138,22 +144,36 @@ def estimate(
     Raises Unidentifiable if the lines do not determine the error motions.
     """
     known = known or KnownEffects()
+    nested = models.nested
+    fine = [
+        replace(each, at=replace(each.at, run=k)) for k, each in enumerate(observed)
+    ]
+    seen = join_cells(fine, nested.alone)
+    guessed = [
+        guess_noise(each, perpendicular_only=perpendicular_only) for each in seen
+    ]
     inputs = tuple(
-        RunInput(
-            replace(each, at=replace(each.at, run=k)),
-            each.pose,
-            guess_noise(each, perpendicular_only=perpendicular_only),
-        )
-        for k, each in enumerate(observed)
+        RunInput(each, each.pose, noise)
+        for each, noise in zip(seen, guessed, strict=True)
     )
     inputs = refine_runs(models.coarse, inputs, known=known)
     on_progress(0.5)
-    fit = soften_ends(select_fit(inputs, models.nested, known))
+    fit = select_fit(inputs, nested, known)
+    while intervals := find_intervals(fit):
+        nested = NestedModels(refine_motions(nested.alone, intervals))
+        seen = join_cells(fine, nested.alone)
+        inputs = tuple(
+            replace(run, observations=each)
+            for run, each in zip(inputs, seen, strict=True)
+        )
+        fit = select_fit(inputs, nested, known)
+    fit = soften_ends(fit)
     on_progress(0.9)
     observability = assess_observability(models.shapes, inputs)
     measured = find_measured_ranges(*observed)
     chances = known.compute_chances(fit.model, fit.result)
     result = widen_by_unknown_precision(fit.prior, fit.result)
+    result = add_hidden_variance(result, fit)
     found = Estimate(
         fit.model,
         result.theta,
@@ -193,9 +213,11 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
 def _compute_residuals(
     run: RunInformation, theta: Float64[np.ndarray, " p"]
 ) -> Residuals:
-    designs = list(run.linearisation.split(run.observations))
-    residual = np.concatenate([_fit_lines(d, theta, run.noise) for d in designs])
-    travel = np.concatenate([design.travel for design in designs])
+    parts = [
+        (_fit_lines(design, theta, run.noise), design.travel)
+        for design in run.linearisation.split(run.observations)
+    ]
+    residual, travel = (np.concatenate(each) for each in zip(*parts, strict=True))
     across = residual - np.einsum("ni,ni->n", residual, travel)[:, None] * travel
     counted = across if run.noise.along_sigma_mm == np.inf else residual
     return Residuals(

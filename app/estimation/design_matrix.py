@@ -15,9 +15,8 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float64
-from numpy.typing import NDArray
 
-from app.alignment.observations import Observations
+from app.alignment.observations import CellMeans, Observations
 from app.estimation.noise import NoiseModel, cell_noise
 from app.kinematics.effects.base import Effect, EffectOfRun, Parameter
 from app.kinematics.effects.nuisance import TimingLaw, TrackerPose
@@ -198,22 +197,19 @@ def _merge_cells(
     Averaged in the workpiece frame, where a line keeps its direction.
     """
     bounds = [np.arange(a, b, merge) for a, b in observations.lines]
-    starts = np.concatenate(bounds)
-    count = np.add.reduceat(observations.count, starts)
-
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        shape = (-1,) + (1,) * (values.ndim - 1)
-        weighted = values * observations.count.reshape(shape)
-        return np.add.reduceat(weighted, starts, axis=0) / count.reshape(shape)
-
-    at, firsts = observations.at, observations.select(starts)
-    travel = mean(observations.direction)  # on an arc it turns on the way
+    means = CellMeans(observations.count, np.concatenate(bounds))
+    at, firsts = observations.at, observations.select(means.starts)
+    travel = means.of(observations.direction)  # on an arc it turns on the way
     speed = np.linalg.norm(travel, axis=1, keepdims=True)
     merged = replace(
         firsts,
-        at=replace(firsts.at, time_s=mean(at.time_s), line_time_s=mean(at.line_time_s)),
-        tracker_mm=mean(observations.tracker_mm),
-        count=count,
+        at=replace(
+            firsts.at,
+            time_s=means.of(at.time_s),
+            line_time_s=means.of(at.line_time_s),
+        ),
+        tracker_mm=means.of(observations.tracker_mm),
+        count=means.count,
         direction=travel / np.maximum(speed, 1e-12),
     )
-    return merged, mean(local)
+    return merged, means.of(local)
