@@ -33,6 +33,10 @@ class BundleError(BadInput):
         super().__init__(f"{place}: {problem}" + (f"; {remedy}" if remedy else ""))
 
 
+class NotUsable(BadInput):
+    """A result that says of itself that it is not to be used."""
+
+
 class PlanningError(BadInput):
     """A plan that must not reach the machine."""
 

@@ -24,6 +24,7 @@ from app.api.paging import PagingDep
 from app.api.problems import declare_problems, describe_failure
 from app.api.service import ServiceDep
 from app.errors import NotFound
+from app.files.verdict import State as VerdictState
 from app.jobs.job import Job
 from app.jobs.store import IdempotencyKey
 from app.jobs.transitions import State
@@ -115,6 +116,10 @@ class JobOut(BaseModel):
         description="`volumetric_uncertainty_um` (k = 1) at which it may end early."
     )
     early_end: EarlyEndOut | None = Field(description="Null if it did not.")
+    verdict: VerdictState | None = Field(
+        description="What the result says of itself; the reasons are in it. Null "
+        "where there is none."
+    )
     created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
     started: str | None
     ended: str | None

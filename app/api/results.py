@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse
 
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
-from app.errors import NotFound
+from app.errors import NotFound, NotUsable
+from app.files.verdict import Verdict, verdict_from_json, verdict_json
 
 router = APIRouter(prefix="/jobs", tags=["results"])
 
@@ -22,10 +23,10 @@ _REPORT_POLICY = (
 )
 
 
-def _serve_file(path: str, media_type: str, kind: str) -> Any:
+def _serve_file(path: str, media_type: str, kind: str, *refusals: int) -> Any:
     """Return the decorator of a route that answers with a file."""
     content = {media_type: {"schema": {"type": kind}}}
-    responses = {200: {"content": content}, **declare_problems(404)}
+    responses = {200: {"content": content}, **declare_problems(404, *refusals)}
     return router.get(path, response_class=FileResponse, responses=responses)
 
 
@@ -54,21 +55,34 @@ def get_result(job_id: str, service: ServiceDep) -> FileResponse:
 
 @router.get("/{job_id}/result/error-tables.json", responses=declare_problems(404))
 def get_error_tables(job_id: str, service: ServiceDep) -> dict[str, Any]:
-    """Return the error tables and squarenesses alone."""
-    file = _find_file(service, job_id, "result.json")
-    result = json.loads(file.read_text(encoding="utf-8"))
+    """Return the error tables and squarenesses alone, with the verdict on them."""
+    result = _read_result(service, job_id)
     return {
         "schema": "error-tables/1",
         "machine": result["machine"],
+        "verdict": result.get("verdict", verdict_json(Verdict())),
         "error_tables": result["error_tables"],
         "squareness_urad": result["squareness_urad"],
     }
 
 
-@_serve_file("/{job_id}/result/error-tables.csv", "text/csv", "string")
-def download_error_tables(job_id: str, service: ServiceDep) -> FileResponse:
-    """Return the error tables as `error_tables.csv`."""
+@_serve_file("/{job_id}/result/error-tables.csv", "text/csv", "string", 422)
+def download_error_tables(
+    job_id: str,
+    service: ServiceDep,
+    accept_verdict: Annotated[
+        bool, Query(description="Have the tables of a result that is not to be used.")
+    ] = False,
+) -> FileResponse:
+    """Return the error tables as `error_tables.csv`.
+
+    Refused where the result says that it is not to be used; `accept_verdict` has it.
+    """
     file = _find_file(service, job_id, "error_tables.csv")
+    stated = _read_result(service, job_id).get("verdict")
+    verdict = verdict_from_json(stated) if stated else Verdict()
+    if verdict.state == "not-usable" and not accept_verdict:
+        raise NotUsable(f"the result of job {job_id} is {verdict.objection}")
     return FileResponse(file, filename=file.name)
 
 
@@ -92,6 +106,11 @@ def get_discovery_report(job_id: str, service: ServiceDep) -> FileResponse:
 
 def _send_page(report: Path) -> FileResponse:
     return FileResponse(report, headers={"Content-Security-Policy": _REPORT_POLICY})
+
+
+def _read_result(service: Service, job_id: str) -> dict[str, Any]:
+    file = _find_file(service, job_id, "result.json")
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
 def _find_file(

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from app.cli.summary import describe_effect, print_result, summarise_result
+from app.cli.summary import (
+    describe_effect,
+    print_result,
+    summarise_result,
+    warn_of_verdict,
+)
 from app.cli.terminal import (
     Json,
     OutputFolder,
@@ -88,6 +93,7 @@ def analyse(
         analysis = render_analysis(findings)
         on_progress(1.0, "writing")
         write_analysis(analysis, output)
+    warn_of_verdict(analysis.result["verdict"])
     if json:
         print_json(summarise_result(analysis.result, output))
     else:

@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 from app.cli.terminal import NotedProgress, print_stages, say
 from app.errors import JobError, MeasurementFailed, TruepathError
+from app.files.verdict import TITLES
 from app.jobs.transitions import FINAL
 
 READY_TIMEOUT_S = 60.0
@@ -87,10 +88,13 @@ def calibrate(address: str) -> None:
     try:
         job_id = measure_on_the_fly(client)
         say(f"calibrating on the fly: watch it at {address}/")
-        follow_to_the_end(client, job_id, print_stages(_describe_tenth, steps=10))
+        progress = print_stages(_describe_tenth, steps=10)
+        job = follow_to_the_end(client, job_id, progress)
     except TruepathError as error:
         say(f"the main job ended early: {error}")
         return
+    if job["verdict"] not in (None, "usable"):
+        say(f"warning: the result is {TITLES[job['verdict']].lower()}")
     result = f"{address}/api/v1/jobs/{job_id}/result"
     say(f"error tables with uncertainties stand at {address}/")
     say(f"  table   {result}/error-tables.csv")

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from app.cli.summary import print_result, summarise_result
+from app.cli.summary import print_result, summarise_result, warn_of_verdict
 from app.cli.terminal import NotedProgress, print_json, say, show_progress
 from app.compensation.export import remove_rigid_motion
 from app.errors import BadInput, MeasurementFailed, PlanningError
@@ -100,6 +100,7 @@ class Demo:
         write_analysis(analysis, self.output)
         write_bundle(run, self.output / "bundle")
         found = compare_with_truth(analysis.result, bench.truth_at)
+        warn_of_verdict(analysis.result["verdict"])
         if as_json:
             samples = {"samples": len(run.tracker), "lost_samples": lost}
             truth = {"against_truth": {**asdict(found), "left": found.left}}

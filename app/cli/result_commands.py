@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.summary import UNITS, find_unit
+from app.cli.summary import UNITS, find_unit, print_verdict, warn_of_verdict
 from app.cli.terminal import (
     Json,
     OutputFolder,
@@ -21,6 +21,7 @@ from app.cli.terminal import (
     require_folder,
     say,
 )
+from app.errors import BadInput, NotUsable
 
 
 def compare(
@@ -50,6 +51,7 @@ def compare(
     uncertainty = ReferenceUncertainty(reference_um, reference_urad)
     content = compare_files(result, reference, output, uncertainty)
     files = list_files(output)
+    warn_of_verdict(content["verdict"])
     if json:
         print_json(_summarise_comparison(content, files))
     else:
@@ -67,13 +69,26 @@ def export(
     spacing: Annotated[
         float, typer.Option(min=0.1, help="Of the rows of a table, mm.")
     ] = 10.0,
+    accept_verdict: Annotated[
+        bool,
+        typer.Option(
+            "--accept-verdict",
+            help="Write the files of a result that is not to be used all the same.",
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """A controller's compensation file, and what it leaves behind."""
     compute_on_one_thread()
     from app.compensation.export import export_files
 
-    account = export_files(result, format, output, spacing_mm=spacing)
+    try:
+        account = export_files(
+            result, format, output, spacing_mm=spacing, accept_verdict=accept_verdict
+        )
+    except NotUsable as error:
+        raise BadInput(f"{error} --accept-verdict writes it all the same") from error
+    warn_of_verdict(account["verdict"])
     sign = account["sign"]
     if not sign["verified"]:
         say(
@@ -100,6 +115,7 @@ def _print_compensation(account: Mapping[str, Any]) -> None:
 
 
 def _print_comparison(content: Mapping[str, Any], files: Sequence[Path]) -> None:
+    print_verdict(content["verdict"])
     columns = ("error", "largest |d|", "mean |d|", "largest |En|", "agree", "")
     title = f"Result less reference, {content['machine']}"
     print_table(title, columns, [*_yield_rows(content)])
@@ -114,6 +130,7 @@ def _summarise_comparison(
     kept = ("largest_difference", "mean_difference", "largest_en", "share_within")
     return {
         "schema": "comparison-summary/1",
+        "verdict": content["verdict"],
         "errors": {
             symbol: {k: v for k, v in error.items() if k.startswith(kept)}
             for symbol, error in content["errors"].items()

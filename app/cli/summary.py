@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from app.cli.terminal import list_files, print_files, print_table
+from app.cli.terminal import list_files, print_files, print_table, say
+from app.files.verdict import verdict_from_json
 
 Result = Mapping[str, Any]
 UNITS = {"um": "µm", "urad": "µrad"}
@@ -20,6 +21,7 @@ _EFFECT_KEYS = (
     "direction",
     "circle",
 )
+_MOST_REASONS = 12
 _KINDS = ("lowest", "highest", "uncertainty")
 
 
@@ -29,6 +31,7 @@ def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
         "schema": "summary/1",
         "machine": result["machine"]["name"],
         "mode": result["mode"],
+        "verdict": result["verdict"],
         "runs": [{"name": r["name"], "mode": r["mode"]} for r in result["runs"]],
         "error_tables": {
             symbol: {
@@ -48,7 +51,8 @@ def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
 
 
 def print_result(result: Result, folder: Path) -> None:
-    """Print the error tables in short, the squarenesses and what stayed unseen."""
+    """Print the verdict, the error tables in short, and what stayed unseen."""
+    print_verdict(result["verdict"])
     rows = [
         (symbol, f"{low:.1f}", f"{high:.1f}", f"{uncertainty:.2f}", UNITS[unit])
         for symbol, unit, low, high, uncertainty in _yield_spans(result)
@@ -75,6 +79,25 @@ def print_result(result: Result, folder: Path) -> None:
     if (trials := result["monte_carlo"]) is not None:
         print(_describe_trials(trials))
     print_files(list_files(folder))
+
+
+def warn_of_verdict(stated: Result) -> None:
+    """Say on standard error that a result is not simply usable, if it is not."""
+    objection = verdict_from_json(stated).objection
+    if objection:
+        say(f"warning: the result is {objection}")
+
+
+def print_verdict(stated: Result) -> None:
+    """Print what a result says of itself, the worst first; nothing if it is nothing."""
+    verdict = verdict_from_json(stated)
+    if verdict.objection:
+        print(f"*** {verdict.title.upper()} ***")
+    ranked = sorted(verdict.reasons, key=lambda reason: -reason.severity)
+    for reason in ranked[:_MOST_REASONS]:
+        print(f"- {reason} {reason.remedy}".rstrip())
+    if len(ranked) > _MOST_REASONS:
+        print(f"- and {len(ranked) - _MOST_REASONS} more")
 
 
 def _summarise_trials(result: Result) -> dict[str, Any] | None:

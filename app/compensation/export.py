@@ -23,10 +23,11 @@ from app.compensation.format import (
     CompensationTables,
     Correction,
 )
-from app.errors import BadInput
+from app.errors import BadInput, NotUsable
 from app.files.file_model import encode_json
 from app.files.result_file import read_result
 from app.files.units import UM_PER_MM
+from app.files.verdict import verdict_json
 from app.files.whole_files import replace_file
 from app.kinematics.model import CatalogueEffect
 from app.kinematics.symbols import is_positioning
@@ -59,16 +60,23 @@ def export_files(
     output: str | Path,
     *,
     spacing_mm: float = SPACING_MM,
+    accept_verdict: bool = False,
 ) -> dict[str, Any]:
     """Write the files of a format beside `output`, and their account as `STEM.json`.
 
     A single file is written to `output` itself; the names of several begin with the
     stem of `output`. Returns the account, `files` as paths.
 
-    Raises BundleError with the place in the result, BadInput as `export_result`.
+    accept_verdict : write the files of a result that is not to be used all the same
+
+    Raises BundleError with the place in the result, BadInput as `export_result`,
+    NotUsable where the result is not to be used.
     """
     suffix, place = _load_format(name).suffix, Path(output)
-    errors = map_errors(read_result(result))
+    loaded = read_result(result)
+    if loaded.verdict.state == "not-usable" and not accept_verdict:
+        raise NotUsable(f"{result}: the result is {loaded.verdict.objection}")
+    errors = map_errors(loaded)
     export = export_result(errors, name, place.stem, spacing_mm=spacing_mm)
     place.parent.mkdir(parents=True, exist_ok=True)
     alone = len(export.files) == 1 and place.suffix not in ("", suffix)
@@ -152,6 +160,7 @@ def _find_interpolation_loss_um(
 def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
     machine, provenance = errors.machine, errors.result.provenance
+    verdict = errors.result.verdict
     offsets = "; ".join(
         ", ".join(f"{v:g}" for v in target.offset_mm) for target in machine.targets
     )
@@ -161,6 +170,7 @@ def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
         f"target offset {offsets} mm",
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
+        *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
     )
     kept = (line.encode("ascii", "replace").decode() for line in lines)
     return tuple(" ".join(line.replace("#", " ").split()) for line in kept)
@@ -176,6 +186,7 @@ def _describe_content(
         "kinematic_chain": machine.chain,
         "target_offset_mm": [list(t.offset_mm) for t in machine.targets],
         "provenance": errors.result.provenance,
+        "verdict": verdict_json(errors.result.verdict),
         "sign": {"rule": kind.sign, "verified": kind.sign_is_verified},
         "carries": kind.carries,
         "not_carried": kind.not_carried

@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from app.files.file_model import FileModel, Text, parse_json, refuse, validate
 from app.files.machine_file import MachineFile
 from app.files.model_file import EstimatedModel, model_from_json
-from app.files.verdict import Reason, State, Value, Verdict, restore_verdict
+from app.files.verdict import State, Value, Verdict, verdict_from_json
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
 
@@ -148,8 +148,7 @@ class _Document(FileModel):
         """Return the verdict; a file without one is of a result that is usable."""
         if self.verdict is None:
             return Verdict()
-        known = [Reason(d.kind, d.state, d.values, d.run) for d in self.verdict.details]
-        return restore_verdict(self.verdict.state, self.verdict.reasons, known)
+        return verdict_from_json(self.verdict.model_dump())
 
     def half_differences_um(self) -> dict[str, Table]:
         """Return the half difference of each axis that the file states one for."""

@@ -6,12 +6,17 @@ language. The unit of a value stands in its name, as everywhere in files.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 State = Literal["usable", "doubtful", "not-usable"]
 STATES: tuple[State, ...] = ("usable", "doubtful", "not-usable")  # from best to worst
+TITLES: Mapping[State, str] = {
+    "usable": "Usable",
+    "doubtful": "Doubtful",
+    "not-usable": "Not to be used",
+}
 Value = int | float | str
 
 
@@ -58,6 +63,8 @@ SENTENCES: Mapping[str, Sentence] = {
 }
 """Every kind of reason; the operator page says the same kinds in its languages."""
 
+_NAMED = 3  # reasons in one line
+
 # Decimals and sign of a value by the last word of its name.
 _SHOWN = {
     "s": (1, " s"),
@@ -89,6 +96,11 @@ class Reason:
         return f"Run {self.run}: {text}" if self.run else text
 
     @property
+    def severity(self) -> int:
+        """How bad it is: 0 where a result with this reason may be used."""
+        return STATES.index(self.state)
+
+    @property
     def remedy(self) -> str:
         """What to do about it; may be empty."""
         return SENTENCES[self.kind].remedy
@@ -106,8 +118,21 @@ class Verdict:
     @property
     def state(self) -> State:
         """The worst that any reason asks for."""
-        worst = max((STATES.index(r.state) for r in self.reasons), default=0)
-        return STATES[worst]
+        return STATES[max((reason.severity for reason in self.reasons), default=0)]
+
+    @property
+    def title(self) -> str:
+        """The state in words."""
+        return TITLES[self.state]
+
+    @property
+    def objection(self) -> str:
+        """Why it is not simply usable, in a line; empty where it is."""
+        if self.state == "usable":
+            return ""
+        grave = [str(reason) for reason in self.reasons if reason.severity]
+        more = [f"And {len(grave) - _NAMED} more."] if len(grave) > _NAMED else []
+        return f"{self.title.lower()}: {' '.join(grave[:_NAMED] + more)}"
 
     @staticmethod
     def merge(verdicts: Iterable[Verdict]) -> Verdict:
@@ -115,18 +140,18 @@ class Verdict:
         return Verdict(tuple(reason for v in verdicts for reason in v.reasons))
 
 
-def restore_verdict(
-    state: State, texts: Sequence[str], reasons: Sequence[Reason]
-) -> Verdict:
+def verdict_from_json(content: Mapping[str, Any]) -> Verdict:
     """Return the verdict that a file states.
-
-    texts : its sentences; reasons : what they are of, where the file says so
 
     A file may be of another version, or written by hand: where its reasons cannot be
     said, or do not carry its state, its sentences are kept as they are.
     """
-    restored = Verdict(tuple(reasons))
-    if [*map(_say, reasons)] == [*texts] and restored.state == state:
+    state, texts = content["state"], list(content["reasons"])
+    names = "kind", "state", "values", "run"
+    details = ({n: detail[n] for n in names} for detail in content.get("details", ()))
+    reasons = tuple(Reason(**detail) for detail in details)
+    restored = Verdict(reasons)
+    if [_say(reason) for reason in reasons] == texts and restored.state == state:
         return restored
     texts = texts or ["The file states no reason."]
     return Verdict(tuple(Reason(STATED, state, {"text": text}) for text in texts))

@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from app.files.verdict import State as VerdictState
 from app.jobs.transitions import FINAL, State
 from app.numerics.adaptive_trials import TrialPlan
 
@@ -121,6 +122,7 @@ class Job:
         of the discovery that asks for them
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
     monte_carlo : the trials that an analysis holds its uncertainty against
+    verdict : state of its result, once that stands: usable, doubtful or not-usable
     """
 
     kind: JobKind
@@ -139,6 +141,7 @@ class Job:
     monte_carlo: TrialPlan | None = None
     target_um: float | None = None
     early_end: EarlyEnd | None = None
+    verdict: VerdictState | None = None
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None

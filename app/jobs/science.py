@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
+from app.files.verdict import State
 from app.files.whole_files import sync_to_disk
 from app.jobs.runs import open_recorded
 from app.jobs.workers import Workers, open_workers
@@ -25,8 +26,10 @@ def analyse_recorded(
     model_id: str | None = None,
     *,
     on_progress: Progress,
-) -> None:
+) -> State:
     """Analyse Runs together and write the result into `folder`, whole or not at all.
+
+    Returns the state of its verdict.
 
     monte_carlo : trials to hold the uncertainty against, cut into blocks for `workers`
     model_file, model_id : the model whose effects are estimated beside, if any
@@ -51,6 +54,7 @@ def analyse_recorded(
     analysis = render_analysis(findings)
     _replace(Path(folder), lambda part: write_analysis(analysis, part))
     on_progress(1.0, "reporting")
+    return findings.verdict.state
 
 
 def discover_recorded(

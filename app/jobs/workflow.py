@@ -113,7 +113,8 @@ class _JobSteps:
             run_ids = (*run_ids, job.id)
         if job.kind.analyses:
             how = job.perpendicular_only, job.monte_carlo, context.workers
-            self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
+            verdict = self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
+            self.active.store_values(verdict=verdict)
         if job.kind.discovers:
             self._conclude(run_ids, Stage.DISCOVERING, context.discoverer)
 
@@ -223,12 +224,15 @@ class _JobSteps:
 
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
-    ) -> None:
-        """Let a task write its files about Runs and, where one is named, a model."""
+    ) -> Any:
+        """Let a task write its files about Runs and, where one is named, a model.
+
+        Returns what the task does.
+        """
         files = [str(self.context.runs.file(run_id)) for run_id in run_ids]
         folder = str(self.context.results / self.job.id)
         model = self._find_model()
-        self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+        return self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
 
     def _find_model(self) -> tuple[str | None, str | None]:
         """Return file and identifier of the model that the job builds on, if any."""

@@ -37,7 +37,7 @@ def render_analysis(found: Findings) -> Analysis:
     return Analysis(
         found,
         result_json(found),
-        error_tables_csv(found.tables),
+        error_tables_csv(found.tables, found.verdict),
         render_calibration_report(found),
     )
 

@@ -56,6 +56,7 @@ def render_calibration_report(findings: Findings) -> str:
             "machine": findings.estimate.model.machine.name,
             "measured": name_runs(findings),
             "created": f"{created:%Y-%m-%d %H:%M} {created.tzname() or ''}",
+            "verdict": findings.verdict,
             "before": before.mean.value_um,
             "largest": state_figure(before.largest),
             "after": after.mean.value_um,

@@ -8,6 +8,7 @@ from typing import Any
 from app.files.file_model import encode_json
 from app.files.recorded_files import decode_reference
 from app.files.result_file import read_result
+from app.files.verdict import Verdict
 from app.files.whole_files import write_files
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import describe_symbol
@@ -39,10 +40,11 @@ def render_comparison_report(
     comparison: Comparison,
     volume: ComparedVolume | None,
     names: dict[str, str],
+    verdict: Verdict,
 ) -> str:
     """Return the page.
 
-    names : of the result and the reference
+    names : of the result and the reference; verdict : of the result
     """
     errors = [
         e for kind in KINDS for e in comparison.errors if classify(e.symbol) == kind
@@ -51,6 +53,7 @@ def render_comparison_report(
         "comparison.html",
         {
             "machine": machine.name,
+            "verdict": verdict,
             "result": names["result"],
             "reference": names["reference"],
             "rows": [_state_number(one) for one in (*errors, *comparison.numbers)],
@@ -132,8 +135,9 @@ def compare_files(
         "result": Path(result).name,
         "reference": Path(reference).name,
     }
-    content = comparison_json(comparison, volume, names)
-    page = render_comparison_report(loaded.machine, comparison, volume, names)
+    verdict = loaded.verdict
+    content = comparison_json(comparison, volume, names, verdict)
+    page = render_comparison_report(loaded.machine, comparison, volume, names, verdict)
     files = {
         TABLE: comparison_csv(comparison).encode(),
         PAGE: page.encode(),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from app.files.verdict import Verdict, verdict_json
 from app.kinematics.symbols import is_straightness, is_turn
 from app.results.comparison import (
     ComparedError,
@@ -34,15 +35,19 @@ def classify(symbol: str) -> str:
 
 
 def comparison_json(
-    comparison: Comparison, volume: ComparedVolume | None, names: dict[str, str]
+    comparison: Comparison,
+    volume: ComparedVolume | None,
+    names: dict[str, str],
+    verdict: Verdict,
 ) -> dict[str, Any]:
     """Return the content of `comparison.json`; uncertainties are standard ones.
 
-    names : of the machine, the result and the reference
+    names : of the machine, the result and the reference; verdict : of the result
     """
     return {
         "schema": SCHEMA,
         **names,
+        "verdict": verdict_json(verdict),
         "convention": "positioning and turns are 0 at the axis zero, else at the "
         "lowest position; straightness is 0 there and at the highest position; the "
         "mean of both directions",

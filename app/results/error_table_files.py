@@ -7,23 +7,27 @@ from typing import Any
 
 from app.estimation.extrapolation import Ranges
 from app.estimation.observability import Observability
+from app.files.verdict import Verdict
 from app.kinematics.machine import Machine, position_unit
 from app.results.error_tables import ErrorTable, ErrorTables
 
 HEADER = ["error", "position_mm", "value", "uncertainty", "unit", "extrapolated"]
 
 
-def error_tables_csv(tables: ErrorTables) -> str:
+def error_tables_csv(tables: ErrorTables, verdict: Verdict) -> str:
     """Return every value on a row of its own; uncertainties are standard ones (k = 1).
 
     A squareness belongs to no position: its cell is empty. `extrapolated` is 1 beyond
     the measured range of the axis. A machine with rotary axes has a further column,
-    `position_deg`.
+    `position_deg`. The last column is the state of the verdict: rows that are copied
+    elsewhere take it along.
     """
     turns = any(table.position_unit == "deg" for table in tables.tables)
-    rows = [[*HEADER, "position_deg"], *_list_rows(tables, turns=turns)]
     cells = len(HEADER) + turns
-    return "".join(f"{','.join(row[:cells])}\n" for row in rows)
+    head = [*HEADER, "position_deg"][:cells]
+    rows = (row[:cells] for row in _list_rows(tables, turns=turns))
+    full = [[*head, "verdict"], *([*row, verdict.state] for row in rows)]
+    return "".join(f"{','.join(row)}\n" for row in full)
 
 
 def _list_rows(tables: ErrorTables, *, turns: bool) -> Iterator[list[str]]:

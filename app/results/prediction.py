@@ -95,6 +95,8 @@ def _list_warnings(
     position: Float64[np.ndarray, "n a"],
     targets: Sequence[str],
 ) -> Iterator[str]:
+    if result.verdict.objection:
+        yield f"the result is {result.verdict.objection}"
     outside = int(_find_outside(result.machine, position).sum())
     if outside:
         travel = ", ".join(

@@ -1,6 +1,7 @@
 """Reasons as sentences, as JSON and back; the state that they ask for together."""
 
 import json
+from dataclasses import asdict
 from string import Formatter
 
 import pytest
@@ -9,7 +10,7 @@ from app.files.verdict import (
     SENTENCES,
     Reason,
     Verdict,
-    restore_verdict,
+    verdict_from_json,
     verdict_json,
 )
 
@@ -19,12 +20,6 @@ LEFT_OUT = Reason(
     {"samples": 42, "line": 7, "from_s": 61.25, "to_s": 61.33, "distance_um": 5012.0},
 )
 BEYOND = Reason("fit-beyond-noise", "not-usable", {"ratio": 3.5, "limit_ratio": 1.3})
-
-
-def restore(content):
-    stated = json.loads(json.dumps(content))
-    details = [Reason(**{k: v for k, v in d.items() if k != "remedy"}) for d in stated]
-    return details
 
 
 def test_a_reason_is_a_sentence_with_its_numbers_and_units():
@@ -55,8 +50,7 @@ def test_a_verdict_is_restored_from_its_file():
     content = json.loads(json.dumps(verdict_json(verdict)))
     assert content["state"] == "not-usable"
     assert content["reasons"] == [str(LEFT_OUT), str(BEYOND)]
-    known = restore(content["details"])
-    assert restore_verdict(content["state"], content["reasons"], known) == verdict
+    assert verdict_from_json(content) == verdict
 
 
 @pytest.mark.parametrize(
@@ -70,7 +64,8 @@ def test_a_verdict_is_restored_from_its_file():
     ],
 )
 def test_a_state_stands_whatever_its_reasons_are(state, texts, known):
-    restored = restore_verdict(state, texts, known)
+    details = [asdict(reason) for reason in known]
+    restored = verdict_from_json({"state": state, "reasons": texts, "details": details})
     assert restored.state == state
     assert [str(r) for r in restored.reasons] == (
         texts or ["The file states no reason."]

@@ -12,6 +12,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from app.files.verdict import Verdict, verdict_json
 from app.jobs.errors import Aborted
 from app.measurement.messages import (
     CellEvent,
@@ -303,9 +304,11 @@ class Science:
 
     hold : set it to let the task wait at its first report until it is released
     raises : what the task ends with instead
+    verdict : of the result
     """
 
     def __init__(self):
+        self.verdict = Verdict()
         self.hold: threading.Event | None = None
         self.raises: Exception | None = None
         self.calls: list[tuple] = []
@@ -338,6 +341,7 @@ class Science:
         result = {
             "schema": "result/1",
             "machine": {"name": "demo"},
+            "verdict": verdict_json(self.verdict),
             "error_tables": {"EXX": {"position_mm": [0.0], "value_um": [1.0]}},
             "squareness_urad": {"C0Y": {"value": 1.0, "uncertainty": 0.1}},
         }
@@ -345,6 +349,7 @@ class Science:
         (place / "error_tables.csv").write_text("error,position_mm\nEXX,0.0\n")
         (place / "report.html").write_text("<!DOCTYPE html><title>Report</title>")
         on_progress(1.0, "reporting")
+        return self.verdict.state
 
 
 class Explorer:

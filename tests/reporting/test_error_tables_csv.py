@@ -6,12 +6,15 @@ import io
 import numpy as np
 import pytest
 
+from app.files.verdict import Reason, Verdict
 from app.results.error_table_files import error_tables_csv
 
 
 @pytest.fixture
 def rows(found):
-    return list(csv.DictReader(io.StringIO(error_tables_csv(found.tables))))
+    return list(
+        csv.DictReader(io.StringIO(error_tables_csv(found.tables, found.verdict)))
+    )
 
 
 def test_each_value_stands_with_its_uncertainty_and_unit(found, rows):
@@ -39,4 +42,13 @@ def test_nothing_is_said_of_what_is_not_known(found, rows):
 
 
 def test_no_zero_carries_a_minus_sign(found):
-    assert "-0.00000" not in error_tables_csv(found.tables)
+    assert "-0.00000" not in error_tables_csv(found.tables, found.verdict)
+
+
+def test_every_row_says_whether_the_result_may_be_used(found, rows):
+    assert {r["verdict"] for r in rows} == {"usable"}
+    spoilt = Verdict((Reason("fit-beyond-noise", "not-usable", {}),))
+    text = error_tables_csv(found.tables, spoilt)
+    read = list(csv.DictReader(io.StringIO(text)))
+    assert {r["verdict"] for r in read} == {"not-usable"}
+    assert len(read) == len(rows)

@@ -39,7 +39,9 @@ def graded(partly, provenance):
 
 
 def test_every_extrapolated_value_is_marked_in_the_csv_file(graded):
-    rows = list(csv.DictReader(io.StringIO(error_tables_csv(graded.tables))))
+    rows = list(
+        csv.DictReader(io.StringIO(error_tables_csv(graded.tables, graded.verdict)))
+    )
     for row in rows:
         if row["position_mm"]:
             low, high = MEASURED[row["error"][2]]
