@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
+from app.errors import Unidentifiable
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit, select_fit
 from app.estimation.extrapolation import Ranges, find_measured_ranges, soften_ends
@@ -22,7 +23,11 @@ from app.estimation.knots import (
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel, floor_mm
 from app.estimation.noise_fit import guess_noise, refine_runs
-from app.estimation.observability import Observability, assess_observability
+from app.estimation.observability import (
+    Observability,
+    assess_observability,
+    name_undetermined,
+)
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInformation, RunInput
 from app.files.model_file import EstimatedModel
@@ -144,30 +149,24 @@ def estimate(
     Raises Unidentifiable if the lines do not determine the error motions.
     """
     known = known or KnownEffects()
-    nested = models.nested
-    fine = [
+    seen = [
         replace(each, at=replace(each.at, run=k)) for k, each in enumerate(observed)
     ]
-    seen = join_cells(fine, nested.alone)
-    guessed = [
-        guess_noise(each, perpendicular_only=perpendicular_only) for each in seen
-    ]
     inputs = tuple(
-        RunInput(each, each.pose, noise)
-        for each, noise in zip(seen, guessed, strict=True)
-    )
-    inputs = refine_runs(models.coarse, inputs, known=known)
-    on_progress(0.5)
-    fit = select_fit(inputs, nested, known)
-    while intervals := find_intervals(fit):
-        nested = NestedModels(refine_motions(nested.alone, intervals))
-        seen = join_cells(fine, nested.alone)
-        inputs = tuple(
-            replace(run, observations=each)
-            for run, each in zip(inputs, seen, strict=True)
+        RunInput(
+            each, each.pose, guess_noise(each, perpendicular_only=perpendicular_only)
         )
-        fit = select_fit(inputs, nested, known)
-    fit = soften_ends(fit)
+        for each in join_cells(seen, models.nested.alone)
+    )
+    try:
+        inputs = refine_runs(models.coarse, inputs, known=known)
+        on_progress(0.5)
+        fit = soften_ends(_fit(inputs, seen, models.nested, known))
+    except Unidentifiable as error:
+        undetermined = name_undetermined(models.shapes, inputs)
+        if not undetermined:
+            raise
+        raise Unidentifiable("; ".join(undetermined)) from error
     on_progress(0.9)
     observability = assess_observability(models.shapes, inputs)
     measured = find_measured_ranges(*observed)
@@ -190,6 +189,27 @@ def estimate(
     )
     on_progress(1.0)
     return found
+
+
+def _fit(
+    inputs: Sequence[RunInput],
+    seen: Sequence[Observations],
+    nested: NestedModels,
+    known: KnownEffects,
+) -> Fit:
+    """Return the fit whose knots are as close as the error motions need.
+
+    seen : of each Run, in the shortest cells
+    """
+    fit = select_fit(inputs, nested, known)
+    while intervals := find_intervals(fit):
+        nested = NestedModels(refine_motions(nested.alone, intervals))
+        inputs = [
+            replace(run, observations=cells)
+            for run, cells in zip(inputs, join_cells(seen, nested.alone), strict=True)
+        ]
+        fit = select_fit(inputs, nested, known)
+    return fit
 
 
 def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:

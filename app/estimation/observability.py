@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.separation import describe_confounded
-from app.kinematics.effects.base import ErrorCurve
+from app.kinematics.effects.base import Effect, ErrorCurve
 from app.kinematics.effects.error_motion import make_error_motion
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -33,6 +33,8 @@ _TAKES_PART = 0.25  # of the largest part, at the tool
 _MOST = 3  # shapes that are named
 _MOST_PARTNERS = 3  # more motions than these are not named
 _STRAIGHT = 0.05  # of a slope's square: below it a motion is straight
+_BLIND_SHARE = 1e-10  # of the best determined straight shape: rounding
+_STILL = 0.02  # of its travel: an axis that rests
 _GRID = 41  # places of an axis at which its form is looked at
 
 
@@ -168,6 +170,64 @@ def describe_form(motion: ErrorCurve, theta: Float64[np.ndarray, " p"]) -> str:
 def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) -> float:
     square = float(value @ form) ** 2 / float(form @ form)
     return square / max(float(value @ value), 1e-300)
+
+
+def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> tuple[str, ...]:
+    """Say which straight shapes the data do not determine, and which lines do.
+
+    A prior that charges bending alone says nothing of straight shapes: errors that grow
+    along an axis, squarenesses. So all is determined where the data determine those,
+    and only there. Raises Unidentifiable if not even the set-up is.
+    """
+    model, gram = shapes.model, shapes.gram
+    found = combine_runs(collect_information(runs, model)).matrix
+    unit = np.diag(diagonal_precision(model.parameters, USUAL)) ** -0.5
+    straight = np.concatenate(
+        [
+            np.pad(
+                _list_free_shapes(effect),
+                ((part.start, model.size - part.stop), (0, 0)),
+            )
+            for effect in model.effects
+            for part in (model.slices[effect.name],)
+        ],
+        axis=1,
+    )
+    basis = unit[:, None] * straight
+    value, vector = np.linalg.eigh(basis.T @ found @ basis)
+    blind = basis @ vector[:, value < _BLIND_SHARE * value[-1]]
+    travelled = [run.observations.at.position_mm for run in runs]
+    moved = np.ptp(np.concatenate(travelled), axis=0)
+    still = [
+        axis.name
+        for axis, by in zip(model.machine.axes, moved, strict=True)
+        if by < _STILL * (axis.high - axis.low)
+    ]
+    said = dict.fromkeys(
+        _say_undetermined(_name_shape(model, gram, shape, 1.0, 0.0), still)
+        for shape in blind.T
+    )
+    return tuple(said)
+
+
+def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
+    """Return the shapes of an effect that its prior does not charge."""
+    charge, size = effect.prior(), len(effect.parameters)
+    if charge is None:
+        return np.eye(size)
+    _, shapes = np.linalg.eigh(charge.form)
+    return shapes[:, : size - charge.rank]
+
+
+def _say_undetermined(shape: PoorlyObservableShape, still: Sequence[str]) -> str:
+    who = " together with ".join(shape.symbols[: 1 + _MOST_PARTNERS])
+    axes = sorted({symbol[2] for symbol in shape.symbols})
+    resting = [axis for axis in axes if axis in still]
+    if resting:
+        mend = f"add lines that move {' and '.join(resting)} over the travel"
+    else:
+        mend = f"add lines along {' and '.join(axes)} where the other axes differ"
+    return f"{who}: the lines do not determine {shape.form}; {mend}"
 
 
 _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one

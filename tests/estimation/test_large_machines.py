@@ -1,0 +1,107 @@
+"""Machines of several metres: determined, with knots where a motion needs them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.errors import Unidentifiable
+from app.estimation.knots import compute_hidden_variance
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.kinematics.identifiable import build_identifiable_model
+from drivers.interfaces.records import Path, TrackerSamples
+from simulators import paths, synthetic
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+from simulators.truth_machine import join_rack, random_machine
+from tests.estimation.estimating import estimate
+
+LONG = (3000.0, 800.0, 600.0)
+GANTRY = (6000.0, 2500.0, 1200.0)
+
+
+def _record(travel_mm, rows, *, step_mm=0.0, level=None):
+    """Drive random lines at 24 m/min; `level` holds Z there."""
+    content = load_machine("demo")
+    content["kinematic_chain"] = "w-b-X-Y-Z-t"
+    content["axes"] = {
+        name: {"type": "linear", "min_mm": 0.0, "max_mm": length}
+        for name, length in zip("XYZ", travel_mm, strict=True)
+    }
+    machine = parse_machine(content)
+    truth = random_machine(machine, 3)
+    if step_mm:
+        truth = join_rack(truth, "X", 3, step_mm)
+    program = paths.chord_path(machine, 3, rows, 24_000.0)
+    if level is not None:
+        position = program.position.copy()
+        position[:, 2] = level
+        program = replace(program, position=position)
+    setting = synthetic.Setting(truth=truth, sensors=False)
+    recording = synthetic.record(content, program, 3, "otf", setting)
+    samples = TrackerSamples(
+        np.arange(len(recording)),
+        recording.time_s,
+        recording.position_mm,
+        recording.status,
+    )
+    nominal = machine_from_json(content, file="machine.json")
+    commanded = Path(
+        nominal.axis_names, program.position, program.feed_mm_s * 60.0, program.dwell_s
+    )
+    return Run("large", nominal, commanded, samples, None), truth
+
+
+def _curves(found, truth, symbol, at):
+    """Estimate, uncertainty and truth of a motion, all without a straight line."""
+    motion = next(m for m in found.model.error_motions if m.name == symbol)
+    part = found.model.slices[symbol]
+    line = np.stack([np.ones(len(at)), at], axis=1)
+    free = np.eye(len(at)) - line @ np.linalg.pinv(line)
+    rows = free @ motion.rows(at)
+    true = free @ truth.error_motions()[symbol].at(at)
+    variance = np.einsum("np,pq,nq->n", rows, found.covariance[part, part], rows)
+    return rows @ found.theta[part], np.sqrt(variance), true
+
+
+def test_a_gantry_of_six_metres_is_determined():
+    run, truth = _record(GANTRY, 50)
+    found = estimate(align(run))
+    at = np.linspace(0.0, GANTRY[0], 121)
+    value, sigma, true = _curves(found, truth, "EXX", at)
+    assert np.abs(value - true).max() < 0.25 * np.abs(true).max()
+    assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.85
+
+
+def test_a_smooth_machine_has_few_knots_and_a_rack_of_pieces_as_many_as_it_needs():
+    at = np.linspace(0.0, LONG[0], 601)
+    smooth, _ = _record(LONG, 40)
+    pieces, truth = _record(LONG, 40, step_mm=0.008)
+    few = estimate(align(smooth)).model
+    found = estimate(align(pieces))
+    sizes = {m.name: m.spline.size for m in found.model.error_motions}
+    assert {m.spline.size for m in few.error_motions if m.axis.name == "X"} == {49}
+    assert sizes["EXX"] > 80
+    assert sizes["ECX"] == 49
+    value, sigma, true = _curves(found, truth, "EXX", at)
+    assert np.sqrt(np.mean((value - true) ** 2)) < 0.0012
+    assert (np.abs(value - true) < 2.0 * sigma).mean() > 0.9
+
+
+def test_what_knots_hide_falls_with_the_cube_of_their_distance():
+    run, _ = _record(LONG, 12)
+    offset = np.array([run.machine.target().offset_mm])
+    model, _ = build_identifiable_model(run.machine, offset)
+    motion = next(m for m in model.error_motions if m.name == "EXX")
+    coarse, fine = (compute_hidden_variance(motion.coarsen(n), 1e6) for n in (40, 80))
+    assert coarse == pytest.approx(8.0 * fine)
+
+
+def test_an_axis_that_rests_is_refused_by_name_with_the_lines_that_mend_it():
+    run, _ = _record((600.0, 500.0, 400.0), 24, level=200.0)
+    with pytest.raises(Unidentifiable, match=r"add lines that move .*Z"):
+        estimate(align(run))
