@@ -166,7 +166,7 @@ def estimate(
         undetermined = name_undetermined(models.shapes, inputs)
         if not undetermined:
             raise
-        raise Unidentifiable("; ".join(undetermined)) from error
+        raise Unidentifiable(undetermined) from error
     on_progress(0.9)
     observability = assess_observability(models.shapes, inputs)
     measured = find_measured_ranges(*observed)

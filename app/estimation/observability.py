@@ -172,9 +172,10 @@ def _share(value: Float64[np.ndarray, " n"], form: Float64[np.ndarray, " n"]) ->
     return square / max(float(value @ value), 1e-300)
 
 
-def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> tuple[str, ...]:
-    """Say which straight shapes the data do not determine, and which lines do.
+def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> str:
+    """Say which straight shapes the data do not determine, and which lines would.
 
+    Empty if they determine all.
     A prior that charges bending alone says nothing of straight shapes: errors that grow
     along an axis, squarenesses. So all is determined where the data determine those,
     and only there. Raises Unidentifiable if not even the set-up is.
@@ -196,18 +197,27 @@ def name_undetermined(shapes: ShapeModel, runs: Sequence[RunInput]) -> tuple[str
     basis = unit[:, None] * straight
     value, vector = np.linalg.eigh(basis.T @ found @ basis)
     blind = basis @ vector[:, value < _BLIND_SHARE * value[-1]]
-    travelled = [run.observations.at.position_mm for run in runs]
-    moved = np.ptp(np.concatenate(travelled), axis=0)
-    still = [
-        axis.name
-        for axis, by in zip(model.machine.axes, moved, strict=True)
-        if by < _STILL * (axis.high - axis.low)
-    ]
-    said = dict.fromkeys(
-        _say_undetermined(_name_shape(model, gram, shape, 1.0, 0.0), still)
-        for shape in blind.T
+    if not blind.shape[1]:
+        return ""
+    named = [_name_shape(model, gram, shape, 1.0, 0.0).symbols for shape in blind.T]
+    symbols = sorted({symbol for each in named for symbol in each})
+    return (
+        f"the lines do not determine {', '.join(symbols)}; "
+        f"add lines {_find_mending_lines(symbols, model.machine, runs)}"
     )
-    return tuple(said)
+
+
+def _find_mending_lines(
+    symbols: Sequence[str], machine: Machine, runs: Sequence[RunInput]
+) -> str:
+    """Say which lines show straight shapes of motions that those of the Runs do not."""
+    position = np.concatenate([run.observations.at.position_mm for run in runs])
+    pairs = zip(machine.axes, np.ptp(position, axis=0), strict=True)
+    still = [a.name for a, moved in pairs if moved < _STILL * (a.high - a.low)]
+    if still:
+        return f"that move {' and '.join(still)} over the travel"
+    axes = sorted({symbol[2] for symbol in symbols})
+    return f"along {' and '.join(axes)} where the other axes stand elsewhere"
 
 
 def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
@@ -217,17 +227,6 @@ def _list_free_shapes(effect: Effect) -> Float64[np.ndarray, "p f"]:
         return np.eye(size)
     _, shapes = np.linalg.eigh(charge.form)
     return shapes[:, : size - charge.rank]
-
-
-def _say_undetermined(shape: PoorlyObservableShape, still: Sequence[str]) -> str:
-    who = " together with ".join(shape.symbols[: 1 + _MOST_PARTNERS])
-    axes = sorted({symbol[2] for symbol in shape.symbols})
-    resting = [axis for axis in axes if axis in still]
-    if resting:
-        mend = f"add lines that move {' and '.join(resting)} over the travel"
-    else:
-        mend = f"add lines along {' and '.join(axes)} where the other axes differ"
-    return f"{who}: the lines do not determine {shape.form}; {mend}"
 
 
 _NULL_SPACE = 1e-6  # singular value relative to the largest, columns scaled to one
