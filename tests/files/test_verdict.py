@@ -73,10 +73,9 @@ def test_a_state_stands_whatever_its_reasons_are(state, texts, known):
 
 
 @pytest.mark.parametrize("kind", sorted(SENTENCES))
-def test_every_kind_is_a_sentence_and_says_what_to_do(kind):
+def test_every_kind_is_a_sentence_with_numbers_and_a_remedy(kind):
     text, remedy = SENTENCES[kind]
     names = [name for _, name, _, _ in Formatter().parse(text) if name]
     assert names
-    if kind != "stated":
-        assert text.endswith(".")
-        assert remedy.endswith(".")
+    assert text.endswith(".") or kind == "stated"
+    assert not remedy or remedy.endswith(".")

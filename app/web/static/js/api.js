@@ -86,6 +86,8 @@ export function upload(file) {
 export const links = {
   program: (id, dialect) => `${ROOT}/jobs/${id}/nc-program?dialect=${encodeURIComponent(dialect)}`,
   csv: (id) => `${ROOT}/jobs/${id}/result/error-tables.csv`,
+  /** The tables of a result that is not to be used: given out to who accepts that. */
+  acceptedCsv: (id) => `${links.csv(id)}?accept_verdict=true`,
   json: (id) => `${ROOT}/jobs/${id}/result`,
   discoveryReport: (id) => `${ROOT}/jobs/${id}/discovery/report.html`,
   model: (id) => `${ROOT}/models/${id}`,

@@ -22,8 +22,8 @@ export function t(key, values = {}) {
 }
 
 /** Text of a key, or `otherwise` where the catalogue has none: for words of the service. */
-export function known(key, otherwise) {
-  return key in texts ? t(key) : otherwise;
+export function known(key, otherwise, values = {}) {
+  return key in texts ? t(key, values) : otherwise;
 }
 
 /** Load another language and translate the shell. */

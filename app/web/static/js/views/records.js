@@ -5,6 +5,7 @@ import { addressOf, hasEnded } from "../flow.js";
 import { card, head, kindOf, linkButton, shapeOf, wordOf } from "../parts.js";
 import { dateTime, duration, number, t } from "../texts.js";
 import { dropZone } from "./drop.js";
+import { verdictMark } from "./verdict-band.js";
 
 /** Button that leads on. */
 export function lead({ job }, { go }) {
@@ -40,7 +41,8 @@ function jobTable(jobs, go) {
   if (!jobs.length) return h("p", { class: "empty" }, t("records.no_jobs"));
   const titles = [t("records.state"), t("records.kind"), t("records.created"), t("records.took")];
   return table(titles, jobs.map((job) => h("tr", {},
-    h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state))),
+    h("td", {}, h("span", { class: "job-state" }, icon(shapeOf(job.state)), wordOf(job.state)),
+      verdictMark(job)),
     h("td", {}, kindOf(job.kind)), h("td", {}, dateTime(job.created)), h("td", {}, took(job)),
     h("td", {}, h("div", { class: "row-actions" },
       h("button", { class: "button", type: "button", onclick: () => go(addressOf(job)) },

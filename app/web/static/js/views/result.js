@@ -11,6 +11,7 @@ import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
 import { trialsCard } from "./trials-card.js";
+import { verdictBand } from "./verdict-band.js";
 
 /** Button that leads on. */
 export function lead(state, { go }) {
@@ -32,7 +33,8 @@ export function mount(root, { actions }) {
     close();
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
-    root.replaceChildren(heading(job, result), verdict(run ?? job.health, result),
+    const band = verdictBand(result.verdict);
+    root.replaceChildren(heading(job, result), ...(band ? [band] : []), summary(run ?? job.health, result),
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
     body.append(...[trialsCard(job, result, actions), askCard(job, actions)].filter(Boolean));
@@ -53,20 +55,23 @@ function heading(job, result) {
   const machine = result.machine?.name ?? "";
   const said = t("result.text", { machine, kind: kindOf(job.kind), when: dateTime(job.ended ?? job.created) });
   const row = head(t("result.title"), said);
-  row.append(downloads(job));
+  row.append(downloads(job, result.verdict?.state));
   return row;
 }
 
-function downloads({ id, run_id }) {
+function downloads({ id, run_id }, state) {
+  // What is taken away says in its name what its columns say: nobody reads it by mistake.
+  const csv = state === "not-usable" ? [links.acceptedCsv(id), `not-to-be-used-${id}.csv`]
+    : [links.csv(id), `error_tables-${id}.csv`];
   return h("div", { class: "downloads", "aria-label": t("result.downloads"), role: "group" },
     linkButton(links.report(id), "report", t("result.report"), { target: "_blank", rel: "noopener" }),
-    linkButton(links.csv(id), "download", "CSV", { download: `error_tables-${id}.csv` }),
+    linkButton(csv[0], "download", "CSV", { download: csv[1] }),
     linkButton(links.json(id), "download", "JSON", { download: `result-${id}.json` }),
     run_id && linkButton(links.bundle(run_id), "download", t("result.bundle"), { download: `${run_id}.zip` }));
 }
 
 /** The few numbers that matter; `stream` counts the samples. */
-function verdict(stream, result) {
+function summary(stream, result) {
   const all = tablesByAxis(result).flatMap((group) => group.tables);
   const tables = all.filter((table) => table.known);
   const worst = (kind) => tables.filter((table) => table.kind === kind)
@@ -160,17 +165,17 @@ function chartCard(table) {
     return [h("article", { class: "chart is-missing", "data-symbol": table.symbol },
       h("header", {}, title), missing), null];
   }
-  const plot = h("div", { class: "chart-plot", role: "img", "aria-label": summary(table) });
+  const plot = h("div", { class: "chart-plot", role: "img", "aria-label": largest(table) });
   const element = h("article", { class: "chart", "data-symbol": table.symbol },
     h("header", {}, title, open), plot, read);
   return [element, (reach) => {
-    write(read, summary(table));
-    return drawErrors(plot, table, { reach, read: (text) => write(read, text || summary(table)) });
+    write(read, largest(table));
+    return drawErrors(plot, table, { reach, read: (text) => write(read, text || largest(table)) });
   }];
 }
 
 /** The largest value with its expanded uncertainty. */
-function summary(table) {
+function largest(table) {
   const at = table.values.reduce((best, v, i, all) => (Math.abs(v) > Math.abs(all[best]) ? i : best), 0);
   const expanded = COVERAGE * table.uncertainties[at];
   return t("result.largest", {

@@ -11,6 +11,7 @@ import { figure, unitOf } from "../units.js";
 import { estimateCard } from "./estimate-card.js";
 import { pathCard } from "./path-card.js";
 import { progressCard } from "./progress-card.js";
+import { verdictNotice } from "./verdict-band.js";
 
 const STAGES = {
   measure: ["planning", "measuring", "aligning", "estimating", "reporting"],
@@ -231,7 +232,7 @@ function key() {
 function endingOf(job) {
   const early = earlyEndNotice(job);
   if (!hasEnded(job)) return [job.error && errorNotice(job, "held"), early].filter(Boolean).map(below);
-  if (job.state === "succeeded") return early ? [below(early)] : [];
+  if (job.state === "succeeded") return [verdictNotice(job), early].filter(Boolean).map(below);
   const kept = isMeasuring(job) && job.run_id ? t("run.kept") : "";
   const said = errorNotice(job) ?? notice("fault", wordOf(job.state), t("run.ended", { kind: kindOf(job.kind) }), kept);
   return [below(said)];

@@ -1,0 +1,60 @@
+/* What a result says of itself: loud where it is not simply usable. */
+import { h, icon } from "../dom.js";
+import { notice } from "../parts.js";
+import { known, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+
+const STATES = ["usable", "doubtful", "not-usable"];
+
+/** Values of a reason by the last word of their name, which is their unit. */
+const SHOWN = {
+  s: (value) => `${number(value, 1)} s`,
+  um: (value) => quantity(value, "error"),
+  mm: (value) => quantity(value, "length"),
+  percent: (value) => `${number(value, 1)} %`,
+  ratio: (value) => number(value, 2),
+};
+
+function shown(name, value) {
+  if (typeof value === "string") return value;
+  const show = SHOWN[name.split("_").at(-1)];
+  return show ? show(value) : number(value, Number.isInteger(value) ? 0 : 2);
+}
+
+/** A reason in the language of the page; in the service's words where it is of a kind unknown here. */
+function sentence({ kind, run, values, remedy }, said) {
+  const texts = Object.fromEntries(Object.entries(values).map(([name, value]) => [name, shown(name, value)]));
+  const own = known(`verdict.${kind}`, null, texts);
+  if (own === null) return [said, remedy];
+  return [run ? `${t("verdict.run", { run })} ${own}` : own, known(`verdict.${kind}_remedy`, remedy)];
+}
+
+/** The band above a result; null where there is nothing to know. */
+export function verdictBand(verdict) {
+  if (!verdict || (verdict.state === "usable" && !verdict.reasons.length)) return null;
+  const { state, reasons, details = [] } = verdict;
+  const lines = reasons.map((said, i) => {
+    const detail = details[i] ?? { kind: "", state, values: {}, remedy: "" };
+    const [text, remedy] = sentence(detail, said);
+    return { rank: STATES.indexOf(detail.state), text, remedy };
+  });
+  lines.sort((a, b) => b.rank - a.rank);
+  const list = h("ul", {}, lines.map(({ rank, text, remedy }) =>
+    h("li", { class: rank > 0 ? "is-grave" : null }, text, remedy && h("span", {}, ` ${remedy}`))));
+  return h("section", { class: "verdict-band", "data-verdict": state, role: state === "usable" ? "note" : "alert" },
+    icon(state === "usable" ? "info" : "warning"),
+    h("div", {}, h("h2", {}, t(`verdict.${state}`)), h("p", {}, t(`verdict.${state}_means`)), list));
+}
+
+/** The state of a job's result in a word; null where the result is simply usable. */
+export function verdictMark({ verdict }) {
+  if (!verdict || verdict === "usable") return null;
+  return h("span", { class: "verdict-mark", "data-verdict": verdict }, icon("warning"), t(`verdict.${verdict}`));
+}
+
+/** The same as a notice on the run that has ended. */
+export function verdictNotice({ verdict }) {
+  if (!verdict || verdict === "usable") return null;
+  return notice(verdict === "doubtful" ? "held" : "fault", t(`verdict.${verdict}`),
+    t(`verdict.${verdict}_means`), t("verdict.see_result"));
+}
