@@ -9,6 +9,7 @@ import numpy as np
 
 from app.alignment.align import align
 from app.alignment.observations import Observations, add_surroundings
+from app.alignment.reduction import CELL_MM
 from app.discovery.findings import Finding, Gap, measure_gap, state_findings
 from app.discovery.residual_location import RunResidual, locate_residual
 from app.discovery.term_fitter import TermFit, TermFitter
@@ -29,6 +30,7 @@ from app.kinematics.effects.catalogue import list_families
 from app.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
+_MOST_CELLS = 12_000  # of all Runs: memory and time grow with them
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,23 @@ def align_runs(runs: Sequence[Run]) -> tuple[AlignedRun, ...]:
 
     Raises AlignmentError if stream and path of a Run do not belong together.
     """
+    cell_mm = max(FINE_CELL_MM, sum(map(_measure_way, runs)) / _MOST_CELLS)
     return tuple(
         AlignedRun(
             run,
-            _add_surroundings(run, align(run, cell_mm=FINE_CELL_MM), number),
-            _add_surroundings(run, align(run), number),
+            _add_surroundings(run, align(run, cell_mm=cell_mm), number),
+            _add_surroundings(run, align(run, cell_mm=max(CELL_MM, cell_mm)), number),
         )
         for number, run in enumerate(runs)
     )
+
+
+def _measure_way(run: Run) -> float:
+    """Return how far the linear axes of a Run go, in mm."""
+    linear = {axis.name for axis in run.machine.linear_axes}
+    columns = [name in linear for name in run.commanded.axes]
+    steps = np.diff(run.commanded.position[:, columns], axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())
 
 
 def _add_surroundings(

@@ -103,11 +103,11 @@ def place_run(run: Run, observations: Observations, baseline: Baseline) -> RunDa
 
 @dataclass(frozen=True)
 class Line:
-    """One line or standstill: what whitens its columns, and its base.
+    """One line or standstill, and what whitens its columns.
 
     run, cells : where its cells are
     timing : phase and speed, orthonormal, as far as the data determine them
-    base : machine, poses, data; freedom : observations less phase and speed
+    freedom : observations less phase and speed
     log_determinant : of its noise, and of its timing
     """
 
@@ -116,7 +116,6 @@ class Line:
     design: DesignMatrix
     whitener: Whitener
     timing: WhitenedBlocks
-    base: WhitenedBlocks
     freedom: float
     log_determinant: float
 
@@ -127,8 +126,10 @@ class Line:
         return _project_out(blocks, self.timing)
 
 
-def build_line(data: RunData, run: int, first: int, last: int) -> Line:
-    """Return one line or standstill of a Run, ready to whiten columns.
+def build_line(
+    data: RunData, run: int, first: int, last: int
+) -> tuple[Line, WhitenedBlocks]:
+    """Return one line or standstill of a Run, and its machine, poses and data.
 
     run : which of the Runs; first, last : its first cell, and one past its last
     """
@@ -138,16 +139,16 @@ def build_line(data: RunData, run: int, first: int, last: int) -> Line:
     base = slice(design.fixed + 1)
     timing, log_timing = _orthonormalise(blocks.select(slice(base.stop, None)))
     is_across = not data.base.has_timing and design.observations.at.line[0] >= 0
-    return Line(
+    line = Line(
         run,
         slice(first, last),
         design,
         whitener,
         timing,
-        _project_out(blocks.select(base), timing),
         (2.0 if is_across else 3.0) * (last - first) - timing.width,
         whitener.log_determinant + log_timing,
     )
+    return line, _project_out(blocks.select(base), timing)
 
 
 def _orthonormalise(timing: WhitenedBlocks) -> tuple[WhitenedBlocks, float]:

@@ -97,23 +97,23 @@ class Lines:
         self.runs, self._folds = tuple(runs), folds
         self.size = runs[0].base.size
         self._within: list[tuple[CellDeviations, bool]] = []
-        lines: list[tuple[int, Line]] = []
+        lines: list[tuple[int, Line, WhitenedBlocks]] = []
         for number, data in enumerate(runs):
             parts = data.observations.lines
             is_held = number == 0 or len(parts) >= _FEWEST_LINES * folds
             for k, (first, last) in enumerate(parts):
                 line = build_line(data, number, first, last)
-                lines.append((k % folds if is_held else folds, line))
+                lines.append((k % folds if is_held else folds, *line))
             if data.within is not None:
                 self._within.append((data.within, is_held))
-        fold = np.array([fold for fold, _ in lines])
+        fold = np.array([fold for fold, _, _ in lines])
         order = np.argsort(fold, kind="stable")
         self._lines = [lines[int(k)][1] for k in order]
         self._bounds = np.searchsorted(fold[order], np.arange(folds + 2))
         free = np.array([line.freedom for line in self._lines])
         self._freedom = np.bincount(fold[order], free, folds + 1)[:folds]
         self._log_determinant = float(sum(line.log_determinant for line in self._lines))
-        self._base = WhitenedBlocks.join([line.base for line in self._lines])
+        self._base = WhitenedBlocks.join([lines[int(k)][2] for k in order])
         self._ground = self._products(self._base, self._base)
         self._known: dict[Effect, _Term] = {}
 
