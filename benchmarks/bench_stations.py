@@ -79,12 +79,11 @@ class Site:
         )
 
 
-SITES = (
-    Site("mill, 0.7 × 0.55 × 0.45 m", (700.0, 550.0, 450.0), (500.0, 1600.0), 2.0, 6e3),
-    Site(
-        "gantry, 6.2 × 2.4 × 1.1 m", (6200.0, 2400.0, 1100.0), (700.0, 2200.0), 6, 2e4
-    ),
-)
+SITES = {
+    "mill": Site("mill, 0.7 m", (700.0, 550.0, 450.0), (500.0, 1600.0), 2.0, 6e3),
+    "gantry": Site("gantry, 6.2 m", (6200.0, 2400.0, 1100.0), (700.0, 2200.0), 4, 2e4),
+}
+TRACKERS = {"perfect": PERFECT, "usual specification": USUAL}
 
 
 @dataclass(frozen=True)
@@ -245,10 +244,7 @@ def places_table(sites: list[Site], places: int, worlds: int) -> str:
     """Return the chosen place against random ones."""
     rows = []
     for site in SITES:
-        for said, specification in (
-            ("perfect", PERFECT),
-            ("in its specification", USUAL),
-        ):
+        for said, specification in TRACKERS.items():
             found = np.array(judge_places(site, specification, places, worlds))
             left, stated = 1e3 * found.T
             rows.append(
