@@ -208,3 +208,62 @@ def test_a_bad_workspace_is_named_with_its_key(
     error = capsys.readouterr().err
     assert "workspace.json" in error
     assert said in error
+
+
+FLOOR = {"min_mm": [-1500, -1800, 0], "max_mm": [2000, -600, 0]}
+
+
+def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(
+    machine_file, tmp_path, capsys
+):
+    workspace = tmp_path / "workspace.json"
+    workspace.write_text(
+        json.dumps({"schema": "workspace/1", "tracker": {"areas": [FLOOR]}})
+    )
+    arguments = ["--minutes", "1", "--control", "linuxcnc"]
+    arguments += ["-o", str(tmp_path / "out"), "--workspace", str(workspace)]
+    assert run(["plan", str(machine_file), *arguments]) == 0
+    document = json.loads((tmp_path / "out" / "plan.json").read_text())
+    tracker, stations = document["tracker"], document["stations"]
+    assert tracker["chosen"]
+    assert not tracker["assumed"]
+    place = np.array(tracker["position_mm"])
+    assert (place >= FLOOR["min_mm"]).all()
+    assert (place <= FLOOR["max_mm"]).all()
+    assert stations["best"]["position_mm"] == tracker["position_mm"]
+    assert [option["count"] for option in stations["options"]] == [1, 2, 3]
+    predicted_um = document["predicted"]["volumetric_uncertainty_um"]
+    assert stations["options"][0]["random_um"] == pytest.approx(predicted_um)
+    assert stations["recommended"] == 1
+    said = capsys.readouterr().out
+    page = (tmp_path / "out" / "plan.html").read_text()
+    for statement in stations["statement"]:
+        assert f"tracker: {statement}" in said
+    assert "one station is enough" in page
+
+
+@pytest.mark.parametrize(
+    ("workspace", "problem"),
+    [
+        ({"tracker": {"nearest_mm": 300}}, "tracker.position_mm is missing"),
+        (
+            {"tracker": {"areas": [{"min_mm": [0, 0, 0], "max_mm": [1, -1, 0]}]}},
+            "tracker.areas[0].max_mm lies below min_mm",
+        ),
+        (
+            {
+                "tracker": {"areas": [FLOOR]},
+                "reflector": {"direction": [0, 0, 0], "half_angle_deg": 30},
+            },
+            "reflector.direction has no length",
+        ),
+    ],
+)
+def test_what_is_wrong_with_the_tracker_is_named(
+    machine_file, tmp_path, capsys, workspace, problem
+):
+    file = tmp_path / "workspace.json"
+    file.write_text(json.dumps({"schema": "workspace/1", **workspace}))
+    arguments = ["plan", str(machine_file), "-o", str(tmp_path), "--workspace"]
+    assert run([*arguments, str(file)]) == 2
+    assert f"workspace.json: {problem}" in capsys.readouterr().err
