@@ -43,7 +43,7 @@ from simulators.tracker_head import TrackerPose
 DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"
 PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)
 USUAL = TrackerSpecification()
-MOVE_S = 600.0
+MOVE_S = 180.0
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def judge_places(
 def places_table(sites: list[Site], places: int, worlds: int) -> str:
     """Return the chosen place against random ones."""
     rows = []
-    for site in SITES:
+    for site in sites:
         for said, specification in TRACKERS.items():
             found = np.array(judge_places(site, specification, places, worlds))
             left, stated = 1e3 * found.T
@@ -315,7 +315,7 @@ def stations_table(sites: list[Site], worlds: int) -> str:
         "tracker",
         "one place",
         "three, a third of the time each",
-        "one place, two moves of 10 min longer",
+        "one place, two moves of 3 min longer",
         "three / one",
         "three / one as long",
     ]
