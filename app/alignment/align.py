@@ -14,8 +14,13 @@ from app.alignment.cell_blocks import (
     reduce_standstills,
 )
 from app.alignment.cleaning import find_valid_samples, require_units
-from app.alignment.nominal_path import NominalPath, compute_nominal_path
-from app.alignment.observations import Observations, add_surroundings
+from app.alignment.left_out import LeftOut, describe_unusable
+from app.alignment.nominal_path import (
+    MIN_MOTION_MM,
+    NominalPath,
+    compute_nominal_path,
+)
+from app.alignment.observations import Observations, Pass, add_surroundings
 from app.alignment.reduction import CELL_MM
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import match_stops
@@ -50,7 +55,8 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     cell_mm : longest cell on a line; shorter ones show shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
-    valid = np.flatnonzero(find_valid_samples(run.tracker))
+    usable = find_valid_samples(run.tracker)
+    valid = np.flatnonzero(usable)
     if len(valid) < _FEWEST_SAMPLES:
         raise AlignmentError(
             f"the stream holds {len(valid)} valid samples; check beam and status"
@@ -64,9 +70,11 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
     matching = match_stops(stops, nominal.place_mm, ordered_by=commanded)
     stream = Stream(time_s, tracker_mm, matching.pose)
+    left_out = describe_unusable(run.tracker, usable)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
-        return join_blocks(run, _require_standstill(parts), matching.pose, ())
+        parts = _require_standstill(parts)
+        return join_blocks(run, parts, matching.pose, (), left_out)
     passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
         raise AlignmentError(
@@ -82,7 +90,18 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         replace(p, first=int(valid[p.first]), last=int(valid[p.last - 1]) + 1)
         for p in passes
     )
-    return join_blocks(run, parts, matching.pose, in_run)
+    left_out += _list_lines_without_pass(nominal, passes)
+    return join_blocks(run, parts, matching.pose, in_run, left_out)
+
+
+def _list_lines_without_pass(
+    nominal: NominalPath, passes: tuple[Pass, ...]
+) -> list[LeftOut]:
+    """Return the lines on which the target moves and nothing was measured."""
+    seen = {each.row for each in passes}
+    rows = np.flatnonzero(nominal.length_mm >= MIN_MOTION_MM)
+    missing = [int(row) for row in rows if row and int(row) not in seen]
+    return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 
 
 def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:

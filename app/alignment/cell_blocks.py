@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.cell_gate import leave_out_cells
+from app.alignment.left_out import LeftOut, describe_samples, gather
 from app.alignment.nominal_path import Curve, NominalPath
 from app.alignment.observations import Observations, Pass
 from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
-from app.alignment.segmentation import Stream
+from app.alignment.segmentation import ON_LINE_MM, Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence
 from app.files.run import Run
@@ -29,6 +31,7 @@ class CellBlock:
     row : of the commanded path or points; velocity_mm_s : (n, 3), 0 at a standstill
     position_mm : (n, axes) nominal; line_time_s : (n,) from the middle of the pass
     line_speed_mm_s : mean speed along the line
+    left_out : samples that are in no cell
     """
 
     cells: Cells
@@ -38,6 +41,7 @@ class CellBlock:
     position_mm: Float64[np.ndarray, "n a"]
     line_time_s: Float64[np.ndarray, " n"]
     line_speed_mm_s: float = 0.0
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def reduce_pass(
@@ -63,9 +67,14 @@ def reduce_pass(
         rate * curve.turn_deg,
         cell_mm,
     )
-    cells = reduce_to_cells(
-        time, stream.tracker_mm[part], way, run.machine.tracker.sigma_mm, count
-    )
+    aside = _aside_mm(curve, each, stream, time - middle, rate)
+    on = aside < ON_LINE_MM
+    tracker, tracker_mm = run.machine.tracker, stream.tracker_mm[part]
+    left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
+    time = time[on]
+    cells = reduce_to_cells(time, tracker_mm[on], way, tracker.sigma_mm, count)
+    left_out += _describe_outliers(cells, time, each.row)
+    cells, off = leave_out_cells(cells, way(cells.time_s), tracker, each.row)
     line_time = cells.time_s - 0.5 * float(cells.time_s[0] + cells.time_s[-1])
     share = each.share + rate * (cells.time_s - middle)
     late, slow = _timing(curve, share, stream.pose.invert(), cells, line_time)
@@ -79,7 +88,30 @@ def reduce_pass(
         rows[0] + share[:, None] * (rows[1] - rows[0]),
         line_time,
         curve.length_mm * rate,
+        (*left_out, *off),
     )
+
+
+def _aside_mm(
+    curve: Curve,
+    each: Pass,
+    stream: Stream,
+    lag_s: Float64[np.ndarray, " n"],
+    rate: float,
+) -> Float64[np.ndarray, " n"]:
+    """Return how far the samples of a pass lie aside of its line."""
+    share = each.share + rate * lag_s
+    slope = curve.slope_mm(share)
+    away = stream.points_mm(each.first, each.last) - curve.point_mm(share)
+    square = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-12)
+    along = np.einsum("ni,ni->n", away, slope) / square
+    return np.linalg.norm(away - along[:, None] * slope, axis=1)
+
+
+def _describe_outliers(
+    cells: Cells, time_s: Float64[np.ndarray, " n"], row: int
+) -> list[LeftOut]:
+    return describe_samples("outliers", row, time_s[cells.outlier], cells.off_mm)
 
 
 def _timing(
@@ -138,10 +170,14 @@ def reduce_standstills(
             run.machine.tracker.sigma_mm,
             count_cells(span),
         )
+        left_out = _describe_outliers(cells, stream.time_s[inside], row)
+        expected = np.zeros((len(cells.time_s), 3))
+        cells, off = leave_out_cells(cells, expected, run.machine.tracker, row)
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
         still = np.zeros((n, 3))
-        found.append(CellBlock(cells, row, -1, still, position, np.zeros(n)))
+        said = (*left_out, *off)
+        found.append(CellBlock(cells, row, -1, still, position, np.zeros(n), 0.0, said))
     return found
 
 
@@ -160,9 +196,17 @@ def _creeps(tracker_mm: Float64[np.ndarray, "n 3"]) -> bool:
 
 
 def join_blocks(
-    run: Run, parts: list[CellBlock], pose: RigidTransform, passes: tuple[Pass, ...]
+    run: Run,
+    parts: list[CellBlock],
+    pose: RigidTransform,
+    passes: tuple[Pass, ...],
+    left_out: list[LeftOut] | None = None,
 ) -> Observations:
-    """Return the cells of all stretches as one block."""
+    """Return the cells of all stretches as one block.
+
+    left_out : what is in none of the stretches, beside what each of them left out
+    """
+    said = [*(left_out or []), *(each for p in parts for each in p.left_out)]
     sizes = [len(p.cells.time_s) for p in parts]
     row = np.repeat(np.array([p.row for p in parts]), sizes)
     line = np.repeat(np.array([p.line for p in parts]), sizes)
@@ -196,6 +240,7 @@ def join_blocks(
         passes,
         int(count.sum()),
         len(run.tracker),
+        gather(said, at.time_s, row),
     )
 
 

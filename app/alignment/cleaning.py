@@ -13,15 +13,19 @@ _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
 _AROUND = 21  # samples: far fewer than change the speed of a machine
 _BESIDE = 0.1  # of the largest step nearby
 _CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
+_REPEATED = 5  # times in a row the same value: not measured
+_NOISELESS_MM = 1e-5  # steps of a stream without noise at rest; rounding
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 
 
 def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
     """Tell which samples are measurements: status 0, finite, on a way that goes on.
 
-    Not a lone spike, nor a burst that jumps aside and back.
+    Not a lone spike, nor a burst that jumps aside and back, nor what is repeated.
     """
     valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
+    kept = np.flatnonzero(valid)
+    valid[kept[_frozen(samples.position_mm[kept])]] = False
     for _ in range(_ROUNDS):
         kept = np.flatnonzero(valid)
         spikes = _spikes(samples.device_time_s[kept], samples.position_mm[kept])
@@ -31,6 +35,24 @@ def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
     kept = np.flatnonzero(valid)
     valid[kept[_aside(samples.device_time_s[kept], samples.position_mm[kept])]] = False
     return valid
+
+
+def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Tell which samples repeat one value again and again, where the others do not.
+
+    No tracker measures the same point to the last digit twice in a row. A stream
+    without any noise, as of a calculation, repeats itself at every standstill.
+    """
+    frozen = np.zeros(len(position_mm), bool)
+    if len(position_mm) < _AROUND:
+        return frozen
+    step = np.abs(np.diff(position_mm, axis=0)).max(axis=1)
+    if np.quantile(step[step > 0.0], 0.02) < _NOISELESS_MM if step.any() else True:
+        return frozen
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], step == 0.0, [0]])))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        frozen[first : last + 1] = last - first >= _REPEATED
+    return frozen
 
 
 def _aside(
@@ -76,7 +98,10 @@ def _usual(speed: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3"]:
     medians = np.median(speed[: blocks * _AROUND].reshape(blocks, _AROUND, 3), axis=1)
     middle = _AROUND * (np.arange(blocks) + 0.5) - 0.5
     at = np.arange(len(speed))
-    return np.stack([np.interp(at, middle, m) for m in medians.T], axis=1)
+    straight = np.empty_like(speed)
+    for axis in range(3):
+        straight[:, axis] = np.interp(at, middle, medians[:, axis])
+    return straight
 
 
 def _later(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.alignment.left_out import LeftOut
 from app.alignment.reduction import CELL_S, beam_frame
 from app.kinematics.conditions import Conditions, RecordedState
 from app.motion.configurations import Configurations
@@ -45,6 +46,7 @@ class Observations:
         beam, in units of the tracker's stated noise
     pose : rough pose, workpiece to tracker; estimation refines it
     used, offered : samples that went into cells, samples of the stream
+    left_out : valid samples that were not used, and why
     """
 
     at: Conditions
@@ -57,6 +59,7 @@ class Observations:
     passes: tuple[Pass, ...]
     used: int
     offered: int
+    left_out: tuple[LeftOut, ...] = ()
 
     def __len__(self) -> int:
         return len(self.tracker_mm)

@@ -10,7 +10,7 @@ before the mean and put back after it, so that a cell on an arc lies on the arc.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -33,6 +33,7 @@ class Cells:
     time_s : (n,), tracker_mm : (n, 3), count : (n,)
     scatter_square : (2,) sums over samples of squared deviations along and across the
         beam, in units of the stated variance; freedom : (2,) their degrees of freedom
+    outlier : (samples,) which samples were left out; off_mm : how far they lie off
     """
 
     time_s: Float64[np.ndarray, " n"]
@@ -40,6 +41,17 @@ class Cells:
     count: Float64[np.ndarray, " n"]
     scatter_square: Float64[np.ndarray, "2"]
     freedom: Float64[np.ndarray, "2"]
+    outlier: Bool[np.ndarray, " m"]
+    off_mm: Float64[np.ndarray, " k"]
+
+    def select(self, kept: Bool[np.ndarray, " n"]) -> Cells:
+        """Return some of the cells."""
+        return replace(
+            self,
+            time_s=self.time_s[kept],
+            tracker_mm=self.tracker_mm[kept],
+            count=self.count[kept],
+        )
 
 
 def count_cells(
@@ -80,6 +92,7 @@ def reduce_to_cells(
         good = inside
         means = stretch.average(good)
         scatter = stretch.scatter(means)
+    off_mm = stretch.off_mm(means, ~good)
     scatter = scatter[good]
     filled = means.count > 0
     free = max(1.0, len(scatter) - 2.0 * float(filled.sum()))
@@ -90,6 +103,8 @@ def reduce_to_cells(
         means.count[filled],
         np.array([square[0], square[1] + square[2]]),
         np.array([free, 2.0 * free]),
+        ~good,
+        off_mm,
     )
 
 
@@ -126,6 +141,13 @@ class _Stretch:
         total = np.column_stack([np.bincount(cell, weight * o, size) for o in off.T])
         rest = total / safe[:, None] + origin_mm
         return _Means(time, rest, rest + self.way(time), count)
+
+    def off_mm(
+        self, means: _Means, which: Bool[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " k"]:
+        """Return how far some samples lie off their cell's mean, in mm."""
+        off = self.rest_mm[which] - means.rest_mm[self.cell[which]]
+        return np.linalg.norm(off, axis=1)
 
     def scatter(self, means: _Means) -> Float64[np.ndarray, "n 3"]:
         """Return how far each sample lies off its cell, in sigmas: beam, azimuth, …"""

@@ -23,7 +23,7 @@ from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence, speed_mm_s
 from app.numerics.rigid import RigidTransform
 
-_ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
+ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
 _STEADY = 0.02  # relative change of speed that counts as a ramp
 _SPEED_NOISE_MM_S = 0.8  # tolerance of a speed at the least, for the tracker's noise
 _SHORTEST_S = 0.1  # a pass
@@ -94,7 +94,7 @@ def _split_by_place(
     points = stream.points_mm(first, last)
     away = np.stack([nominal.curve(row).nearest(points)[1] for row in rows])
     nearest = np.argmin(away, axis=0)
-    nearest[away.min(axis=0) > _ON_LINE_MM] = -1
+    nearest[away.min(axis=0) > ON_LINE_MM] = -1
     for k, row in enumerate(rows):
         mine = np.flatnonzero(nearest == k)
         if len(mine) > 2:
@@ -108,7 +108,7 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     first, last = part.first, part.last
     time, points = stream.time_s[first:last], stream.points_mm(first, last)
     share, away = curve.nearest(points, _path_length_mm(stream, part, curve))
-    on = away < _ON_LINE_MM
+    on = away < ON_LINE_MM
     if on.sum() < _FEWEST_SAMPLES or time[-1] - time[0] < _SHORTEST_S:
         return None
     speed, pace = speed_mm_s(time, points), curve.pace(share)

@@ -214,7 +214,8 @@ def test_a_target_that_creeps_is_not_at_a_standstill(record):
 def test_direction_of_approach_is_that_of_the_last_motion(record):
     run, _ = record(3)
     seen = align(run)
-    step = np.diff(run.commanded.position, axis=0)[seen.row - 1]
+    step = np.diff(run.commanded.position, axis=0, prepend=0.0)[seen.row]
+    step[seen.row == 0] = 0.0  # where the machine stands before its first line
     moved = step != 0.0
     assert (seen.at.approach[moved] == np.sign(step[moved])).all()
 

@@ -1,0 +1,255 @@
+"""Estimate although the measurement was disturbed: leave out, or split at a step.
+
+Solve, look at what is left (`misfit`), act on the plainest contradiction, solve again.
+A step of the tracker's or reflector's place makes two Runs of one, each with a pose of
+its own. Cells and whole lines that the rest of the measurement contradicts are left
+out. Limits are such that a clean measurement of 3 000 cells loses none in 99 of 100;
+what contradicts everywhere is no disturbance, and is left to the verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.special import chdtri
+
+from app.alignment.cell_gate import describe_cells
+from app.alignment.left_out import LeftOut
+from app.alignment.observations import Observations
+from app.errors import Unidentifiable
+from app.estimation.batch import Estimate, estimate
+from app.estimation.known_effects import KnownEffects
+from app.estimation.misfit import Misfit, Step, assess_misfit
+from app.kinematics.coarse_model import RunModels
+from app.progress import ShareProgress, ignore_progress
+
+_ROUNDS = 8
+_RISK = 0.003  # of a clean measurement, for each kind of test
+_MARGIN = 1.5  # noise has longer tails than χ²
+_STEP_MARGIN = 1.7
+_OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
+_MOST = 0.2  # of the cells of a Run; more are no disturbance
+_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
+
+
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """A step of the place of tracker or reflector, both sides of which were solved.
+
+    run : of those given; row : on the way to which, or at which, it happened
+    moved_mm : of the pose, at the middle of the measured points; turned_rad : likewise
+    """
+
+    run: int
+    row: int
+    time_s: float
+    moved_mm: float
+    turned_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedEstimate:
+    """An estimate, what was left out for it, and what contradicts it still.
+
+    given : of each Run of the estimate, the Run given that it is of
+    left_out : of each Run given; misfits : of each Run of the estimate
+    """
+
+    estimate: Estimate
+    given: tuple[int, ...]
+    left_out: tuple[tuple[LeftOut, ...], ...]
+    knocks: tuple[Knock, ...]
+    misfits: tuple[Misfit, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Observations of a Run given, or of its part between two knocks."""
+
+    given: int
+    seen: Observations
+
+
+def estimate_checked(
+    models: RunModels,
+    observed: Sequence[Observations],
+    *,
+    known: KnownEffects | None = None,
+    perpendicular_only: bool = False,
+    on_progress: ShareProgress = ignore_progress,
+) -> CheckedEstimate:
+    """Estimate, and again without what the rest of the measurement contradicts.
+
+    The estimate keeps what it was solved from. Arguments are those of `estimate`.
+    Raises Unidentifiable if the lines do not determine the error motions.
+    """
+    parts = [_Part(number, seen) for number, seen in enumerate(observed)]
+
+    def solve(parts: list[_Part], begin: float, end: float) -> Estimate:
+        return estimate(
+            models,
+            [part.seen for part in parts],
+            known=known,
+            perpendicular_only=perpendicular_only,
+            keep_fit=True,
+            on_progress=lambda share: on_progress(begin + share * (end - begin)),
+        )
+
+    found = solve(parts, 0.0, 0.8)
+    misfits: tuple[Misfit, ...] = ()
+    for turn in range(_ROUNDS):
+        misfits = _assess(found)
+        fewer = _act(parts, misfits)
+        if fewer is None:
+            break
+        try:
+            found = solve(fewer, 0.8 + 0.02 * turn, 0.82 + 0.02 * turn)
+        except Unidentifiable:
+            break  # too little is left: the verdict says what contradicts
+        parts = fewer
+    on_progress(1.0)
+    return CheckedEstimate(
+        found,
+        tuple(part.given for part in parts),
+        tuple(
+            tuple(x for part in parts if part.given == k for x in part.seen.left_out)
+            for k in range(len(observed))
+        ),
+        tuple(_list_knocks(parts, found)),
+        misfits,
+    )
+
+
+def _assess(found: Estimate) -> tuple[Misfit, ...]:
+    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
+    return tuple(assess_misfit(found.fit, k) for k in range(len(found.runs)))
+
+
+def _act(parts: list[_Part], misfits: tuple[Misfit, ...]) -> list[_Part] | None:
+    """Return the parts without the plainest contradiction; None where there is none."""
+    fewer: list[_Part] = []
+    for part, misfit in zip(parts, misfits, strict=True):
+        bad = _find_bad_cells(misfit)
+        step = misfit.step
+        worst = float(misfit.line.max(initial=0.0))
+        if step and step.alone > worst and _is_knock(misfit, step):
+            fewer += _split(part, step)
+        elif bad.any():
+            fewer.append(_Part(part.given, _leave_out(part.seen, bad, misfit)))
+        elif step and _is_knock(misfit, step):
+            fewer += _split(part, step)
+        else:
+            fewer.append(part)
+    same = len(fewer) == len(parts) and all(
+        new.seen is old.seen for new, old in zip(fewer, parts, strict=True)
+    )
+    return None if same else fewer
+
+
+def _is_knock(misfit: Misfit, step: Step) -> bool:
+    """Tell whether a step is there that neither noise nor drift explains."""
+    limit = float(chdtri(6, _RISK / max(len(misfit.line), 1))) * _STEP_MARGIN
+    if step.gain < limit * misfit.rest or step.alone < 0.5 * step.gain:
+        return False
+    excess = misfit.square - misfit.freedom
+    of_all = step.alone > _OF_EXCESS * excess
+    return of_all or step.gain > 2.0 * _OF_EXCESS * (excess - misfit.drift)
+
+
+def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
+    """Tell which cells, or else which whole lines, the others contradict."""
+    bad = _stand_out(misfit.cell)
+    if not bad.any():
+        lines = _stand_out(misfit.line)
+        for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
+            bad[first:last] = True
+    return bad if bad.mean() < _MOST else np.zeros_like(bad)
+
+
+def _stand_out(square: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Tell which squares of three components are too large, by their own median."""
+    if not len(square):
+        return np.zeros(0, bool)
+    scale = max(1.0, float(np.median(square)) / 2.366)
+    limit = _MARGIN * scale * float(chdtri(3, _RISK / len(square)))
+    return square > max(limit, _OF_LARGEST * float(square.max()))
+
+
+def _leave_out(
+    seen: Observations, bad: Bool[np.ndarray, " n"], misfit: Misfit
+) -> Observations:
+    """Return observations without some cells, and with what is said of these."""
+    said: list[LeftOut] = []
+    for first, last in zip(misfit.begin, misfit.end, strict=True):
+        part = slice(int(first), int(last))
+        if bad[part].any():
+            said += describe_cells(
+                bad[part],
+                seen.at.time_s[part],
+                seen.count[part],
+                misfit.off_mm[part],
+                int(seen.row[first]),
+            )
+    kept = seen.select(np.flatnonzero(~bad))
+    left_out = tuple(sorted([*seen.left_out, *said], key=_order))
+    return replace(kept, used=int(kept.count.sum()), left_out=left_out)
+
+
+def _order(each: LeftOut) -> tuple[float, int]:
+    return float(np.nan_to_num(each.begin_s)), each.row
+
+
+def _split(part: _Part, step: Step) -> list[_Part]:
+    """Return what is before a step and what is after it, as Runs of their own.
+
+    Where it is within a line, the cell that it may be in belongs to neither.
+    """
+    seen, cell = part.seen, step.cell
+    within = seen.row[cell] == seen.row[cell - 1] and bool(
+        seen.at.line[cell] == seen.at.line[cell - 1]
+    )
+    ends = (cell - 1, cell + 1) if within else (cell, cell)
+    halves = [np.arange(ends[0]), np.arange(ends[1], len(seen))]
+    time_s = 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
+    found: list[_Part] = []
+    used = 0
+    for number, cells in enumerate(halves):
+        some = seen.select(cells)
+        count = int(some.count.sum())
+        offered = seen.offered - used if number else count
+        used += count
+        late = (each.begin_s >= time_s for each in seen.left_out)
+        said = tuple(
+            each
+            for each, is_late in zip(seen.left_out, late, strict=True)
+            if is_late == bool(number)
+        )
+        own = replace(some, used=count, offered=offered, left_out=said)
+        found.append(_Part(part.given, own))
+    return found
+
+
+def _list_knocks(parts: list[_Part], found: Estimate) -> list[Knock]:
+    """Return the steps between parts of one Run, as large as the solve finds them."""
+    knocks: list[Knock] = []
+    for k in range(1, len(parts)):
+        before, after = parts[k - 1], parts[k]
+        if before.given != after.given:
+            continue
+        a, b = found.runs[k - 1].pose, found.runs[k].pose
+        middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
+        moved = b.apply(middle[None]) - a.apply(middle[None])
+        turned = 0.5 * float(np.linalg.norm(b.rotation @ a.rotation.T - np.eye(3)))
+        knocks.append(
+            Knock(
+                after.given,
+                int(after.seen.row[0]),
+                0.5 * float(before.seen.at.time_s[-1] + after.seen.at.time_s[0]),
+                float(np.linalg.norm(moved)),
+                turned * float(np.sqrt(2.0)),
+            )
+        )
+    return knocks

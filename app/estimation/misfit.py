@@ -1,0 +1,323 @@
+"""What a fit leaves that noise does not explain: of cells, of lines, of time.
+
+Everything here is a score test (Rao 1948): how far would the fit improve if a parameter
+were added, told by the residuals of the fit as it is, without another solve. With
+r = y − Aθ, W = V⁻¹ (timing of the lines taken out), H = AᵀWA + prior and columns B of
+what might be added, the gain is gᵀF⁻¹g with g = BᵀWr and F = BᵀWB − BᵀWA H⁻¹ AᵀWB.
+
+A step of the tracker's or the reflector's place has the columns of the pose for all
+that comes after it. Sums over lines, accumulated from the end, give B for all moments
+at once. A step counts only as far as slow drift of pose and size does not explain it as
+well, and as far as it stands out from what no step explains: a machine that warms, or
+an effect that the model lacks, is no knock.
+
+The noise is at most what is usual here: it must not explain what it should show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from app.estimation.design_matrix import DesignMatrix
+from app.estimation.direction import Fit
+from app.estimation.information import Information, add_information
+from app.estimation.noise import NoiseModel, split_sigma_mm
+from app.estimation.runs import RunInformation
+from app.numerics.correlated_noise import Whitener
+from app.numerics.scaled_cholesky import ScaledCholesky
+
+_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
+_DRIFTS = 36  # pose and strain, each with three polynomials of time
+_UNSEEN = 0.02  # of a column's information: the fit explains it all
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of the pose before one cell.
+
+    cell : the first after it; gain : of −2 log likelihood, beyond that of a drift
+    alone : gain where there is no drift
+    """
+
+    cell: int
+    gain: float
+    alone: float
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """What the fit leaves of one Run.
+
+    cell : (n,) squares of the cells' residuals, whitened; off_mm : (n,) their size
+    begin, end : (l,) cells of each line or standstill
+    line : (l,) gain of a shift of each
+    square : of all residuals, whitened; freedom : what noise alone would make of it
+    drift : gain of a drift of pose and size; drift_mm : root mean square of it
+    step : the best, None where none can be told
+    """
+
+    cell: Float64[np.ndarray, " n"]
+    off_mm: Float64[np.ndarray, " n"]
+    begin: Int64[np.ndarray, " l"]
+    end: Int64[np.ndarray, " l"]
+    line: Float64[np.ndarray, " l"]
+    square: float
+    freedom: float
+    drift: float
+    drift_mm: float
+    step: Step | None
+
+    @property
+    def rest(self) -> float:
+        """What neither step nor drift explains, of what noise alone would leave."""
+        explained = self.drift + (self.step.gain if self.step else 0.0)
+        return max(1.0, (self.square - explained) / self.freedom)
+
+
+def assess_misfit(fit: Fit, number: int) -> Misfit:
+    """Return what the fit leaves of one of its Runs."""
+    return _Examination(fit, number).assess()
+
+
+class _Examination:
+    """One Run about the solution under the usual noise, and its sums by line."""
+
+    def __init__(self, fit: Fit, number: int) -> None:
+        run = fit.runs[number]
+        noise = _limit_noise(run.noise)
+        run = run if noise == run.noise else run.replace_noise(noise)
+        self.seen, self.about = run.observations, run.linearisation
+        self.machine = self.about.machine_model.size
+        factor, self.theta = _solve(fit, run, number)
+        self.solve = factor.solve
+        time_s = self.seen.at.time_s
+        middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
+        self.span_s = float(middle), max(float(half), 1e-9)
+        self.centre = self.seen.at.point_mm.mean(axis=0)
+
+    def assess(self) -> Misfit:
+        """Return what the fit leaves."""
+        begin, end = np.array(self.seen.lines, np.int64).T
+        p, drifts = self.about.size, _DRIFTS
+        # By line: columns of fit, residual and drift, times those of the pose.
+        pose = np.zeros((len(begin), p + 1 + drifts, 6))
+        smooth = np.zeros((p + 1 + drifts, drifts))
+        squares: list[Float64[np.ndarray, " k"]] = []
+        off: list[Float64[np.ndarray, " k"]] = []
+        drift_square = np.zeros((drifts, drifts))
+        shifts: list[float] = []
+        square, freedom = 0.0, 3.0 * len(self.seen)
+        for design in self.about.split(self.seen):
+            whitener = design.whiten(self.about.noise)
+            rest = design.residual - design.columns @ self.theta
+            S = self._drift_columns(design)
+            all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
+            weighted = _weight(design, whitener, all_[:, :, self.machine : p])
+            for first, last in design.observations.lines:
+                part = all_[first:last].reshape(-1, all_.shape[2])
+                pose[len(shifts)] = part.T @ weighted[first:last].reshape(-1, 6)
+                shifts.append(self._shift(design, rest, slice(first, last)))
+            flat = all_.reshape(-1, all_.shape[2])
+            smooth += flat.T @ _weight(design, whitener, S).reshape(len(flat), -1)
+            drift_square += np.einsum("nip,niq->pq", S, S)
+            left = rest[:, :, None]
+            square += float(np.sum(left * _weight(design, whitener, left)))
+            freedom -= design.timing.shape[2]
+            rest = rest - _time(design, whitener, rest)
+            squares.append(_cell_squares(design, rest, self.about.noise))
+            off.append(np.linalg.norm(rest, axis=1))
+        drift = _Gain(self, smooth, p)
+        size = drift.size @ drift_square @ drift.size / max(len(self.seen), 1)
+        return Misfit(
+            np.concatenate(squares),
+            np.concatenate(off),
+            begin,
+            end,
+            np.array(shifts),
+            square,
+            freedom,
+            drift.gain,
+            float(np.sqrt(max(size, 0.0))),
+            self._best_step(pose, drift, begin, end),
+        )
+
+    def _shift(
+        self, design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], cells: slice
+    ) -> float:
+        """Return the gain of a shift of one line, by itself."""
+        own = replace(
+            design,
+            observations=design.observations.select(np.r_[cells]),
+            frame=design.frame[cells],
+            rows=design.rows[cells],
+        )
+        timing = own.timing.any(axis=(0, 1))
+        kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
+        own = replace(own, rows=own.rows[:, :, kept])
+        P = own.columns[:, :, self.machine : self.machine + 3]
+        weighted = _weight(own, own.whiten(self.about.noise), P).reshape(-1, 3)
+        F = P.reshape(-1, 3).T @ weighted
+        pulled = rest[cells].reshape(-1) @ weighted
+        return float(pulled @ _invert(F, np.diag(F)) @ pulled)
+
+    def _drift_columns(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 s"]:
+        """Return pose and strain, each growing with polynomials of time."""
+        at = design.observations.at
+        pose = design.columns[:, :, self.machine :]
+        x, y, z = ((at.point_mm - self.centre) / 1e3).T  # µm/mm is 1e-3
+        strain = np.zeros((len(at), 3, 6))
+        strain[:, 0, 0], strain[:, 1, 1], strain[:, 2, 2] = x, y, z
+        strain[:, 0, 3], strain[:, 0, 4], strain[:, 1, 5] = y, z, z
+        columns = np.concatenate([pose, design.frame @ strain], axis=2)
+        u = (at.time_s - self.span_s[0]) / self.span_s[1]
+        time = (u, 1.5 * u**2 - 0.5, 2.5 * u**3 - 1.5 * u)  # Legendre's
+        return np.concatenate([columns * t[:, None, None] for t in time], axis=2)
+
+    def _best_step(
+        self,
+        pose: Float64[np.ndarray, "l q 6"],
+        drift: _Gain,
+        begin: Int64[np.ndarray, " l"],
+        end: Int64[np.ndarray, " l"],
+    ) -> Step | None:
+        after = np.cumsum(pose[::-1], axis=0)[::-1]
+        steps = [
+            Step(int(first), *drift.add(own))
+            for first, own in zip(begin[1:], after[1:], strict=True)
+        ]
+        if not steps:
+            return None
+        best = max(range(len(steps)), key=lambda k: steps[k].gain)
+        later = np.concatenate([after[1:], np.zeros_like(after[:1])])
+        for line in (best, best + 1):
+            cells = slice(int(begin[line]), int(end[line]))
+            steps += self._steps_within(cells, later[line], drift)
+        return max(steps, key=lambda step: step.gain)
+
+    def _steps_within(
+        self, cells: slice, later: Float64[np.ndarray, "q 6"], drift: _Gain
+    ) -> list[Step]:
+        """Return steps between the cells of one line.
+
+        later : sums over the lines after it
+        """
+        inside: Int64[np.ndarray, " k"] = np.arange(cells.start, cells.stop)
+        design = self.about.build(self.seen.select(inside))
+        whitener, p = design.whiten(self.about.noise), self.about.size
+        rest = design.residual - design.columns @ self.theta
+        S = self._drift_columns(design)
+        all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
+        flat = all_.reshape(-1, all_.shape[2])
+        steps: list[Step] = []
+        for k in range(1, len(inside)):
+            P = all_[:, :, self.machine : p].copy()
+            P[:k] = 0.0
+            sums = flat.T @ _weight(design, whitener, P).reshape(-1, 6)
+            sums[self.machine : p] = P.reshape(-1, 6).T @ _weight(
+                design, whitener, P
+            ).reshape(-1, 6)
+            steps.append(Step(int(inside[k]), *drift.add(later + sums)))
+        return steps
+
+
+class _Gain:
+    """The gain of a drift, and that of a step beside it."""
+
+    def __init__(
+        self, of: _Examination, sums: Float64[np.ndarray, "q s"], fixed: int
+    ) -> None:
+        self.of, self.fixed = of, fixed
+        self.columns = sums[:fixed]
+        F = sums[fixed + 1 :] - self.columns.T @ of.solve(self.columns)
+        self.inverse = _invert(F, np.diag(sums[fixed + 1 :]))
+        self.pulled = sums[fixed]
+        self.size = self.inverse @ self.pulled
+        self.gain = float(self.pulled @ self.size)
+
+    def add(self, sums: Float64[np.ndarray, "q 6"]) -> tuple[float, float]:
+        """Return the gain of a step beside the drift, and alone."""
+        of, p = self.of, self.fixed
+        columns, pulled = sums[:p], sums[p]
+        solved = of.solve(columns)
+        F = sums[of.machine : p] - columns.T @ solved
+        cross = sums[p + 1 :] - self.columns.T @ solved
+        raw = np.diag(sums[of.machine : p])
+        alone = float(pulled @ _invert(F, raw) @ pulled)
+        beside = F - cross.T @ self.inverse @ cross
+        pulled = pulled - cross.T @ self.size
+        return float(pulled @ _invert(beside, raw) @ pulled), alone
+
+
+def _solve(
+    fit: Fit, run: RunInformation, number: int
+) -> tuple[ScaledCholesky, Float64[np.ndarray, " p"]]:
+    """Return factor and solution of a Run, what else is known of the machine given."""
+    size = fit.model.size
+    others = [r for k, r in enumerate(fit.runs) if k != number]
+    prior = Information.of_matrix(fit.prior.precision_matrix(size))
+    known = add_information(
+        [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
+    )
+    matrix, vector = run.data.matrix.copy(), run.data.vector.copy()
+    matrix[:size, :size] += known.matrix
+    vector[:size] += known.vector
+    factor = ScaledCholesky.of(matrix)
+    return factor, factor.solve(vector)
+
+
+def _limit_noise(noise: NoiseModel) -> NoiseModel:
+    beam, across = noise.ou
+    return replace(
+        noise,
+        ou=(min(beam, _MOST_OU), min(across, _MOST_OU)),
+        ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S),
+    )
+
+
+def _weight(
+    design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
+) -> Float64[np.ndarray, "n 3 p"]:
+    """Return V⁻¹ columns, the timing of the lines taken out."""
+    timing, weighted = design.fit_timing(whitener, columns)
+    return whitener.apply(columns) - weighted @ timing
+
+
+def _time(
+    design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Return what the timing of the lines explains."""
+    timing, _ = design.fit_timing(whitener, rest[:, :, None])
+    return (design.timing @ timing)[:, :, 0]
+
+
+def _cell_squares(
+    design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], noise: NoiseModel
+) -> Float64[np.ndarray, " n"]:
+    """Return rᵀ(D + C + σ² u uᵀ)⁻¹r of each cell by itself (Sherman & Morrison)."""
+    white, ou = split_sigma_mm(design.observations, noise)
+    variance = white**2 + ou**2
+    square = (rest**2 / variance).sum(axis=1)
+    if noise.along_sigma_mm == 0.0:
+        return square
+    pulled = design.travel / variance
+    total = np.einsum("ni,ni->n", design.travel, pulled)
+    jitter = 0.0 if np.isinf(noise.along_sigma_mm) else noise.along_sigma_mm**-2
+    along = np.einsum("ni,ni->n", rest, pulled) ** 2
+    return square - np.where(total > 0.0, along / np.maximum(jitter + total, 1e-300), 0)
+
+
+def _invert(
+    F: Float64[np.ndarray, "p p"], raw: Float64[np.ndarray, " p"]
+) -> Float64[np.ndarray, "p p"]:
+    """Return the inverse of what the fit leaves of information on columns.
+
+    raw : that before; directions of which the fit explains all have none
+    """
+    scale = 1.0 / np.sqrt(np.maximum(raw, 1e-300))
+    value, vector = np.linalg.eigh(F * scale[:, None] * scale)
+    seen = value > _UNSEEN
+    inverse = np.where(seen, 1.0 / np.where(seen, value, 1.0), 0.0)
+    return (vector * inverse) @ vector.T * scale[:, None] * scale
