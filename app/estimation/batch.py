@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.alignment.cell_gate import USUAL_OU
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import DesignMatrix
@@ -64,6 +65,8 @@ class RunEstimate:
     tracker : as the Run's own machine file states it
     distance_mm : mean distance of the measured points from the tracker
     lines : rows of the path or points that it has data of
+    usual_floor_mm : root mean square of a residual component if the noise were as the
+        tracker states it, with the usual correlated part
     """
 
     noise: NoiseModel
@@ -77,6 +80,7 @@ class RunEstimate:
     used_samples: int
     offered_samples: int
     lines: int
+    usual_floor_mm: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +231,20 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.used,
         observations.offered,
         len(np.unique(observations.row)),
+        floor_mm(observations, _usual_noise(run.noise), _travel(run)),
     )
+
+
+def _usual_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise as the tracker states it, with the jitter of the feed."""
+    return replace(noise, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU))
+
+
+def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:
+    """Return the direction of travel of each cell in the beam frame."""
+    seen = run.observations
+    turned = seen.direction @ run.linearisation.pose.rotation.T
+    return np.einsum("nij,nj->ni", seen.beam_frame, turned)
 
 
 def _compute_residuals(

@@ -20,7 +20,7 @@ from app.alignment.cell_gate import describe_cells
 from app.alignment.left_out import LeftOut
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
-from app.estimation.batch import Estimate, estimate
+from app.estimation.batch import Estimate, RunEstimate, estimate
 from app.estimation.known_effects import KnownEffects
 from app.estimation.misfit import Misfit, Step, assess_misfit
 from app.kinematics.coarse_model import RunModels
@@ -63,6 +63,12 @@ class CheckedEstimate:
     left_out: tuple[tuple[LeftOut, ...], ...]
     knocks: tuple[Knock, ...]
     misfits: tuple[Misfit, ...]
+
+    @property
+    def first_parts(self) -> list[RunEstimate]:
+        """What is estimated of each Run given, before its first knock."""
+        firsts = [self.given.index(number) for number in range(len(self.left_out))]
+        return [self.estimate.runs[k] for k in firsts]
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,15 @@ SENTENCES: Mapping[str, Sentence] = {
         "times that of noise.",
         "Look at what happened on that line; measure again if several are left out.",
     ),
+    "spikes-left-out": Sentence(
+        "{samples} lone samples are left out: they lie up to {distance_um} aside.",
+        "",
+    ),
+    "lines-without-data": Sentence(
+        "No stretch at constant feed was found on lines {lines}: they were not "
+        "measured, too short, or disturbed.",
+        "Look at what happened on these lines; measure them again.",
+    ),
     "much-left-out": Sentence(
         "{left_out_percent} of the samples are left out; up to {usual_percent} is "
         "usual.",
@@ -48,6 +57,11 @@ SENTENCES: Mapping[str, Sentence] = {
         "The residual of the whole fit is {ratio} times that of noise; up to "
         "{limit_ratio} is usual.",
         "Let a discovery look for what the model lacks, or measure again.",
+    ),
+    "noise-beyond-stated": Sentence(
+        "Samples scatter {ratio} times as much as the machine file states of the "
+        "tracker; up to {limit_ratio} is usual.",
+        "State the tracker's noise as it is, or look for vibration and turbulent air.",
     ),
     "loop-open": Sentence(
         "Places that were measured early and late differ by {distance_um}; up to "

@@ -13,7 +13,7 @@ from importlib.metadata import version
 
 from app.alignment.align import align_all
 from app.errors import BundleError
-from app.estimation.batch import estimate
+from app.estimation.disturbances import estimate_checked
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
 from app.files.one_machine import one_machine
@@ -22,7 +22,7 @@ from app.kinematics.coarse_model import build_run_models
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.planning.grade import SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
-from app.results.findings import Findings, Provenance, state_findings
+from app.results.findings import Findings, Provenance, state_checked_findings
 from app.results.trial_results import run_trials
 
 # Share of the work that is done after alignment, estimation and trials.
@@ -63,17 +63,17 @@ def analyse(
     models = build_run_models(
         machine, [each.at.offset_mm for each in observed], known.effects
     )
-    estimated = estimate(
+    checked = estimate_checked(
         models,
         observed,
         known=known,
         perpendicular_only=perpendicular_only,
-        keep_fit=monte_carlo is not None,
         on_progress=estimating,
     )
+    estimated = checked.estimate
     set_ups = [
         SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
-        for run, found in zip(runs, estimated.runs, strict=True)
+        for run, found in zip(runs, checked.first_parts, strict=True)
     ]
     grade = grade_together(machine, set_ups, perpendicular_only=perpendicular_only)
     trials = None
@@ -88,7 +88,8 @@ def analyse(
         datetime.now(UTC),
         model,
     )
-    return state_findings(replace(estimated, fit=None), provenance, trials, grade)
+    checked = replace(checked, estimate=replace(estimated, fit=None))
+    return state_checked_findings(checked, provenance, trials, grade)
 
 
 def number_names(names: Sequence[str]) -> list[str]:

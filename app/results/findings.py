@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.alignment.left_out import LeftOut
 from app.estimation.batch import Estimate, RunEstimate
+from app.estimation.disturbances import CheckedEstimate, Knock
 from app.estimation.prior_model import PriorModel
 from app.files.run import RunSummary
 from app.files.units import UM_PER_MM
@@ -16,6 +19,7 @@ from app.files.verdict import Verdict
 from app.planning.grade import Grade
 from app.results.error_tables import ErrorTables, build_error_tables
 from app.results.trial_results import TrialResults
+from app.results.verdict import judge
 from app.results.volumetric_error import VolumetricError, compute_volumetric_error
 
 
@@ -75,6 +79,7 @@ class RunFindings:
     """What is said of one Run.
 
     number : of the Run in the estimate, from 0
+    part : of the Run given, from 1, where it was split at a knock; else 0
     """
 
     number: int
@@ -82,6 +87,7 @@ class RunFindings:
     estimate: RunEstimate
     by_line: LineResiduals
     noise: NoiseFound
+    part: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +98,7 @@ class Findings:
     trials : what trials say of it, if they were run
     grade : what the set-up was worth before the measurement, if it was asked
     verdict : whether the result may be used
+    left_out : of each Run given, what was not used; knocks : at which Runs were split
     """
 
     estimate: Estimate
@@ -102,6 +109,8 @@ class Findings:
     trials: TrialResults | None = None
     grade: Grade | None = None
     verdict: Verdict = field(default_factory=Verdict)
+    left_out: tuple[tuple[LeftOut, ...], ...] = ()
+    knocks: tuple[Knock, ...] = ()
 
     @property
     def main(self) -> RunFindings:
@@ -109,13 +118,35 @@ class Findings:
         return self.runs[self.estimate.main]
 
 
+def state_checked_findings(
+    checked: CheckedEstimate,
+    provenance: Provenance,
+    trials: TrialResults | None = None,
+    grade: Grade | None = None,
+) -> Findings:
+    """Return what is stated of an estimate, and its verdict."""
+    found = state_findings(checked.estimate, provenance, trials, grade, checked.given)
+    return replace(
+        found,
+        verdict=judge(checked, [run.name for run in provenance.runs]),
+        left_out=checked.left_out,
+        knocks=checked.knocks,
+    )
+
+
 def state_findings(
     estimate: Estimate,
     provenance: Provenance,
     trials: TrialResults | None = None,
     grade: Grade | None = None,
+    given: Sequence[int] | None = None,
 ) -> Findings:
-    """Return what is stated of an estimate."""
+    """Return what is stated of an estimate.
+
+    given : of each Run of the estimate, which of the provenance it is of; as many, in
+        order, if left out
+    """
+    sources = range(len(estimate.runs)) if given is None else given
     return Findings(
         estimate,
         provenance,
@@ -124,18 +155,25 @@ def state_findings(
         tuple(
             RunFindings(
                 number,
-                summary,
+                provenance.runs[source],
                 run,
                 group_residuals(run, across_only=estimate.perpendicular_only),
                 state_noise(run),
+                _number_part(sources, number),
             )
-            for number, (summary, run) in enumerate(
-                zip(provenance.runs, estimate.runs, strict=True)
+            for number, (source, run) in enumerate(
+                zip(sources, estimate.runs, strict=True)
             )
         ),
         trials,
         grade,
     )
+
+
+def _number_part(sources: Sequence[int], number: int) -> int:
+    """Return which part of its Run one is, 0 where it is all of it."""
+    own = [k for k, source in enumerate(sources) if source == sources[number]]
+    return own.index(number) + 1 if len(own) > 1 else 0
 
 
 def group_residuals(run: RunEstimate, *, across_only: bool) -> LineResiduals:

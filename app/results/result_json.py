@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.left_out import LeftOut
+from app.estimation.disturbances import Knock
 from app.files.machine_file import machine_to_json
 from app.files.model_file import model_to_json
 from app.files.result_file import RESULT_SCHEMA
@@ -41,6 +43,12 @@ def result_json(found: Findings) -> dict[str, Any]:
         "machine": machine_to_json(machine),
         "mode": found.main.summary.mode,
         "verdict": verdict_json(found.verdict),
+        "left_out": [
+            _left_out_json(number, each)
+            for number, own in enumerate(found.left_out)
+            for each in own
+        ],
+        "setup_steps": [_knock_json(knock) for knock in found.knocks],
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),
@@ -51,7 +59,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
-        "alignment": _alignment_json(found.main),
+        "alignment": _alignment_json(found, found.main),
         "residuals": _residuals_json(
             np.concatenate([r.estimate.residuals.residual_mm for r in found.runs]),
             estimate.rms_mm,
@@ -62,7 +70,7 @@ def result_json(found: Findings) -> dict[str, Any]:
             **_noise_json(found.main),
             "prior_strength": estimate.prior_precision,
         },
-        "runs": [_run_json(run) for run in found.runs],
+        "runs": [_run_json(found, run) for run in found.runs],
         "observability": observability_json(estimate.observability),
         "grade": None if found.grade is None else grade_json(found.grade),
         "provenance": _provenance_json(found),
@@ -137,10 +145,35 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
     }
 
 
-def _run_json(run: RunFindings) -> dict[str, Any]:
+def _left_out_json(run: int, each: LeftOut) -> dict[str, Any]:
+    """Return samples that were not used; `run` counts the Runs given."""
+    measured = each.samples > 0
+    return {
+        "run": run,
+        "cause": each.cause,
+        "row": each.row if each.row >= 0 else None,
+        "from_s": each.begin_s if measured else None,
+        "to_s": each.end_s if measured else None,
+        "samples": each.samples,
+        "distance_um": UM_PER_MM * each.off_mm if measured else None,
+    }
+
+
+def _knock_json(knock: Knock) -> dict[str, Any]:
+    return {
+        "run": knock.run,
+        "row": knock.row,
+        "t_s": knock.time_s,
+        "shift_um": UM_PER_MM * knock.moved_mm,
+        "turn_urad": URAD_PER_RAD * knock.turned_rad,
+    }
+
+
+def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
     summary, residuals = run.summary, run.estimate.residuals
     return {
         "name": summary.name,
+        "part": run.part or None,
         "mode": summary.mode,
         "samples": run.estimate.offered_samples,
         "used_samples": run.estimate.used_samples,
@@ -148,7 +181,7 @@ def _run_json(run: RunFindings) -> dict[str, Any]:
         "feed_mm_min": list(summary.feed_mm_min) if summary.feed_mm_min else None,
         "input_sha256": summary.digest,
         "source": summary.source,
-        "alignment": _alignment_json(run),
+        "alignment": _alignment_json(found, run),
         "residuals": _residuals_json(
             residuals.residual_mm,
             residuals.rms_mm,
@@ -159,12 +192,14 @@ def _run_json(run: RunFindings) -> dict[str, Any]:
     }
 
 
-def _alignment_json(run: RunFindings) -> dict[str, Any]:
+def _alignment_json(found: Findings, run: RunFindings) -> dict[str, Any]:
     """Return where the tracker stood, and what of the commanded rows was found."""
     summary, estimate = run.summary, run.estimate
     sigma = np.sqrt(np.maximum(np.diag(estimate.pose_covariance), 0.0))
     first = 1 if summary.mode == "otf" else 0
     rows = set(range(first, first + summary.lines))
+    parts = [each for each in found.runs if each.summary is summary]
+    seen = {row for each in parts for row in each.by_line.row.tolist()}
     return {
         "pose": {
             "from": "workpiece",
@@ -179,7 +214,7 @@ def _alignment_json(run: RunFindings) -> dict[str, Any]:
         },
         "lines": summary.lines,
         "matched_lines": estimate.lines,
-        "rows_without_data": sorted(rows - set(run.by_line.row.tolist())),
+        "rows_without_data": sorted(rows - seen),
         "cells": estimate.cells,
         "samples": estimate.offered_samples,
         "used_samples": estimate.used_samples,

@@ -1,0 +1,136 @@
+"""Whether a result may be used: what the whole fit says of itself.
+
+What was left out is a reason, and so is a step of the set-up that was solved for. The
+noise that the estimate finds may not hide a broken fit: residuals are held against what
+the tracker states, with the correlated part that is usual, and against a drift of the
+set-up during the Run, to which places that are measured early and late add.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from app.alignment.left_out import LeftOut
+from app.estimation.batch import RunEstimate
+from app.estimation.disturbances import CheckedEstimate
+from app.estimation.misfit import Misfit
+from app.files.units import UM_PER_MM
+from app.files.verdict import Reason, State, Value, Verdict
+
+_SENTENCES = 12  # on what is left out of one Run; the rest is counted
+_LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
+_RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
+_WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
+_DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
+_DRIFT_MM = 0.001, 0.02  # root mean square
+_LINES = 0.1, 0.5  # of the lines without data
+
+
+def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
+    """Return what a checked estimate says of itself.
+
+    names : of the Runs given
+    """
+    several = len(names) > 1
+    runs = checked.estimate.runs
+    reasons: list[Reason] = []
+    for number, name in enumerate(names):
+        own = [k for k, given in enumerate(checked.given) if given == number]
+        said = [
+            *_judge_left_out(checked.left_out[number], [runs[k] for k in own]),
+            *(
+                Reason(
+                    "set-up-moved",
+                    "usable",
+                    {"distance_um": UM_PER_MM * k.moved_mm, "at_s": k.time_s},
+                )
+                for k in checked.knocks
+                if k.run == number
+            ),
+            *_judge_noise([runs[k] for k in own]),
+            *_judge_drift([checked.misfits[k] for k in own]),
+        ]
+        reasons += [
+            Reason(r.kind, r.state, r.values, name if several else "") for r in said
+        ]
+    return Verdict(tuple(reasons))
+
+
+def _judge_left_out(
+    left_out: Sequence[LeftOut], runs: Sequence[RunEstimate]
+) -> Iterator[Reason]:
+    lost = [each for each in left_out if each.cause not in ("spikes", "no-pass")]
+    worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
+    for each in sorted(worst, key=lambda each: each.begin_s):
+        values: dict[str, Value] = {
+            "samples": each.samples,
+            "line": each.row,
+            "from_s": each.begin_s,
+            "to_s": each.end_s,
+            "distance_um": UM_PER_MM * each.off_mm,
+        }
+        yield Reason("samples-left-out", "usable", values)
+    spikes = [each for each in left_out if each.cause == "spikes"]
+    few = [each for each in lost if each not in worst] + spikes
+    if few:
+        values = {
+            "samples": sum(each.samples for each in few),
+            "distance_um": UM_PER_MM * max(each.off_mm for each in few),
+        }
+        yield Reason("spikes-left-out", "usable", values)
+    rows = [each.row for each in left_out if each.cause == "no-pass"]
+    if rows:
+        lines = sum(run.lines for run in runs) + len(rows)
+        state = _grade(len(rows) / lines, _LINES)
+        shown = ", ".join(map(str, rows[:_SENTENCES]))
+        more = ", …" if len(rows) > _SENTENCES else ""
+        yield Reason("lines-without-data", state, {"lines": shown + more})
+    share = sum(each.samples for each in left_out)
+    share /= max(share + sum(run.used_samples for run in runs), 1)
+    if share > _LEFT_OUT[0]:
+        yield Reason(
+            "much-left-out",
+            _grade(share, _LEFT_OUT),
+            {
+                "left_out_percent": 100.0 * share,
+                "usual_percent": 100.0 * _LEFT_OUT[0],
+            },
+        )
+
+
+def _judge_noise(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
+    residual = max(
+        max(run.residuals.rms_mm, run.residuals.floor_mm) / run.usual_floor_mm
+        for run in runs
+    )
+    white = max(max(run.noise.white) for run in runs)
+    for kind, ratio, limits in (
+        ("fit-beyond-noise", residual, _RESIDUAL),
+        ("noise-beyond-stated", white, _WHITE),
+    ):
+        if ratio > limits[0]:
+            values = {"ratio": float(ratio), "limit_ratio": limits[0]}
+            yield Reason(kind, _grade(float(ratio), limits), values)
+
+
+def _judge_drift(misfits: Sequence[Misfit]) -> Iterator[Reason]:
+    worst = max(misfits, key=lambda misfit: misfit.drift_mm)
+    if worst.drift > _DRIFT_GAIN and worst.drift_mm > _DRIFT_MM[0]:
+        yield Reason(
+            "loop-open",
+            _grade(worst.drift_mm, _DRIFT_MM),
+            {
+                "distance_um": UM_PER_MM * worst.drift_mm,
+                "limit_um": UM_PER_MM * _DRIFT_MM[0],
+            },
+        )
+
+
+def _grade(value: float, limits: tuple[float, float]) -> State:
+    """Return the state for a value.
+
+    limits : of what is usable, and of what is doubtful
+    """
+    return ("usable", "doubtful", "not-usable")[int(np.searchsorted(limits, value))]
