@@ -14,7 +14,7 @@ _AROUND = 21  # samples: far fewer than change the speed of a machine
 _BESIDE = 0.1  # of the largest step nearby
 _CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
 _REPEATED = 5  # times in a row the same value: not measured
-_NOISELESS_MM = 1e-5  # steps of a stream without noise at rest; rounding
+_NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 
 
@@ -46,9 +46,10 @@ def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     frozen = np.zeros(len(position_mm), bool)
     if len(position_mm) < _AROUND:
         return frozen
-    step = np.abs(np.diff(position_mm, axis=0)).max(axis=1)
-    if np.quantile(step[step > 0.0], 0.02) < _NOISELESS_MM if step.any() else True:
+    step = np.diff(position_mm, axis=0)
+    if np.median(np.linalg.norm(np.diff(step, axis=0), axis=1)) < _NOISELESS_MM:
         return frozen
+    step = np.abs(step).max(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], step == 0.0, [0]])))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         frozen[first : last + 1] = last - first >= _REPEATED

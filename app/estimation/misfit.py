@@ -193,18 +193,20 @@ class _Examination:
         best = max(range(len(steps)), key=lambda k: steps[k].gain)
         later = np.concatenate([after[1:], np.zeros_like(after[:1])])
         for line in (best, best + 1):
-            cells = slice(int(begin[line]), int(end[line]))
-            steps += self._steps_within(cells, later[line], drift)
+            inside = np.arange(int(begin[line]), int(end[line]))
+            steps += self._steps_within(inside, later[line], drift)
         return max(steps, key=lambda step: step.gain)
 
     def _steps_within(
-        self, cells: slice, later: Float64[np.ndarray, "q 6"], drift: _Gain
+        self,
+        inside: Int64[np.ndarray, " n"],
+        later: Float64[np.ndarray, "q 6"],
+        drift: _Gain,
     ) -> list[Step]:
         """Return steps between the cells of one line.
 
-        later : sums over the lines after it
+        inside : its cells; later : sums over the lines after it
         """
-        inside: Int64[np.ndarray, " k"] = np.arange(cells.start, cells.stop)
         design = self.about.build(self.seen.select(inside))
         whitener, p = design.whiten(self.about.noise), self.about.size
         rest = design.residual - design.columns @ self.theta

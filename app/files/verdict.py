@@ -41,7 +41,7 @@ SENTENCES: Mapping[str, Sentence] = {
     ),
     "spikes-left-out": Sentence(
         "{samples} lone samples are left out: they lie up to {distance_um} aside.",
-        "",
+        "Look at the tracker's lock and its cables where there are many.",
     ),
     "lines-without-data": Sentence(
         "No stretch at constant feed was found on lines {lines}: they were not "
