@@ -24,7 +24,7 @@ from simulators import paths, synthetic
 from simulators.machine_file import parse_machine
 from simulators.truth_machine import join_rack, random_machine
 
-MACHINES, FEED_MM_MIN, STEP_MM = 10, 24_000.0, 0.008
+FEED_MM_MIN, STEP_MM = 24_000.0, 0.008
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,15 @@ class World:
     name: str
     travel_mm: tuple[float, float, float]
     lines: int
+    machines: int
     step_mm: float = 0.0
 
 
 WORLDS = (
-    World("3 × 1.5 × 1 m", (3000.0, 1500.0, 1000.0), 120),
-    World("6 × 2.5 × 1.2 m", (6000.0, 2500.0, 1200.0), 140),
-    World("30 × 6 × 4 m", (30_000.0, 6000.0, 4000.0), 110),
-    World("6 m, rack joints", (6000.0, 2500.0, 1200.0), 140, STEP_MM),
+    World("3 × 1.5 × 1 m", (3000.0, 1500.0, 1000.0), 120, 10),
+    World("6 × 2.5 × 1.2 m", (6000.0, 2500.0, 1200.0), 140, 10),
+    World("30 × 6 × 4 m", (30_000.0, 6000.0, 4000.0), 110, 3),
+    World("6 m, rack joints", (6000.0, 2500.0, 1200.0), 140, 3, STEP_MM),
 )
 
 
@@ -106,11 +107,11 @@ def _content(world: World, seed: int) -> dict[str, Any]:
 def main() -> None:
     """Judge the machines of every world and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--machines", type=int, default=MACHINES)
+    parser.add_argument("--machines", type=int, default=None)
     parser.add_argument("--world", type=int, default=None)
     options, _ = parser.parse_known_args()
     worlds = WORLDS if options.world is None else [WORLDS[options.world]]
-    rows = [_row(world, options.machines) for world in worlds]
+    rows = [_row(world, options.machines or world.machines) for world in worlds]
     head = [
         "machine",
         "samples",
@@ -136,7 +137,7 @@ def _row(world: World, machines: int) -> list[str]:
         for key in ("before", "left", "bound", "stated")
     )
     row = [
-        world.name,
+        f"{machines} × {world.name}",
         f"{np.mean([o.samples for o in found]):.0f}",
         f"{1e3 * before:.1f}",
         f"{1e3 * left:.2f}",

@@ -23,6 +23,7 @@ from app.alignment.streaming import StreamingAlignment
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import Information, compute_posterior
+from app.estimation.knots import join_cells
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import (
@@ -175,7 +176,9 @@ class LiveEstimator:
         return True
 
     def _observations(self, parts: list[CellBlock]) -> Observations:
-        return add_surroundings(self._alignment.observations(parts), self._commanded)
+        seen = self._alignment.observations(parts)
+        (cells,) = join_cells([add_surroundings(seen, self._commanded)], self._model)
+        return cells
 
     def _add_known(self, data: Information, about: Linearisation) -> Information:
         sigma = np.array(

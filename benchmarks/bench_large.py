@@ -1,0 +1,75 @@
+"""Large machines: time and memory as samples and travel grow.
+
+A gantry of 6 × 2.5 × 1.2 m at 24 m/min with more and more lines, then machines twice as
+long each: all of it, from reading to what is stated. The last column is how often the
+cost doubles where the samples do: 1 is linear.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from measure import Measurement, measure
+
+from app.files.bundle import read_bundle
+from app.results.analysis import analyse
+from simulators import paths, synthetic
+from simulators.bundle_files import write_bundle_files
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+
+SEED, FEED_MM_MIN = 4, 24_000.0
+GANTRY = (6000.0, 2500.0, 1200.0)
+MORE_LINES = (30, 60, 120, 240)
+LONGER = (1.0, 2.0, 4.0)  # times the gantry
+LINES = 60
+
+
+def read_and_analyse(folder: Path) -> tuple[int, int]:
+    """Read and analyse a recording; return samples and parameters."""
+    run = read_bundle(folder)
+    estimate = analyse(run).estimate
+    return len(run.tracker), estimate.model.size
+
+
+def main() -> None:
+    """Measure both rows and print them."""
+    print(f"{'lines':>12s} {'samples':>9s} {'parameters':>10s}{'':42s}growth")
+    _measure_row([(GANTRY, lines) for lines in MORE_LINES])
+    sizes = [tuple(factor * length for length in GANTRY) for factor in LONGER]
+    _measure_row([(size, LINES) for size in sizes])
+
+
+def _measure_row(worlds: list[tuple[tuple[float, ...], int]]) -> None:
+    before: Measurement | None = None
+    for travel_mm, lines in worlds:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name) / "bundle"
+            _record(folder, travel_mm, lines)
+            cost = measure(read_and_analyse, folder)
+        samples, parameters = cost.value
+        growth = "" if before is None else f"{_exponent(before, cost):6.2f}"
+        size = f"{travel_mm[0] / 1e3:.0f} m, {lines}"
+        print(f"{size:>12s} {samples:9d} {parameters:10d} {cost} {growth}", flush=True)
+        before = cost
+
+
+def _exponent(before: Measurement, after: Measurement) -> float:
+    more = np.log(after.value[0] / before.value[0])
+    return float(np.log(after.processor_s / before.processor_s) / more)
+
+
+def _record(folder: Path, travel_mm: tuple[float, ...], lines: int) -> None:
+    content = load_machine("demo")
+    content["axes"] = {
+        name: {"type": "linear", "min_mm": 0.0, "max_mm": length}
+        for name, length in zip("XYZ", travel_mm, strict=True)
+    }
+    program = paths.chord_path(parse_machine(content), SEED, lines, FEED_MM_MIN)
+    write_bundle_files(folder, synthetic.record(content, program, SEED, "otf"))
+
+
+if __name__ == "__main__":
+    main()
