@@ -22,8 +22,9 @@ from app.alignment.nominal_path import (
 )
 from app.alignment.observations import Observations, Pass, add_surroundings
 from app.alignment.reduction import CELL_MM
+from app.alignment.seating import find_seating, seat_targets
 from app.alignment.segmentation import Stream, cut_into_passes
-from app.alignment.sequence import match_stops
+from app.alignment.sequence import match_stops, require_targets
 from app.alignment.stops import find_stops
 from app.errors import AlignmentError
 from app.files.run import Run
@@ -63,18 +64,28 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    nominal = compute_nominal_path(run.machine, run.commanded)
+    machine = run.machine
+    nominal = compute_nominal_path(machine, run.commanded)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
     _require_motion(nominal, commanded)
     require_units(time_s, tracker_mm, nominal.place_mm, run.machine.tracker.rate_hz)
     stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
-    matching = match_stops(stops, nominal.place_mm, ordered_by=commanded)
+    seating = find_seating(machine, run.commanded, nominal.first)
+    matching = match_stops(
+        stops, nominal.place_mm, ordered_by=commanded, seating=seating
+    )
+    if seating is not None:
+        require_targets(seating, matching, stops, commanded)
+    if matching.seats:
+        nominal = compute_nominal_path(
+            seat_targets(machine, matching.seats), run.commanded, nominal.first
+        )
     stream = Stream(time_s, tracker_mm, matching.pose)
     left_out = describe_unusable(run.tracker, usable)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         parts = _require_standstill(parts)
-        return join_blocks(run, parts, matching.pose, (), left_out)
+        return join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
     passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
         raise AlignmentError(
@@ -91,7 +102,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         for p in passes
     )
     left_out += _list_lines_without_pass(nominal, passes)
-    return join_blocks(run, parts, matching.pose, in_run, left_out)
+    return join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
 
 
 def _list_lines_without_pass(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,6 +12,7 @@ from app.alignment.left_out import LeftOut, describe_samples, gather
 from app.alignment.nominal_path import Curve, NominalPath
 from app.alignment.observations import Observations, Pass
 from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
+from app.alignment.seating import Seats, refer_to_first
 from app.alignment.segmentation import ON_LINE_MM, Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence
@@ -200,10 +201,12 @@ def join_blocks(
     parts: list[CellBlock],
     pose: RigidTransform,
     passes: tuple[Pass, ...],
+    seats: Seats,
     left_out: list[LeftOut] | None = None,
 ) -> Observations:
     """Return the cells of all stretches as one block.
 
+    seats : targets that sit far off their places, and by how much
     left_out : what is in none of the stretches, beside what each of them left out
     """
     said = [*(left_out or []), *(each for p in parts for each in p.left_out)]
@@ -228,6 +231,10 @@ def join_blocks(
         np.array([target.on == "workpiece" for target in targets], bool),
         mean_speed if run.machine.rotary_axes else None,
     )
+    seats = refer_to_first(run.machine, seats)
+    if seats:
+        shifts = [seats.get(target.name, np.zeros(3)) for target in targets]
+        at = replace(at, seat_mm=np.array(shifts, np.float64))
     count = np.concatenate([p.cells.count for p in parts])
     return Observations(
         at,

@@ -178,9 +178,14 @@ class NominalPath:
 
 
 def compute_nominal_path(
-    machine: Machine, commanded: Path | Configurations
+    machine: Machine,
+    commanded: Path | Configurations,
+    first: Int64[np.ndarray, " p"] | None = None,
 ) -> NominalPath:
-    """Return what the tracker should see of a path or of standstill points."""
+    """Return what the tracker should see of a path or of standstill points.
+
+    first : rows of the places, where they are known already
+    """
     n = len(commanded)
     end_mm = _expected_mm(machine, commanded, np.arange(n), commanded.position)
     if isinstance(commanded, Configurations):
@@ -200,7 +205,7 @@ def compute_nominal_path(
     moved = np.concatenate([[True], length_mm[1:] >= MIN_MOTION_MM])
     if commanded.target:
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
-    first = np.flatnonzero(moved)
+    first = np.flatnonzero(moved) if first is None else first
     last = np.append(first[1:], n) - 1
     return NominalPath(
         begin_mm, end_mm, length_mm, turn_deg, bends, float(speed.min()), first, last

@@ -7,40 +7,55 @@ tells the correspondence without a first guess of the pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.alignment.seating import MOST_SIGMAS, Seating, Seats
 from app.alignment.stops import StopSequence
 from app.errors import AlignmentError
 from app.numerics.rigid import RigidTransform
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
 TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
+_FEW = 3  # lost standstills of a target: by chance
+_ROUNDS = 3  # pose and seats of targets in turn
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """Standstill `stop[k]` is waypoint `waypoint[k]`, both in order; a rough `pose`."""
+    """Standstill `stop[k]` is waypoint `waypoint[k]`, both in order; a rough `pose`.
+
+    seats : targets that sit far off their places, and by how much
+    """
 
     stop: Int64[np.ndarray, " k"]
     waypoint: Int64[np.ndarray, " k"]
     pose: RigidTransform
+    seats: Seats = field(default_factory=dict[str, Float64[np.ndarray, "3"]])
 
 
 def match_stops(
-    stops: StopSequence, waypoint_mm: Float64[np.ndarray, "w 3"], *, ordered_by: str
+    stops: StopSequence,
+    waypoint_mm: Float64[np.ndarray, "w 3"],
+    *,
+    ordered_by: str,
+    seating: Seating | None = None,
 ) -> Matching:
     """Match standstills (tracker frame) to nominal waypoints (workpiece frame).
 
     ordered_by : what the waypoints are called in messages ("path.csv", "points.csv")
+    seating : how targets may sit off their places; as stated if left out
 
     Raises AlignmentError if they do not belong together, or only as mirror images.
     """
     places = stops.position_mm
     _require_spread(waypoint_mm, ordered_by)
-    stop, waypoint = _longest_chain(places, waypoint_mm)
+    within = np.full((len(waypoint_mm), len(waypoint_mm)), TOLERANCE_MM)
+    if seating is not None:
+        within += seating.slack_mm()
+    stop, waypoint = _longest_chain(places, waypoint_mm, within)
     enough = max(3, round(0.5 * min(len(waypoint_mm), max(len(places), 1))))
     if len(stop) < enough:
         raise AlignmentError(
@@ -48,11 +63,39 @@ def match_stops(
             f"standstills {len(stop)} were recognised among {len(places)} in the "
             "stream; check that the recording belongs to this path and has its order"
         )
-    pose = fit_rigid(waypoint_mm[waypoint], places[stop])
-    _require_right_handed(places[stop], waypoint_mm[waypoint], pose, ordered_by)
-    stop, waypoint = _rematch(places, pose.apply(waypoint_mm))
-    pose = fit_rigid(waypoint_mm[waypoint], places[stop])
-    return Matching(stop, waypoint, pose)
+    seated: Float64[np.ndarray, "w 3"] = waypoint_mm
+    seats: Seats = {}
+    if seating is not None:
+        # A target of few rows in the chain, or of none, is found by its places.
+        seated, _ = seat_places(places[stop], waypoint_mm, waypoint, seating)
+        pose = fit_rigid(seated[waypoint], places[stop])
+        near_mm = TOLERANCE_MM + seating.reach_mm
+        stop, waypoint = _rematch(places, pose.apply(seated), near_mm)
+        seated, seats = seat_places(places[stop], waypoint_mm, waypoint, seating)
+    pose = fit_rigid(seated[waypoint], places[stop])
+    _require_right_handed(places[stop], seated[waypoint], pose, ordered_by)
+    stop, waypoint = _rematch(places, pose.apply(seated))
+    return Matching(stop, waypoint, fit_rigid(seated[waypoint], places[stop]), seats)
+
+
+def seat_places(
+    place_mm: Float64[np.ndarray, "k 3"],
+    waypoint_mm: Float64[np.ndarray, "w 3"],
+    waypoint: Int64[np.ndarray, " k"],
+    seating: Seating,
+) -> tuple[Float64[np.ndarray, "w 3"], Seats]:
+    """Return where targets stand at all waypoints, and their shifts where large.
+
+    place_mm : standstills at some of the waypoints
+    """
+    seat_mm = np.zeros((len(seating.names), 3))
+    for _ in range(_ROUNDS):
+        seated = seating.move(waypoint_mm, seat_mm)[waypoint]
+        to_machine = fit_rigid(seated, place_mm).invert()
+        rest = to_machine.apply(place_mm) - waypoint_mm[waypoint]
+        seat_mm = seating.fit(waypoint, waypoint_mm[waypoint], rest)
+    seat_mm = seating.drop_small(seat_mm)
+    return seating.move(waypoint_mm, seat_mm), seating.name(seat_mm)
 
 
 def fit_rigid(
@@ -77,12 +120,16 @@ def fit_rigid(
 
 
 def _longest_chain(
-    places: Float64[np.ndarray, "m 3"], waypoints: Float64[np.ndarray, "w 3"]
+    places: Float64[np.ndarray, "m 3"],
+    waypoints: Float64[np.ndarray, "w 3"],
+    within: Float64[np.ndarray, "w w"],
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
     """Dynamic programming over pairs (standstill, waypoint) with few skips.
 
     A link is allowed where the distance to the previous pair fits, and to the pair
     before that one as well; each pair adds one, each skip costs a little.
+
+    within : by how much the distance of two waypoints may differ
     """
     m, w = len(places), len(waypoints)
     score = np.ones((m, w))
@@ -94,8 +141,8 @@ def _longest_chain(
             step = float(np.linalg.norm(places[i] - places[j]))
             for da in range(1, min(SKIP, w - 1) + 1):
                 a, b = np.arange(da, w), np.arange(w - da)
-                fits = np.abs(nominal[a, b] - step) < TOLERANCE_MM
-                fits &= _fits_two_back(places, nominal, back, i, j, a, b)
+                fits = np.abs(nominal[a, b] - step) < within[a, b]
+                fits &= _fits_two_back(places, nominal, within, back, i, j, a, b)
                 better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
                 take = fits & (better > score[i, a])
                 score[i, a[take]] = better[take]
@@ -106,6 +153,7 @@ def _longest_chain(
 def _fits_two_back(
     places: Float64[np.ndarray, "m 3"],
     nominal: Float64[np.ndarray, "w w"],
+    within: Float64[np.ndarray, "w w"],
     back: Int64[np.ndarray, "m w 2"],
     i: int,
     j: int,
@@ -114,7 +162,8 @@ def _fits_two_back(
 ) -> np.ndarray:
     earlier, waypoint = back[j, b, 0], back[j, b, 1]
     distance = np.linalg.norm(places[i] - places[earlier], axis=1)
-    return (earlier < 0) | (np.abs(nominal[a, waypoint] - distance) < TOLERANCE_MM)
+    off = np.abs(nominal[a, waypoint] - distance)
+    return (earlier < 0) | (off < within[a, waypoint])
 
 
 def _trace_back(
@@ -132,11 +181,13 @@ def _trace_back(
 
 
 def _rematch(
-    places: Float64[np.ndarray, "m 3"], expected: Float64[np.ndarray, "w 3"]
+    places: Float64[np.ndarray, "m 3"],
+    expected: Float64[np.ndarray, "w 3"],
+    within: float | Float64[np.ndarray, " w"] = TOLERANCE_MM,
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
     """Longest common order of standstills and waypoints that lie at one place."""
     m, w = len(places), len(expected)
-    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < TOLERANCE_MM
+    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < within
     length = np.zeros((m + 1, w + 1), np.int64)
     for i in range(m):
         hit = length[i, :-1] + near[i]
@@ -153,6 +204,35 @@ def _rematch(
             pairs.append((i, a))
     found = np.array(pairs[::-1]).reshape(-1, 2)
     return found[:, 0], found[:, 1]
+
+
+def require_targets(
+    seating: Seating, matching: Matching, stops: StopSequence, ordered_by: str
+) -> None:
+    """Refuse a target that stood still, but not where it may sit.
+
+    Hidden from the tracker, it shows no standstills; then nothing is refused.
+    """
+    remedy = f"check offset_mm in machine.json and the target column of {ordered_by}"
+    first, last = matching.waypoint[[0, -1]]
+    among = np.arange(first, last + 1)
+    unknown = np.ptp(matching.stop[[0, -1]]) + 1 - len(matching.stop)
+    for number, name in enumerate(seating.names):
+        rows = among[seating.target[among] == number]
+        reach = MOST_SIGMAS * float(seating.sigma_mm[number])
+        off = float(np.abs(matching.seats.get(name, np.zeros(3))).max())
+        if off > reach:
+            raise AlignmentError(
+                f"target {name} sits {off:.1f} mm off its offset_mm, where {reach:g} "
+                f"mm may be: {remedy}"
+            )
+        missing = len(rows) - int(np.isin(rows, matching.waypoint).sum())
+        if 2 * missing > len(rows) and 2 * unknown >= missing and missing >= _FEW:
+            raise AlignmentError(
+                f"target {name}: {missing} of its {len(rows)} standstills are not "
+                f"where they should be, while {unknown} in the stream are nowhere in "
+                f"{ordered_by}; it may sit {reach:g} mm off, no more: {remedy}"
+            )
 
 
 def _require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from app.alignment.cell_blocks import (
     CellBlock,
@@ -21,6 +22,7 @@ from app.alignment.cell_blocks import (
 from app.alignment.cleaning import find_valid_samples
 from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
+from app.alignment.seating import Seats, find_seating, seat_targets
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import (
     SKIP,
@@ -28,6 +30,7 @@ from app.alignment.sequence import (
     Matching,
     fit_rigid,
     match_stops,
+    seat_places,
 )
 from app.alignment.stops import StopStream, join_stops
 from app.errors import AlignmentError
@@ -51,12 +54,12 @@ class StreamingAlignment:
 
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
-        self._nominal = compute_nominal_path(machine, commanded)
-        self._place_mm = self._nominal.place_mm
+        self._seats: Seats = {}
+        self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
+        self._know_rows()
         self._raw = TrackerSamples.empty()
         self._stream = StopStream(self._nominal.slowest_mm_s)
         self._known = 0  # standstills that have been looked at
-        self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
         self.pose: RigidTransform | None = None
@@ -69,8 +72,16 @@ class StreamingAlignment:
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""
         self._run = replace(self._run, commanded=commanded)
-        self._nominal = compute_nominal_path(self._run.machine, commanded)
-        self._place_mm = self._nominal.place_mm
+        self._know_rows()
+
+    def _know_rows(self) -> None:
+        machine, commanded = self._run.machine, self._run.commanded
+        self._nominal = compute_nominal_path(machine, commanded)
+        self._place_mm = self._seated_mm = self._nominal.place_mm
+        self._seating = find_seating(machine, commanded, self._nominal.first)
+        if self._matched and self._seating:
+            self._refine_pose()
+        self._seat_path()
 
     def add(self, block: TrackerSamples) -> list[CellBlock]:
         """Take the next samples; return what they finish."""
@@ -98,7 +109,8 @@ class StreamingAlignment:
         """
         if self.pose is None:
             raise AlignmentError("the standstills so far do not tell the pose")
-        return join_blocks(self._run, list(parts), self.pose, tuple(self._passes))
+        passes = tuple(self._passes)
+        return join_blocks(self._run, list(parts), self.pose, passes, self._seats)
 
     def _add_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[CellBlock]:
         self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])
@@ -125,15 +137,20 @@ class StreamingAlignment:
         stops = self._stream.stops
         if not 3 <= len(stops) <= _TRIES:
             return
-        nominal_mm = self._place_mm[: len(stops) + _TRIES]
+        first = slice(len(stops) + _TRIES)
+        nominal_mm = self._place_mm[first]
+        seating = self._seating.select(first) if self._seating else None
         names = "path.csv" if self._run.mode == "otf" else "points.csv"
         try:
-            found = match_stops(join_stops(stops, 0), nominal_mm, ordered_by=names)
+            found = match_stops(
+                join_stops(stops, 0), nominal_mm, ordered_by=names, seating=seating
+            )
         except AlignmentError:
             return  # too little so far, or another path: the batch will say
         if self._is_wide(nominal_mm[found.waypoint]):
             pairs = zip(found.stop.tolist(), found.waypoint.tolist(), strict=True)
             self._matched, self.pose = list(pairs), found.pose
+            self._refine_pose()
 
     def _is_wide(self, points_mm: np.ndarray) -> bool:
         """Tell whether points fix a pose for the whole volume, not a line only."""
@@ -147,15 +164,44 @@ class StreamingAlignment:
         if index <= latest:
             return
         begin = waypoint + 1
-        ahead = self.pose.apply(self._place_mm[begin : begin + SKIP + 1])
+        ahead = slice(begin, begin + SKIP + 1)
         place = self._stream.stops[index].position_mm
-        near = np.flatnonzero(np.linalg.norm(ahead - place, axis=1) < TOLERANCE_MM)
+        off = np.linalg.norm(self.pose.apply(self._seated_mm[ahead]) - place, axis=1)
+        near = np.flatnonzero(off < TOLERANCE_MM + self._find_reach_mm(ahead))
         if len(near):
             self._matched.append((index, begin + int(near[0])))
-            waypoints = [w for _, w in self._matched]
-            stops = [self._stream.stops[k] for k, _ in self._matched]
-            places = np.array([stop.position_mm for stop in stops])
-            self.pose = fit_rigid(self._place_mm[waypoints], places)
+            self._refine_pose()
+
+    def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"] | float:
+        """Return how far off targets may be that have not been seen yet."""
+        if self._seating is None:
+            return 0.0
+        target = self._seating.target
+        seen = target[[waypoint for _, waypoint in self._matched]]
+        new = ~np.isin(target[places], seen)
+        return new * self._seating.reach_mm[places]
+
+    def _refine_pose(self) -> None:
+        waypoints = np.array([w for _, w in self._matched])
+        stops = [self._stream.stops[k] for k, _ in self._matched]
+        places = np.array([stop.position_mm for stop in stops])
+        if self._seating is not None:
+            self._seated_mm, found = seat_places(
+                places, self._place_mm, waypoints, self._seating
+            )
+            if not found.keys() <= self._seats.keys():
+                # Each as it is first known: the estimate is linear in the rest.
+                self._seats = {**found, **self._seats}
+                self._seat_path()
+        self.pose = fit_rigid(self._seated_mm[waypoints], places)
+
+    def _seat_path(self) -> None:
+        if self._seats:
+            self._nominal = compute_nominal_path(
+                seat_targets(self._run.machine, self._seats),
+                self._run.commanded,
+                self._nominal.first,
+            )
 
     def _between(
         self, here: tuple[int, int], there: tuple[int, int]

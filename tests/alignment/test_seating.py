@@ -1,0 +1,103 @@
+"""Targets that sit millimetres off where the machine file states them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.alignment.streaming import StreamingAlignment
+from app.errors import AlignmentError
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.kinematics.machine import Machine
+from app.motion.configurations import Configurations
+from drivers.interfaces.records import Path, TrackerSamples
+from simulators import synthetic, turning_paths
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+
+OFF = {"T1": (0.4, -2.0, 1.0), "T2": (3.0, -1.0, 2.0), "W2": (-3.0, 2.0, 1.0)}
+
+
+def move_targets(machine: Machine, off: dict[str, tuple[float, ...]]) -> Machine:
+    """Return the machine whose file states targets so far off."""
+    targets = [
+        replace(t, offset_mm=tuple(np.add(t.offset_mm, off.get(t.name, (0.0,) * 3))))
+        for t in machine.targets
+    ]
+    return replace(machine, targets=tuple(targets))
+
+
+def measure(mode: str) -> Run:
+    content = load_machine("head-table")
+    machine = parse_machine(content)
+    if mode == "standstill":
+        program = turning_paths.turning_points(machine, 4, 90, dwell_s=0.4)
+    else:
+        program = turning_paths.turning_path(machine, 4, 30, 6000.0)
+    made = synthetic.record(content, program, 4, mode)
+    samples = TrackerSamples(
+        np.arange(len(made)), made.time_s, made.position_mm, made.status
+    )
+    stated = machine_from_json(content)
+    rows = (program.position, program.dwell_s, program.target)
+    commanded = Configurations(stated.axis_names, *rows)
+    if mode == "otf":
+        feed = 60.0 * program.feed_mm_s
+        commanded = Path(stated.axis_names, rows[0], feed, *rows[1:])
+    return Run("seats", stated, commanded, samples)
+
+
+@pytest.fixture(scope="module", params=["standstill", "otf"])
+def run(request: pytest.FixtureRequest) -> Run:
+    return measure(request.param)
+
+
+def test_no_row_of_a_target_that_sits_three_millimetres_off_is_lost(run: Run) -> None:
+    stated, seen = (
+        align(run),
+        align(replace(run, machine=move_targets(run.machine, OFF))),
+    )
+    assert set(seen.row) == set(stated.row)
+    off = seen.pose.invert().apply(seen.tracker_mm) - seen.at.point_mm
+    # Of the first target, which the volumetric error is stated for, nothing is taken.
+    first = np.abs(seen.at.offset_mm - seen.at.machine.targets[0].offset_mm).max(axis=1)
+    assert np.linalg.norm(off[first > 0.0], axis=1).max() < 4.0
+
+
+def test_a_large_shift_is_known_before_levers_are_taken(run: Run) -> None:
+    seen = align(replace(run, machine=move_targets(run.machine, {"W2": OFF["W2"]})))
+    offset = seen.at.machine.target("W2").offset_mm
+    mine = np.abs(seen.at.offset_mm - np.array(offset)).max(axis=1) < 1e-6
+    assert seen.at.seat_mm is not None
+    assert np.abs(seen.at.seat_mm[mine] + np.array(OFF["W2"])).max() < 0.2
+    assert not seen.at.seat_mm[~mine].any()
+
+
+def test_targets_where_they_are_stated_have_no_shift(run: Run) -> None:
+    assert align(run).at.seat_mm is None
+
+
+def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run: Run) -> None:
+    off = replace(run, machine=move_targets(run.machine, {"W2": OFF["W2"]}))
+    live = StreamingAlignment(off.machine, off.commanded)
+    parts = []
+    for begin in range(0, len(off.tracker), 50):
+        rows = slice(begin, begin + 50)
+        samples = off.tracker
+        parts += live.add(
+            TrackerSamples(
+                samples.sequence[rows],
+                samples.device_time_s[rows],
+                samples.position_mm[rows],
+                samples.status[rows],
+            )
+        )
+    assert set(live.observations(parts + live.finish()).row) == set(align(off).row)
+
+
+def test_a_target_at_another_place_than_stated_is_refused_by_name(run: Run) -> None:
+    away = {"W2": (0.0, 0.0, 40.0)}
+    with pytest.raises(AlignmentError, match=r"target W2.* off"):
+        align(replace(run, machine=move_targets(run.machine, away)))
