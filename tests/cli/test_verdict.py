@@ -148,12 +148,12 @@ def test_many_reasons_do_not_hide_the_tables(judged, tmp_path, capsys):
 def test_analyse_warns_on_standard_error_and_succeeds(
     recorded, tmp_path, capsys, monkeypatch, as_json
 ):
-    state_findings = analysis.state_findings
+    analyse = analysis.analyse
 
-    def judge(*arguments):
-        return replace(state_findings(*arguments), verdict=VERDICTS["not-usable"])
+    def judge(*runs, **options):
+        return replace(analyse(*runs, **options), verdict=VERDICTS["not-usable"])
 
-    monkeypatch.setattr(analysis, "state_findings", judge)
+    monkeypatch.setattr(analysis, "analyse", judge)
     more = ["--json"] if as_json else []
     assert run(["analyse", str(recorded), "-o", str(tmp_path / "out"), *more]) == 0
     said = capsys.readouterr()

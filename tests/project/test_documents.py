@@ -7,6 +7,7 @@ import subprocess
 import pytest
 
 from app.api.application import create_application
+from app.files.verdict import SENTENCES, STATED
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -146,3 +147,8 @@ def test_every_route_of_the_documents_exists_and_none_is_left_out(root):
         route for route in routes if route[1].startswith("/api/v1/jobs/{job_id}/result")
     }
     assert routes - named <= results, f"left out: {sorted(routes - named - results)}"
+
+
+@pytest.mark.parametrize("kind", sorted(set(SENTENCES) - {STATED}))
+def test_every_reason_of_a_verdict_is_explained_to_the_operator(kind, root):
+    assert f"| `{kind}` |" in (root / "docs" / "verdict.md").read_text()
