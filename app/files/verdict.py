@@ -34,11 +34,6 @@ SENTENCES: Mapping[str, Sentence] = {
         "lie {distance_um} aside from the others.",
         "Look at what crossed the beam or moved the reflector at that time.",
     ),
-    "line-left-out": Sentence(
-        "Line {line}, from {from_s} to {to_s}, is left out: its residual is {ratio} "
-        "times that of noise.",
-        "Look at what happened on that line; measure again if several are left out.",
-    ),
     "spikes-left-out": Sentence(
         "{samples} lone samples are left out: they lie up to {distance_um} aside.",
         "Look at the tracker's lock and its cables where there are many.",

@@ -59,8 +59,8 @@ def test_keys_name_the_unit_of_their_numbers(content):
 
 
 def test_the_verdict_comes_back_as_it_was_stated(found):
-    values = {"line": 4, "from_s": 12.0, "to_s": 15.5, "ratio": 8.2}
-    stated = Verdict((Reason("line-left-out", "doubtful", values),))
+    values = {"lines": "4, 9"}
+    stated = Verdict((Reason("lines-without-data", "doubtful", values),))
     content = result_json(replace(found, verdict=stated))
     assert result_from_json(json.loads(json.dumps(content))).verdict == stated
 
