@@ -21,7 +21,7 @@ from app.kinematics.conditions import Conditions
 from app.numerics.rigid import RigidTransform
 
 _SETTLE_S = 0.05  # left out at both ends of a standstill
-_FEWEST_SAMPLES = 10  # of a standstill
+_FEWEST_SAMPLES = 5  # of a standstill
 _CREEP_MM = 0.03  # several times what the air does in a second
 
 

@@ -10,7 +10,7 @@ from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
 
 _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
-_AROUND = 21  # samples: far fewer than change the speed of a machine
+_AROUND_S, _FEWEST = 0.042, 5  # of samples: hardly changes the speed of a machine
 _BESIDE = 0.1  # of the largest step nearby
 _CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
 _REPEATED = 5  # times in a row the same value: not measured
@@ -44,7 +44,7 @@ def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     without any noise, as of a calculation, repeats itself at every standstill.
     """
     frozen = np.zeros(len(position_mm), bool)
-    if len(position_mm) < _AROUND:
+    if len(position_mm) < 4 * _REPEATED:
         return frozen
     step = np.diff(position_mm, axis=0)
     if np.median(np.linalg.norm(np.diff(step, axis=0), axis=1)) < _NOISELESS_MM:
@@ -65,21 +65,24 @@ def _aside(
     go first; without them the motion must go on from where it was.
     """
     aside = np.zeros(len(time_s), bool)
-    if len(time_s) < 2 * _AROUND:
+    if len(time_s) < 2 * _FEWEST:
         return aside
     step_s = np.diff(time_s)
+    around = max(_FEWEST, round(_AROUND_S / float(np.median(step_s))))
+    if len(time_s) < 2 * around:
+        return aside
     speed = np.diff(position_mm, axis=0) / step_s[:, None]
-    usual = _usual(speed)
+    usual = _usual(speed, around)
     off = np.linalg.norm(speed - usual, axis=1) * step_s
     limit = max(_SPIKE_MM, 10.0 * float(np.median(off)))
     # The usual speed is off as well beside a jump, by far less.
-    nearby = maximum_filter1d(off, 2 * _AROUND + 1)
+    nearby = maximum_filter1d(off, 2 * around + 1)
     jumps = np.flatnonzero((off > limit) & (off > _BESIDE * nearby))
     begin = np.concatenate([[0], jumps + 1])
     while len(begin) > 2:
         # From the last sample before each inner stretch to the first one after it.
         a, b, after = begin[1:-1] - 1, begin[1:-1], begin[2:]
-        mean = 0.5 * (usual[np.maximum(a - _AROUND, 0)] + _later(usual, after))
+        mean = 0.5 * (usual[np.maximum(a - around, 0)] + _later(usual, after + around))
         left = position_mm[after] - position_mm[a]
         left = left - mean * (time_s[after] - time_s[a])[:, None]
         least = np.minimum(off[a], off[after - 1])
@@ -93,11 +96,13 @@ def _aside(
     return aside
 
 
-def _usual(speed: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3"]:
+def _usual(
+    speed: Float64[np.ndarray, "m 3"], around: int
+) -> Float64[np.ndarray, "m 3"]:
     """Return the medians of blocks of samples, straight from one to the next."""
-    blocks = len(speed) // _AROUND
-    medians = np.median(speed[: blocks * _AROUND].reshape(blocks, _AROUND, 3), axis=1)
-    middle = _AROUND * (np.arange(blocks) + 0.5) - 0.5
+    blocks = len(speed) // around
+    medians = np.median(speed[: blocks * around].reshape(blocks, around, 3), axis=1)
+    middle = around * (np.arange(blocks) + 0.5) - 0.5
     at = np.arange(len(speed))
     straight = np.empty_like(speed)
     for axis in range(3):
@@ -108,7 +113,7 @@ def _usual(speed: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 3"]:
 def _later(
     speed: Float64[np.ndarray, "m 3"], sample: Int64[np.ndarray, " k"]
 ) -> Float64[np.ndarray, "k 3"]:
-    return speed[np.minimum(sample + _AROUND, len(speed) - 1)]
+    return speed[np.minimum(sample, len(speed) - 1)]
 
 
 def _spikes(

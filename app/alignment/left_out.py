@@ -19,6 +19,7 @@ Cause = Literal[
     "spikes", "burst", "frozen", "off-line", "outliers", "cells", "line", "no-pass"
 ]
 _LONGEST_SPIKE = 3  # samples; more in a row are a burst
+_MOSTLY = 0.5  # of the samples repeat the one before: frozen
 _FEWEST_OUTLIERS = 5  # of one line; fewer are counted with the spikes
 
 
@@ -67,7 +68,8 @@ def describe_unusable(
     for stretch in stretches:
         mine = off[begin : begin + len(stretch)]
         begin += len(stretch)
-        frozen = bool((position_mm[stretch] == position_mm[stretch[0]]).all())
+        same = np.diff(position_mm[stretch], axis=0).any(axis=1) == 0
+        frozen = len(stretch) > 1 and bool(same.mean() > _MOSTLY)
         cause: Cause = "frozen" if frozen else "burst"
         if len(stretch) <= _LONGEST_SPIKE:
             cause = "spikes"

@@ -27,7 +27,7 @@ ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
 _STEADY = 0.02  # relative change of speed that counts as a ramp
 _SPEED_NOISE_MM_S = 0.8  # tolerance of a speed at the least, for the tracker's noise
 _SHORTEST_S = 0.1  # a pass
-_FEWEST_SAMPLES = 20  # of a pass
+_FEWEST_SAMPLES = 8  # of a pass
 _SLOW_PACE = 0.2  # of its mean speed: slower than this the target tells no share
 _AGREES = 0.05  # what is gone and how fast belong together
 
@@ -114,7 +114,7 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     speed, pace = speed_mm_s(time, points), curve.pace(share)
     counted = on & (pace > _SLOW_PACE)
     middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted
-    if middle.sum() < 10:
+    if middle.sum() < _FEWEST_SAMPLES // 2:
         middle = counted
     if not middle.any():
         return None

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-SPEED_BLOCK = 10  # samples on either side: 20 ms at 500 Hz
+_BLOCK_S, _FEWEST = 0.02, 5  # samples on either side whose means tell a speed
 SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
 
 
@@ -32,11 +32,18 @@ class StopSequence:
         return len(self.first)
 
 
+def count_block(time_step_s: float) -> int:
+    """Return how many samples on either side tell a speed, at any rate."""
+    return max(_FEWEST, round(_BLOCK_S / max(time_step_s, 1e-9)))
+
+
 def speed_mm_s(
     time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, " n"]:
     """Return the speed from the block before each sample to the block after it."""
-    n, w = len(time_s), min(SPEED_BLOCK, max(1, len(time_s) // 3))
+    n = len(time_s)
+    block = count_block(float(np.median(np.diff(time_s)))) if n > 1 else 1
+    w = min(block, max(1, n // 3))
     stacked = np.column_stack([time_s - time_s[0], position_mm - position_mm[0]])
     total = np.vstack([np.zeros(4), np.cumsum(stacked, axis=0)])
     means = (total[w:] - total[:-w]) / w
@@ -132,10 +139,11 @@ class Stop:
 class StopStream:
     """Valid samples in order of time, and the standstills among them. One thread.
 
-    slowest_mm_s : of any motion
+    slowest_mm_s : of any motion; rate_hz : of the samples
     """
 
-    def __init__(self, slowest_mm_s: float) -> None:
+    def __init__(self, slowest_mm_s: float, rate_hz: float) -> None:
+        self._block = count_block(1.0 / rate_hz)
         self._threshold_mm_s = standstill_speed_mm_s(slowest_mm_s)
         self._time_s = np.empty(0)
         self._point_mm = np.empty((0, 3))
@@ -154,7 +162,7 @@ class StopStream:
         """Take further samples and note the standstills that show."""
         self._time_s = np.concatenate([self._time_s, time_s])
         self._point_mm = np.concatenate([self._point_mm, point_mm])
-        self._judge(len(self) - SPEED_BLOCK)
+        self._judge(len(self) - self._block)
 
     def end(self) -> None:
         """Nothing follows: judge the last samples as well."""
@@ -164,7 +172,7 @@ class StopStream:
 
     def forget_before(self, index: int) -> None:
         """Let go of samples that are no longer needed."""
-        gone = min(index, self._judged - SPEED_BLOCK) - self._dropped
+        gone = min(index, self._judged - self._block) - self._dropped
         if gone > 0:
             self._time_s, self._point_mm = self._time_s[gone:], self._point_mm[gone:]
             self._dropped += gone
@@ -187,7 +195,7 @@ class StopStream:
         return self._time_s[inside], self._point_mm[inside]
 
     def _judge(self, until: int) -> None:
-        if until <= self._judged or self.kept < 3 * SPEED_BLOCK:
+        if until <= self._judged or self.kept < 3 * self._block:
             return
         at_rest = self._at_rest(self._judged, until)
         for first, last, rests in _runs(at_rest, self._judged):
@@ -198,8 +206,8 @@ class StopStream:
         self._judged = until
 
     def _at_rest(self, first: int, last: int) -> Bool[np.ndarray, " n"]:
-        context = max(first - 2 * SPEED_BLOCK, self._dropped)
-        context = min(context, max(len(self) - 3 * SPEED_BLOCK, self._dropped))
+        context = max(first - 2 * self._block, self._dropped)
+        context = min(context, max(len(self) - 3 * self._block, self._dropped))
         time_s, point_mm = self.part(context, len(self))
         slow = speed_mm_s(time_s, point_mm) < self._threshold_mm_s
         return slow[first - context : last - context]

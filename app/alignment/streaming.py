@@ -43,7 +43,7 @@ from drivers.interfaces.records import Path, TrackerSamples
 _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
 _WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
 _TRIES = 30  # standstills among which the first matching is sought
-_MOST_KEPT = 300_000  # samples of one line: 10 minutes at 500 Hz
+_MOST_KEPT_S = 600.0  # of one line
 
 
 class StreamingAlignment:
@@ -58,7 +58,7 @@ class StreamingAlignment:
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._know_rows()
         self._raw = TrackerSamples.empty()
-        self._stream = StopStream(self._nominal.slowest_mm_s)
+        self._stream = StopStream(self._nominal.slowest_mm_s, machine.tracker.rate_hz)
         self._known = 0  # standstills that have been looked at
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
@@ -238,8 +238,9 @@ class StreamingAlignment:
         stops = self._stream.stops
         if self.pose is not None:
             self._stream.forget_before(stops[self._matched[-1][0]].first)
-        if self._stream.kept > _MOST_KEPT:
-            self._stream.forget_before(len(self._stream) - _MOST_KEPT // 2)
+        most = int(_MOST_KEPT_S * self._run.machine.tracker.rate_hz)
+        if self._stream.kept > most:
+            self._stream.forget_before(len(self._stream) - most // 2)
 
 
 def _rows(samples: TrackerSamples, rows: slice) -> TrackerSamples:

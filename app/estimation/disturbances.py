@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 from scipy.special import chdtri
 
 from app.alignment.cell_gate import describe_cells
@@ -31,7 +31,9 @@ _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
 _STEP_MARGIN = 1.7
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
+_OF_LINE = 0.3  # of the worst line's gain, for a step to come first
 _MOST = 0.2  # of the cells of a Run; more are no disturbance
+_FEWEST_CELLS = 4  # of a line that was cut
 _OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
 
 
@@ -141,7 +143,7 @@ def _act(parts: list[_Part], misfits: tuple[Misfit, ...]) -> list[_Part] | None:
         bad = _find_bad_cells(misfit)
         step = misfit.step
         worst = float(misfit.line.max(initial=0.0))
-        if step and step.alone > worst and _is_knock(misfit, step):
+        if step and step.alone > _OF_LINE * worst and _is_knock(misfit, step):
             fewer += _split(part, step)
         elif bad.any():
             fewer.append(_Part(part.given, _leave_out(part.seen, bad, misfit)))
@@ -199,9 +201,21 @@ def _leave_out(
                 misfit.off_mm[part],
                 int(seen.row[first]),
             )
-    kept = seen.select(np.flatnonzero(~bad))
+    kept = _drop_remnants(seen, np.flatnonzero(~bad))
     left_out = tuple(sorted([*seen.left_out, *said], key=_order))
     return replace(kept, used=int(kept.count.sum()), left_out=left_out)
+
+
+def _drop_remnants(seen: Observations, cells: Int64[np.ndarray, " n"]) -> Observations:
+    """Return some of the cells, without lines of which too little is left.
+
+    Phase and speed of a line take two cells; what they leave of few tells nothing.
+    """
+    line = seen.at.line[cells]
+    own = np.bincount(line + 1, minlength=2)
+    before = np.bincount(seen.at.line + 1, minlength=len(own))[: len(own)]
+    whole = (line < 0) | (own == before)[line + 1] | (own >= _FEWEST_CELLS)[line + 1]
+    return seen.select(cells[whole])
 
 
 def _order(each: LeftOut) -> tuple[float, int]:
@@ -223,7 +237,7 @@ def _split(part: _Part, step: Step) -> list[_Part]:
     found: list[_Part] = []
     used = 0
     for number, cells in enumerate(halves):
-        some = seen.select(cells)
+        some = _drop_remnants(seen, cells)
         count = int(some.count.sum())
         offered = seen.offered - used if number else count
         used += count
