@@ -90,7 +90,10 @@ class AdaptivePlanner:
         The last one may wait for samples that come after it.
         """
         order, design = self._order, self._make_design(found)
-        planner = Planner(self._machine, design, order.workspace, order.feeds_mm_min)
+        workspace = order.workspace
+        if workspace.stations is not None:
+            workspace = workspace.place_tracker(found.station_mm)
+        planner = Planner(self._machine, design, workspace, order.feeds_mm_min)
         for row in sorted({*found.rows, len(self.commanded) - 1}):
             line = slice(max(row - 1, 0), row + 1)
             planner = planner.update(select_rows(self.commanded, line))
