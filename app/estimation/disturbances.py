@@ -30,6 +30,7 @@ _ROUNDS = 8
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
 _STEP_MARGIN = 1.7
+_LEAST_MM = 0.002  # of a knock; less is the air's
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
 _OF_LINE = 0.3  # of the worst line's gain, for a step to come first
 _MOST = 0.2  # of the cells of a Run; more are no disturbance
@@ -161,6 +162,8 @@ def _is_knock(misfit: Misfit, step: Step) -> bool:
     """Tell whether a step is there that neither noise nor drift explains."""
     limit = float(chdtri(6, _RISK / max(len(misfit.line), 1))) * _STEP_MARGIN
     if step.gain < limit * misfit.rest or step.alone < 0.5 * step.gain:
+        return False
+    if step.moved_mm < _LEAST_MM:
         return False
     excess = misfit.square - misfit.freedom
     of_all = step.alone > _OF_EXCESS * excess

@@ -39,12 +39,13 @@ class Step:
     """A step of the pose before one cell.
 
     cell : the first after it; gain : of −2 log likelihood, beyond that of a drift
-    alone : gain where there is no drift
+    alone : gain where there is no drift; moved_mm : by how far, at the middle
     """
 
     cell: int
     gain: float
     alone: float
+    moved_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,18 +240,19 @@ class _Gain:
         self.size = self.inverse @ self.pulled
         self.gain = float(self.pulled @ self.size)
 
-    def add(self, sums: Float64[np.ndarray, "q 6"]) -> tuple[float, float]:
-        """Return the gain of a step beside the drift, and alone."""
+    def add(self, sums: Float64[np.ndarray, "q 6"]) -> tuple[float, float, float]:
+        """Return the gain of a step beside the drift, and alone, and its size in mm."""
         of, p = self.of, self.fixed
         columns, pulled = sums[:p], sums[p]
         solved = of.solve(columns)
         F = sums[of.machine : p] - columns.T @ solved
         cross = sums[p + 1 :] - self.columns.T @ solved
         raw = np.diag(sums[of.machine : p])
-        alone = float(pulled @ _invert(F, raw) @ pulled)
+        step = _invert(F, raw) @ pulled
+        alone, moved_mm = float(pulled @ step), float(np.linalg.norm(step[:3]))
         beside = F - cross.T @ self.inverse @ cross
         pulled = pulled - cross.T @ self.size
-        return float(pulled @ _invert(beside, raw) @ pulled), alone
+        return float(pulled @ _invert(beside, raw) @ pulled), alone, moved_mm
 
 
 def _solve(
