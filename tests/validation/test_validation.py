@@ -29,7 +29,7 @@ def validation():
 def test_every_section_of_the_document_holds_a_table():
     text = DOCUMENT.read_text(encoding="utf-8")
     sections = re.findall(r"<!-- ([\w-]+) -->\n(.*?)<!-- /\1 -->", text, re.DOTALL)
-    assert len(sections) == 8
+    assert len(sections) == 9
     assert all("| --- |" in body for _, body in sections)
 
 
@@ -88,6 +88,20 @@ def test_the_error_left_is_near_the_information_bound(validation):
     assert script.ratio(outcomes) < 1.15
     assert 0.90 < np.mean([o.map_covered for o in outcomes]) < 0.99
     assert 0.90 < np.mean([o.tables_covered for o in outcomes]) < 0.99
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_gantries_reach_the_information_bound(validation):
+    script = validation("large_machines")
+    gantry = next(world for world in script.WORLDS if world.travel_mm[0] == 3000.0)
+    found = [script.outcome(gantry, seed) for seed in range(1, 7)]
+    left, bound = (
+        np.sqrt(np.mean([getattr(o, key) ** 2 for o in found]))
+        for key in ("left", "bound")
+    )
+    assert left < 1.15 * bound
+    assert 0.90 < np.mean([o.covered for o in found]) < 0.99
 
 
 @pytest.mark.long
