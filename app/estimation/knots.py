@@ -87,14 +87,14 @@ def find_intervals(fit: Fit) -> dict[str, int]:
 
 def add_hidden_variance(result: Posterior, fit: Fit) -> Posterior:
     """Return the posterior with what motions may do between knots that are far."""
-    covariance = result.covariance.copy()
+    hidden = np.zeros(len(result.theta))
     for motion in fit.model.error_motions:
         if _can_refine(motion):
-            own = np.arange(covariance.shape[0])[fit.model.slices[motion.name]]
             precision = fit.prior.precision[motion.name]
             # Of every control value: their shapes are orthonormal.
-            covariance[own, own] += compute_hidden_variance(motion, precision)
-    return replace(result, covariance=covariance)
+            own = fit.model.slices[motion.name]
+            hidden[own] = compute_hidden_variance(motion, precision)
+    return replace(result, covariance=result.covariance + np.diag(hidden))
 
 
 def compute_hidden_variance(motion: ErrorMotion, precision: float) -> float:
