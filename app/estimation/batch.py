@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,7 +33,8 @@ from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInformation, RunInput
 from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import NestedModels, RunModels
-from app.kinematics.machine import TrackerNoise
+from app.kinematics.effects.nuisance import TargetSeat
+from app.kinematics.machine import Target, TrackerNoise
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
 
@@ -57,6 +58,18 @@ class Residuals:
 
 
 @dataclass(frozen=True, slots=True)
+class SeatEstimate:
+    """How far a target sits off where the machine file states it, in mm.
+
+    On the tool: against the first target there, for which the errors are stated.
+    """
+
+    target: Target
+    shift_mm: Float64[np.ndarray, "3"]
+    sigma_mm: Float64[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True)
 class RunEstimate:
     """What belongs to one Run of an estimate.
 
@@ -67,6 +80,7 @@ class RunEstimate:
     lines : rows of the path or points that it has data of
     usual_floor_mm : root mean square of a residual component if the noise were as the
         tracker states it, with the usual correlated part
+    seats : of its targets, those that are a matter of the pose left out
     """
 
     noise: NoiseModel
@@ -81,6 +95,7 @@ class RunEstimate:
     offered_samples: int
     lines: int
     usual_floor_mm: float = np.inf
+    seats: tuple[SeatEstimate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +247,21 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.offered,
         len(np.unique(observations.row)),
         floor_mm(observations, _usual_noise(run.noise), _travel(run)),
+        tuple(_find_seats(run, machine)),
     )
+
+
+def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimate]:
+    """Yield how its targets sit: what was found before lines were cut, and the rest."""
+    at, model = run.observations.at, run.linearisation.machine_model
+    for effect in model.effects:
+        if isinstance(effect, TargetSeat) and effect.run == at.run:
+            part, rows = model.slices[effect.name], np.flatnonzero(effect.select(at))
+            shift = machine.theta[part]
+            if at.seat_mm is not None and len(rows):
+                shift = shift + at.seat_mm[rows[0]]
+            sigma = np.sqrt(np.maximum(np.diag(machine.covariance[part, part]), 0.0))
+            yield SeatEstimate(effect.target, shift, sigma)
 
 
 def _usual_noise(noise: NoiseModel) -> NoiseModel:

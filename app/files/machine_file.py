@@ -20,6 +20,7 @@ from app.files.file_model import (
 )
 from app.files.whole_files import read_whole
 from app.kinematics.machine import (
+    SEAT_SIGMA_MM,
     Axis,
     LinearAxis,
     Machine,
@@ -104,10 +105,11 @@ class AxesFile(FileModel):
 
 
 class TargetFile(FileModel):
-    """A target."""
+    """A target; how well its place is known."""
 
     on: Literal["tool", "workpiece"]
     offset_mm: Vector
+    seat_sigma_mm: Positive = SEAT_SIGMA_MM
 
 
 class TrackerFile(FileModel):
@@ -187,7 +189,9 @@ class MachineFile(FileModel):
     def machine(self) -> Machine:
         """Return the machine; the target of `tool_offset_mm` has no name."""
         stated = (self.targets or {}).items()
-        targets = tuple(Target(name, t.on, t.offset_mm) for name, t in stated)
+        targets = tuple(
+            Target(name, t.on, t.offset_mm, t.seat_sigma_mm) for name, t in stated
+        )
         if self.tool_offset_mm is not None:
             targets = (Target("", "tool", self.tool_offset_mm),)
         noise = TrackerNoise(**self.tracker.model_dump())
@@ -248,9 +252,11 @@ def _axis_json(axis: Axis) -> dict[str, Any]:
 def _targets_json(targets: tuple[Target, ...]) -> dict[str, Any]:
     if len(targets) == 1 and not targets[0].name and targets[0].on == "tool":
         return {"tool_offset_mm": list(targets[0].offset_mm)}
-    return {
-        "targets": {
-            target.name: {"on": target.on, "offset_mm": list(target.offset_mm)}
-            for target in targets
-        }
-    }
+    return {"targets": {target.name: _target_json(target) for target in targets}}
+
+
+def _target_json(target: Target) -> dict[str, Any]:
+    content: dict[str, Any] = {"on": target.on, "offset_mm": list(target.offset_mm)}
+    if target.seat_sigma_mm != SEAT_SIGMA_MM:
+        content["seat_sigma_mm"] = target.seat_sigma_mm
+    return content

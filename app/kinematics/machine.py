@@ -15,6 +15,7 @@ from jaxtyping import Float64
 from app.kinematics.symbols import TURNS
 
 SAME_TARGET_MM = 1e-6  # rounding
+SEAT_SIGMA_MM = 1.0  # where nobody says how well a target's place is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +58,13 @@ def position_unit(axis: Axis) -> str:
 class Target:
     """A reflector and the side that carries it: `tool` or `workpiece`.
 
-    seat_sigma_mm : how well its place is known, each coordinate; nests are known to a
-        millimetre
+    seat_sigma_mm : how well its place is known, each coordinate
     """
 
     name: str
     on: str
     offset_mm: tuple[float, float, float]
-    seat_sigma_mm: float = 1.0
+    seat_sigma_mm: float = SEAT_SIGMA_MM
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from app.estimation.batch import SeatEstimate
 from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.symbols import describe_symbol
@@ -154,6 +155,19 @@ def _describe_measurement(run: RunFindings) -> View:
             f"{sensor} {low:.2f} to {high:.2f} °C"
             for sensor, (low, high) in summary.temperature_degc.items()
         ),
+        "seats": [_describe_seat(seat) for seat in estimate.seats],
+    }
+
+
+def _describe_seat(seat: SeatEstimate) -> View:
+    """Return how far a target sits off, on the tool against the first one there."""
+    shift = (UM_PER_MM * seat.shift_mm).tolist()
+    half = (_K * UM_PER_MM * seat.sigma_mm).tolist()
+    return {
+        "name": seat.target.name,
+        "shift_um": ", ".join(f"{value:.1f}" for value in shift),
+        "half_um": ", ".join(f"{value:.2g}" for value in half),
+        "against": " against the first target" if seat.target.on == "tool" else "",
     }
 
 

@@ -189,6 +189,15 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
             _lines_json(run),
         ),
         "noise": _noise_json(run),
+        "seats": [
+            {
+                "target": seat.target.name,
+                "on": seat.target.on,
+                "shift_um": (UM_PER_MM * seat.shift_mm).tolist(),
+                "uncertainty_um": (UM_PER_MM * seat.sigma_mm).tolist(),
+            }
+            for seat in run.estimate.seats
+        ],
     }
 
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import (
@@ -124,11 +124,14 @@ class TargetSeat(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 3"]:
         """Return the turn of what carries the target, in its own rows."""
-        away = np.abs(at.offset_mm - np.array(self.target.offset_mm)).max(axis=1)
-        mine = (away < SAME_TARGET_MM) & (at.run == self.run)
         is_tool = self.target.on == "tool"
         frame = at.chain.tool_frame if is_tool else at.chain.workpiece_frame
-        return frame * mine[:, None, None]
+        return frame * self.select(at)[:, None, None]
+
+    def select(self, at: Conditions) -> Bool[np.ndarray, " n"]:
+        """Tell at which moments the target is measured."""
+        away = np.abs(at.offset_mm - np.array(self.target.offset_mm)).max(axis=1)
+        return (away < SAME_TARGET_MM) & (at.run == self.run)
 
     def prior(self) -> QuadraticPrior:
         """Return what the machine file knows of the place."""
