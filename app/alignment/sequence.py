@@ -214,9 +214,9 @@ def require_targets(
     Hidden from the tracker, it shows no standstills; then nothing is refused.
     """
     remedy = f"check offset_mm in machine.json and the target column of {ordered_by}"
-    first, last = matching.waypoint[[0, -1]]
+    first, last = int(matching.waypoint[0]), int(matching.waypoint[-1])
     among = np.arange(first, last + 1)
-    unknown = np.ptp(matching.stop[[0, -1]]) + 1 - len(matching.stop)
+    unknown = int(matching.stop[-1] - matching.stop[0]) + 1 - len(matching.stop)
     for number, name in enumerate(seating.names):
         rows = among[seating.target[among] == number]
         reach = MOST_SIGMAS * float(seating.sigma_mm[number])
