@@ -29,7 +29,7 @@ from app.files.machine_file import machine_from_json
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import build_identifiable_model
-from app.kinematics.machine import Machine
+from app.kinematics.machine import Machine, MotionLimits
 from app.kinematics.splines import natural_spline
 from app.kinematics.symbols import SQUARENESS
 from app.kinematics.volumetric_map import compute_volumetric_gram
@@ -107,7 +107,7 @@ def points_needed(seed: int, *, volumetric: bool) -> int:
     """
     machine = machine_of(seed)
     # As good as no time to move: points count, not seconds.
-    drive = replace(Drive.of(machine.axis_names, 1.0), acceleration_mm_s2=1e7)
+    drive = Drive.of(machine.axis_names, 1.0, MotionLimits(acceleration_mm_s2=1e7))
     station_mm = choose_station(machine, Workspace())
     design = start_design(PointDesignState, machine, station_mm, drive, target="")
     if not volumetric:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -89,18 +88,13 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
         raise AlignmentError(
-            "no stretch at constant feed was found between the standstills; use longer "
-            "lines or a lower feed"
+            "no line was recognised between the standstills; use longer lines"
         )
-    parts += [
-        reduce_pass(run, line, each, stream, nominal.curve(each.row), cell_mm)
-        for line, each in enumerate(passes)
-    ]
+    for line, each in enumerate(passes):
+        curve = nominal.curve(each.row)
+        parts += reduce_pass(run, line, each, stream, curve, cell_mm)
     parts.sort(key=lambda part: float(part.cells.time_s[0]))
-    in_run = tuple(
-        replace(p, first=int(valid[p.first]), last=int(valid[p.last - 1]) + 1)
-        for p in passes
-    )
+    in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
     left_out += _list_lines_without_pass(nominal, passes)
     return join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
 

@@ -20,7 +20,7 @@ from app.files.run import Run
 from app.kinematics.conditions import Conditions
 from app.numerics.rigid import RigidTransform
 
-_SETTLE_S = 0.05  # left out at both ends of a standstill
+STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill
 _FEWEST_SAMPLES = 5  # of a standstill
 _CREEP_MM = 0.03  # several times what the air does in a second
 
@@ -43,6 +43,7 @@ class CellBlock:
     line_time_s: Float64[np.ndarray, " n"]
     line_speed_mm_s: float = 0.0
     left_out: tuple[LeftOut, ...] = ()
+    is_ramp: bool = False
 
 
 def reduce_pass(
@@ -52,8 +53,71 @@ def reduce_pass(
     stream: Stream,
     curve: Curve,
     cell_mm: float = CELL_MM,
+) -> list[CellBlock]:
+    """Return the cells of one pass, in order of time: of its ramps as well."""
+    found = [
+        _reduce_ramp(run, line, each, slice(*ramp), stream, curve, cell_mm)
+        for ramp in each.ramps
+    ]
+    if each.is_steady:
+        found.append(_reduce_steady(run, line, each, stream, curve, cell_mm))
+    return sorted(found, key=lambda block: float(block.cells.time_s[0]))
+
+
+def _reduce_ramp(
+    run: Run,
+    line: int,
+    each: Pass,
+    part: slice,
+    stream: Stream,
+    curve: Curve,
+    cell_mm: float,
 ) -> CellBlock:
-    """Return the cells of one pass; their places follow from a constant feed."""
+    """Return cells where they were measured on a straight line.
+
+    Machine errors change slowly, so that a place that is wrong by their own size along
+    the line costs nothing across it. Scatter along the line is none.
+    """
+    share, aside = curve.nearest(stream.points_mm(part.start, part.stop))
+    on, rotation = aside < ON_LINE_MM, stream.pose.rotation
+    left_out = describe_samples(
+        "off-line", each.row, stream.time_s[part][~on], aside[~on]
+    )
+    time, share, tracker_mm = (
+        stream.time_s[part][on],
+        share[on],
+        stream.tracker_mm[part][on],
+    )
+
+    def way(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        return curve.point_mm(np.interp(time_s, time, share)) @ rotation.T
+
+    span = float(time[-1] - time[0])
+    fastest = 1.5 * abs(float(share[-1] - share[0])) * curve.length_mm / span
+    count = count_cells(span, fastest, cell_mm=cell_mm)
+    cells = reduce_to_cells(time, tracker_mm, way, run.machine.tracker.sigma_mm, count)
+    cells = replace(cells, scatter_square=np.zeros(2), freedom=np.zeros(2))
+    cell_s = span / count
+    begin, place, end = (
+        np.interp(cells.time_s + k * cell_s, time, share) for k in (-0.5, 0.0, 0.5)
+    )
+    rows = run.commanded.position[each.row - 1 : each.row + 1]
+    return CellBlock(
+        cells,
+        each.row,
+        line,
+        curve.chord_mm * ((end - begin) / cell_s)[:, None],
+        rows[0] + place[:, None] * (rows[1] - rows[0]),
+        np.zeros(len(place)),
+        left_out=tuple(left_out),
+        is_ramp=True,
+    )
+
+
+def _reduce_steady(
+    run: Run, line: int, each: Pass, stream: Stream, curve: Curve, cell_mm: float
+) -> CellBlock:
+    """Return the cells at constant feed, from which their places follow."""
     part = slice(each.first, each.last)
     time = stream.time_s[part]
     middle, rate = 0.5 * float(time[0] + time[-1]), each.speed_mm_s / curve.length_mm
@@ -159,7 +223,8 @@ def reduce_standstills(
         if last - first < _FEWEST_SAMPLES or row != nominal.last[place]:
             continue
         time = stream.time_s[first:last]
-        settled = (time > time[0] + _SETTLE_S) & (time < time[-1] - _SETTLE_S)
+        begin, end = time[0] + STANDSTILL_SETTLE_S, time[-1] - STANDSTILL_SETTLE_S
+        settled = (time > begin) & (time < end)
         inside = first + np.flatnonzero(settled)
         if len(inside) < _FEWEST_SAMPLES or _creeps(stream.tracker_mm[inside]):
             continue
@@ -248,6 +313,7 @@ def join_blocks(
         int(count.sum()),
         len(run.tracker),
         gather(said, at.time_s, row),
+        np.repeat(np.array([p.is_ramp for p in parts]), sizes),
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from app.alignment.left_out import LeftOut
 from app.alignment.reduction import CELL_S, beam_frame
@@ -18,12 +19,14 @@ from drivers.interfaces.records import Path, TemperatureSamples
 
 @dataclass(frozen=True, slots=True)
 class Pass:
-    """One uninterrupted stretch at constant feed along one line of the path.
+    """One uninterrupted drive along one line of the path.
 
     row : row of the path that the machine moved towards
-    first, last : indices of its samples in the Run
+    first, last : indices of its samples at constant feed in the Run; none where the
+        line is too short for its feed
     speed_mm_s : as measured; the mean along the line where it is a curve
     share : of the line that was done at the middle of its time
+    ramps : first and last of the samples before and after, on its ramps
     """
 
     row: int
@@ -31,6 +34,22 @@ class Pass:
     last: int
     speed_mm_s: float
     share: float
+    ramps: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether any of it has constant feed."""
+        return self.last > self.first
+
+    def shift(self, index: Callable[[int], int]) -> Pass:
+        """Return the pass with its samples counted otherwise."""
+
+        def part(first: int, last: int) -> tuple[int, int]:
+            return (index(first), index(last - 1) + 1) if last > first else (0, 0)
+
+        first, last = part(self.first, self.last)
+        ramps = tuple(part(*ramp) for ramp in self.ramps)
+        return replace(self, first=first, last=last, ramps=ramps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +66,8 @@ class Observations:
     pose : rough pose, workpiece to tracker; estimation refines it
     used, offered : samples that went into cells, samples of the stream
     left_out : valid samples that were not used, and why
+    ramp : (n,) cells on ramps: their place on the line is the measured one, so they
+        tell only what is across it; none where left out
     """
 
     at: Conditions
@@ -60,6 +81,7 @@ class Observations:
     used: int
     offered: int
     left_out: tuple[LeftOut, ...] = ()
+    ramp: Bool[np.ndarray, " n"] | None = None
 
     def __len__(self) -> int:
         return len(self.tracker_mm)
@@ -71,6 +93,18 @@ class Observations:
         begin = np.flatnonzero(np.concatenate([[True], new]))
         end = np.append(begin[1:], len(self))
         return list(zip(begin.tolist(), end.tolist(), strict=True))
+
+    @property
+    def stretches(self) -> list[tuple[int, int]]:
+        """First cell and one past the last of lines and standstills, ramps apart."""
+        changes = 1 + np.flatnonzero(np.diff(self.is_ramp))
+        ends = np.union1d([last for _, last in self.lines], changes)
+        return list(pairwise([0, *ends.astype(np.int64).tolist()]))
+
+    @property
+    def is_ramp(self) -> Bool[np.ndarray, " n"]:
+        """Which cells are on ramps."""
+        return np.zeros(len(self), bool) if self.ramp is None else self.ramp
 
     @property
     def beam_frame(self) -> Float64[np.ndarray, "n 3 3"]:
@@ -86,6 +120,7 @@ class Observations:
             count=self.count[cells],
             direction=self.direction[cells],
             row=self.row[cells],
+            ramp=None if self.ramp is None else self.ramp[cells],
         )
 
     def join(self, starts: Int64[np.ndarray, " m"]) -> Observations:
@@ -108,7 +143,7 @@ class Observations:
         longest = np.array([longest_mm.get(name, 0.0) for name in names])
         starts = [
             first + _count_up(last - first, self._count_to_join(first, last, longest))
-            for first, last in self.lines
+            for first, last in self.stretches
         ]
         joined = np.concatenate(starts)
         return self if len(joined) == len(self) else self.join(joined)
@@ -221,13 +256,16 @@ def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
     for first, last in observations.lines:
         if observations.at.line[first] < 0:
             continue
-        span = observations.at.time_s[last - 1] - observations.at.time_s[first]
+        cells = np.arange(first, last)
+        steady = cells[~observations.is_ramp[first:last]]
+        a, b = (steady if len(steady) > 1 else cells)[[0, -1]]
+        span = observations.at.time_s[b] - observations.at.time_s[a]
         if span > 0.0:
-            moved = (
-                observations.at.position_mm[last - 1]
-                - observations.at.position_mm[first]
-            )
-            rates[first:last] = moved / span
+            moved = observations.at.position_mm[b] - observations.at.position_mm[a]
+            speed = np.linalg.norm(observations.at.velocity_mm_s[cells], axis=1)
+            mean = speed[steady - first].mean() if len(steady) > 1 else speed.mean()
+            pace = np.where(observations.is_ramp[cells], speed / mean, 1.0)
+            rates[cells] = pace[:, None] * moved / span
     return rates
 
 

@@ -1,8 +1,9 @@
-"""Cut a stream into passes: stretches at constant feed along one commanded line each.
+"""Cut a stream into passes: along one commanded line each, at constant feed and ramps.
 
 Between two matched standstills lies the line between their waypoints. Where standstills
-are missing from the stream, the rough pose tells the lines apart. What is near a change
-of direction (ramps, settling) is left out: there the place on the line is not known.
+are missing from the stream, the rough pose tells the lines apart. On ramps the place on
+the line does not follow from the feed; there the measured one is taken, and the samples
+tell what is across the line. What settles after a standstill is left out.
 
 A line on which rotary axes turn is a curve of the target, whose speed changes on the
 way. What is even at a constant feed is the share of the line that is done a second.
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from app.alignment.nominal_path import MIN_MOTION_MM, Curve, NominalPath
 from app.alignment.observations import Pass
@@ -28,6 +29,8 @@ _STEADY = 0.02  # relative change of speed that counts as a ramp
 _SPEED_NOISE_MM_S = 0.8  # tolerance of a speed at the least, for the tracker's noise
 _SHORTEST_S = 0.1  # a pass
 _FEWEST_SAMPLES = 8  # of a pass
+_FEWEST_ON_RAMP = 5
+RAMP_SETTLE_S = 0.03  # after a standstill, and before one
 _SLOW_PACE = 0.2  # of its mean speed: slower than this the target tells no share
 _AGREES = 0.05  # what is gone and how fast belong together
 
@@ -50,12 +53,14 @@ class _Part:
     """What was driven of a line: samples from first to last, and where it began.
 
     origin : sample at which the line began; below 0 where it is not known
+    is_whole : it began and ended at its standstills
     """
 
     row: int
     first: int
     last: int
     origin: int = -1
+    is_whole: bool = False
 
 
 def cut_into_passes(
@@ -63,7 +68,7 @@ def cut_into_passes(
 ) -> tuple[Pass, ...]:
     """Return the passes in the order of time; `first` and `last` index `stream`."""
     parts = _parts(stream, stops, matching, nominal)
-    passes = (_steady_part(stream, part, nominal.curve(part.row)) for part in parts)
+    passes = (_recognise_pass(stream, part, nominal.curve(part.row)) for part in parts)
     return tuple(p for p in passes if p is not None)
 
 
@@ -81,7 +86,8 @@ def _parts(
                 continue
             if b == a + 1:
                 row = int(nominal.first[b])
-                yield _Part(row, first, last, int(stops.last[here]))
+                origin = int(stops.last[here])
+                yield _Part(row, first, last, origin, there == here + 1)
             else:
                 rows = range(int(nominal.last[a]) + 1, int(nominal.first[b]) + 1)
                 yield from _split_by_place(stream, first, last, nominal, rows)
@@ -101,8 +107,8 @@ def _split_by_place(
             yield _Part(row, first + int(mine[0]), first + int(mine[-1]) + 1)
 
 
-def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
-    """Return the part at constant feed, without ramps; None where there is none."""
+def _recognise_pass(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
+    """Return what was driven of a line; None where there is next to nothing."""
     if curve.length_mm < MIN_MOTION_MM:
         return None  # the target changed, or hardly moves
     first, last = part.first, part.last
@@ -111,6 +117,25 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     on = away < ON_LINE_MM
     if on.sum() < _FEWEST_SAMPLES or time[-1] - time[0] < _SHORTEST_S:
         return None
+    steady = _find_steady(time, points, share, on, curve)
+    ramps = _find_ramps(time, share, on, curve, steady, part) if part.is_whole else ()
+    if steady is None and not ramps:
+        return None
+    begin, end, speed, middle = steady or (0, 0, 0.0, 0.0)
+    return Pass(part.row, first + begin, first + end, speed, middle, ramps)
+
+
+def _find_steady(
+    time: Float64[np.ndarray, " n"],
+    points: Float64[np.ndarray, "n 3"],
+    share: Float64[np.ndarray, " n"],
+    on: Bool[np.ndarray, " n"],
+    curve: Curve,
+) -> tuple[int, int, float, float] | None:
+    """Return first and last sample at constant feed, speed, and share at mid time.
+
+    None where there is no such part.
+    """
     speed, pace = speed_mm_s(time, points), curve.pace(share)
     counted = on & (pace > _SLOW_PACE)
     middle = (time > _quantile(time, 0.3)) & (time < _quantile(time, 0.7)) & counted
@@ -133,8 +158,37 @@ def _steady_part(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     gone_mm = float(np.ptp(share[inside])) * curve.length_mm
     if abs(mean_speed - plateau) > _AGREES * plateau or gone_mm < MIN_MOTION_MM:
         return None
-    a, b = first + int(inside[0]), first + int(inside[-1]) + 1
-    return Pass(part.row, a, b, mean_speed, middle_share)
+    return int(inside[0]), int(inside[-1]) + 1, mean_speed, middle_share
+
+
+def _find_ramps(
+    time: Float64[np.ndarray, " n"],
+    share: Float64[np.ndarray, " n"],
+    on: Bool[np.ndarray, " n"],
+    curve: Curve,
+    steady: tuple[int, int, float, float] | None,
+    part: _Part,
+) -> tuple[tuple[int, int], ...]:
+    """Return first and last sample of stretches whose feed changes.
+
+    Of straight lines: on a curve the place tells nothing of what is across. The first
+    part, in which the machine settles into its motion, is left out, and the last.
+    """
+    if not curve.is_straight:
+        return ()
+    settled = (time > time[0] + RAMP_SETTLE_S) & (time < time[-1] - RAMP_SETTLE_S)
+    usable = np.flatnonzero(on & settled & (share > 0.0) & (share < 1.0))
+    ends = (
+        [usable]
+        if steady is None
+        else [usable[usable < steady[0]], usable[usable >= steady[1]]]
+    )
+    return tuple(
+        (part.first + int(end[0]), part.first + int(end[-1]) + 1)
+        for end in ends
+        if len(end) >= _FEWEST_ON_RAMP
+        and np.ptp(share[end]) * curve.length_mm > MIN_MOTION_MM
+    )
 
 
 def _path_length_mm(

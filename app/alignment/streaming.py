@@ -222,9 +222,8 @@ class StreamingAlignment:
             return found
         for each in cut_into_passes(stream, block, matching, self._nominal):
             line, curve = len(self._passes), self._nominal.curve(each.row)
-            found.append(reduce_pass(self._run, line, each, stream, curve))
-            first, last = each.first + origin, each.last + origin
-            self._passes.append(replace(each, first=first, last=last))
+            found += reduce_pass(self._run, line, each, stream, curve)
+            self._passes.append(each.shift(lambda k: k + origin))
         return found
 
     def _last_standstill(self) -> list[CellBlock]:

@@ -83,7 +83,7 @@ def plan(
     ] = None,
     feed: Annotated[
         list[float] | None,
-        typer.Option(min=1.0, help="mm/min; several tell dynamic effects apart."),
+        typer.Option(min=1.0, help="mm/min; several tell lags apart; else chosen."),
     ] = None,
     dwell: Annotated[
         float | None, typer.Option(min=0.05, help="At each row, s.")
@@ -113,7 +113,6 @@ def plan(
     from app.estimation.prior_model import read_prior_model
     from app.files.machine_file import read_machine
     from app.files.workspace_file import read_workspace
-    from app.motion.motion_times import DEFAULT_FEED_MM_MIN
     from app.motion.workspace import Workspace
     from app.planning.plan import PlanOrder, make_plan
     from app.reporting.plan_report import write_plan
@@ -122,7 +121,7 @@ def plan(
         mode,
         minutes,
         target_um,
-        tuple(feed or (DEFAULT_FEED_MM_MIN,)),
+        tuple(feed or ()),
         dwell,
         perpendicular_only,
         corner_path,
@@ -167,12 +166,16 @@ def _parse_place(text: str) -> list[float]:
 
 
 def _print_plan(document: Mapping[str, Any]) -> None:
+    from app.reporting.plan_report import explain_feeds
+
     predicted = document["predicted"]
     _print_predicted(document["machine"]["name"], predicted)
     for effect in predicted["effects"]:
         print(f"predicted: {describe_effect(effect)}")
     for statement in document["unobservable"]:
         print(f"will not be seen: {statement}")
+    for statement in explain_feeds(document):
+        print(statement)
     if document["tracker"]["assumed"]:
         place = ", ".join(f"{v:.0f}" for v in document["tracker"]["position_mm"])
         print(f"tracker taken to stand at {place} mm; state it in a workspace file")

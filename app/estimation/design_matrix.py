@@ -140,6 +140,7 @@ class Linearisation:
             local[:, :, p] -= local[:, :, : len(self.theta)] @ self.theta
         if timing.lines:
             local[:, :, p + 1 :] = timing.jacobian(at)
+            local[observations.is_ramp, :, p + 1 :] = 0.0  # they are not timed
         if merge > 1:
             observations, local = _merge_cells(observations, local, merge)
         frame = observations.beam_frame @ self.pose.rotation
@@ -196,7 +197,7 @@ def _merge_cells(
 
     Averaged in the workpiece frame, where a line keeps its direction.
     """
-    bounds = [np.arange(a, b, merge) for a, b in observations.lines]
+    bounds = [np.arange(a, b, merge) for a, b in observations.stretches]
     means = CellMeans(observations.count, np.concatenate(bounds))
     at, firsts = observations.at, observations.select(means.starts)
     travel = means.of(observations.direction)  # on an arc it turns on the way

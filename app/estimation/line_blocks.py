@@ -138,14 +138,15 @@ def build_line(
     blocks = WhitenedBlocks.of_line(*whitener.whiten(design.rows))
     base = slice(design.fixed + 1)
     timing, log_timing = _orthonormalise(blocks.select(slice(base.stop, None)))
-    is_across = not data.base.has_timing and design.observations.at.line[0] >= 0
+    moves = design.observations.at.line >= 0
+    is_across = design.observations.is_ramp | (moves & (not data.base.has_timing))
     line = Line(
         run,
         slice(first, last),
         design,
         whitener,
         timing,
-        (2.0 if is_across else 3.0) * (last - first) - timing.width,
+        3.0 * (last - first) - float(is_across.sum()) - timing.width,
         whitener.log_determinant + log_timing,
     )
     return line, _project_out(blocks.select(base), timing)

@@ -18,7 +18,7 @@ class NoiseModel:
     ou : (2,) standard deviation of the Ornstein–Uhlenbeck part, in the same units
     ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
-        speed; infinite where only deviations across the path are used
+        speed; infinite where only deviations across the path are used, as on ramps
     """
 
     white: tuple[float, float]
@@ -37,7 +37,8 @@ def cell_noise(
     travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
     """
     white, ou = split_sigma_mm(observations, noise)
-    return _add_jitter(white**-2, travel, noise.along_sigma_mm), ou
+    along = np.where(observations.is_ramp, np.inf, noise.along_sigma_mm)
+    return _add_jitter(white**-2, travel, along), ou
 
 
 def split_sigma_mm(
@@ -56,15 +57,13 @@ def split_sigma_mm(
 def _add_jitter(
     precision: Float64[np.ndarray, "n 3"],
     travel: Float64[np.ndarray, "n 3"],
-    sigma_mm: float,
+    sigma_mm: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "n 3 3"]:
     """Return (D + σ² u uᵀ)⁻¹ by Sherman and Morrison; σ = ∞ removes the direction u."""
     matrices = precision[:, :, None] * np.eye(3)
-    if sigma_mm == 0.0:
-        return matrices
     pulled = precision * travel
     total = np.einsum("ni,ni->n", travel, pulled)
-    inverse = 0.0 if np.isinf(sigma_mm) else sigma_mm**-2
+    inverse = np.maximum(sigma_mm, 1e-30) ** -2.0
     weight = np.where(total > 0.0, 1.0 / np.maximum(inverse + total, 1e-300), 0.0)
     return matrices - weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
 
@@ -80,8 +79,11 @@ def floor_mm(
     """
     white, ou = split_sigma_mm(observations, noise)
     variance = white**2 + ou**2
-    if noise.along_sigma_mm == np.inf:
-        variance = variance * (1.0 - travel**2)
-    else:
-        variance = variance + noise.along_sigma_mm**2 * travel**2
+    is_across = observations.is_ramp | np.isinf(noise.along_sigma_mm)
+    jitter = np.where(is_across, 0.0, noise.along_sigma_mm) ** 2
+    variance = np.where(
+        is_across[:, None],
+        variance * (1.0 - travel**2),
+        variance + jitter[:, None] * travel**2,
+    )
     return float(np.sqrt(np.mean(variance)))

@@ -51,7 +51,8 @@ _BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, LONGEST_S], [_JITTER_FLOOR_MM
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
     """Return the tracker's noise: this Run's scatter, a usual correlated part."""
     white = (float(observations.scatter[0]), float(observations.scatter[1]))
-    along = np.inf if perpendicular_only or not observations.passes else 2e-4
+    is_timed = any(p.is_steady for p in observations.passes)
+    along = 2e-4 if is_timed and not perpendicular_only else np.inf
     return NoiseModel(white, (0.1, 0.1), 1.0, along)
 
 

@@ -168,8 +168,10 @@ def compute_cell_deviations(
             continue
         each = seen.passes[line]
         samples = each.first + np.flatnonzero(valid[each.first : each.last])
-        if len(samples) > 3 * (last - first):
-            parts.append(_part(run, seen, base, samples, slice(first, last), number))
+        steady = first + np.flatnonzero(~seen.is_ramp[first:last])
+        if len(samples) > 3 * len(steady) > 0:
+            cells = slice(int(steady[0]), int(steady[-1]) + 1)
+            parts.append(_part(run, seen, base, samples, cells, number))
     return _join(parts) if parts else None
 
 

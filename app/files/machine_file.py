@@ -24,6 +24,7 @@ from app.kinematics.machine import (
     Axis,
     LinearAxis,
     Machine,
+    MotionLimits,
     RotaryAxis,
     Target,
     TrackerNoise,
@@ -131,6 +132,20 @@ class TrackerFile(FileModel):
         return self
 
 
+class MotionFile(FileModel):
+    """What the machine can; the usual is taken for what it does not state."""
+
+    max_feed_mm_min: Positive | None = None
+    acceleration_mm_s2: Positive | None = None
+    jerk_mm_s3: Positive | None = None
+
+    def limits(self) -> MotionLimits:
+        """Return the limits, which name what is assumed."""
+        stated = {k: v for k, v in self.model_dump().items() if v is not None}
+        assumed = tuple(name for name in type(self).model_fields if name not in stated)
+        return MotionLimits(**stated, assumed=assumed)
+
+
 class MachineFile(FileModel):
     """A machine file."""
 
@@ -141,6 +156,7 @@ class MachineFile(FileModel):
     tool_offset_mm: Vector | None = None
     targets: dict[str, TargetFile] | None = None
     tracker: TrackerFile = TrackerFile()
+    motion: MotionFile | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -195,7 +211,9 @@ class MachineFile(FileModel):
         if self.tool_offset_mm is not None:
             targets = (Target("", "tool", self.tool_offset_mm),)
         noise = TrackerNoise(**self.tracker.model_dump())
-        return Machine(self.name, *self.sides(), self.axes.axes(), targets, noise)
+        motion = (self.motion or MotionFile()).limits()
+        axes = self.axes.axes()
+        return Machine(self.name, *self.sides(), axes, targets, noise, motion)
 
 
 def read_machine(path: str | Path) -> Machine:
@@ -223,6 +241,7 @@ def machine_to_json(machine: Machine) -> dict[str, Any]:
         "axes": {axis.name: _axis_json(axis) for axis in machine.axes},
         **_targets_json(machine.targets),
         "tracker": {name: getattr(noise, name) for name in TrackerFile.model_fields},
+        **_motion_json(machine.motion),
     }
 
 
@@ -247,6 +266,11 @@ def _axis_json(axis: Axis) -> dict[str, Any]:
         "origin_mm": list(axis.origin_mm),
         "direction": list(axis.direction),
     }
+
+
+def _motion_json(motion: MotionLimits) -> dict[str, Any]:
+    names = [name for name in MotionFile.model_fields if name not in motion.assumed]
+    return {"motion": {n: getattr(motion, n) for n in names}} if names else {}
 
 
 def _targets_json(targets: tuple[Target, ...]) -> dict[str, Any]:

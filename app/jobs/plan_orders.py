@@ -58,7 +58,7 @@ def plan_measurement(
     from app.results.plan_document import plan_document
 
     if "mode" not in order:
-        feed_mm_min, *_ = order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]
+        feed_mm_min, *_ = order.get("feeds_mm_min") or [None]
         return commanded_to_json(_default_path(machine, feed_mm_min))
     planned = make_plan(machine, read_plan_order(order), on_progress=on_progress)
     if len(planned.commanded) > MAX_ROWS:
@@ -80,7 +80,7 @@ def plan_measurement(
 
 
 @lru_cache(maxsize=4)
-def _default_path(machine: Machine, feed_mm_min: float) -> Path:
+def _default_path(machine: Machine, feed_mm_min: float | None) -> Path:
     """Return the default path, computed once in the life of a worker process."""
     from app.planning.default_path import default_path
 
@@ -108,7 +108,8 @@ def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
 
     So many lines or points that the live estimate finds pose and noise.
     """
-    feed_mm_s = min(order.get("feeds_mm_min") or [DEFAULT_FEED_MM_MIN]) / 60.0
+    usual = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min)
+    feed_mm_s = min(order.get("feeds_mm_min") or [usual]) / 60.0
     length_mm = math.dist(*zip(*((a.low, a.high) for a in machine.axes), strict=True))
     leg_s = length_mm / feed_mm_s + _STANDS_S
     count = _FIRST_LINES if order.get("mode") != "standstill" else _FIRST_POINTS
@@ -137,7 +138,7 @@ def check_rows(
     """Return the number of rows and their duration, s. Raises PlanningError."""
     commanded = command_rows(machine, rows, feed_mm_min, is_path=is_path)
     workspace_from_json(workspace).refuse(machine, commanded)
-    row_s = row_times_s(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN)
+    row_s = row_times_s(commanded, feed_mm_min or DEFAULT_FEED_MM_MIN, machine.motion)
     return len(commanded), float(row_s.sum())
 
 

@@ -90,6 +90,19 @@ class TrackerNoise:
 
 
 @dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """What the machine can along a line.
+
+    assumed : names of those that nobody has stated and that are the usual ones
+    """
+
+    max_feed_mm_min: float = 10_000.0
+    acceleration_mm_s2: float = 1000.0
+    jerk_mm_s3: float = float("inf")
+    assumed: tuple[str, ...] = ("max_feed_mm_min", "acceleration_mm_s2", "jerk_mm_s3")
+
+
+@dataclass(frozen=True, slots=True)
 class Machine:
     """Nominal machine. The chain runs from workpiece to tool around the base `b`.
 
@@ -103,6 +116,7 @@ class Machine:
     axes: tuple[Axis, ...]
     targets: tuple[Target, ...]
     tracker: TrackerNoise
+    motion: MotionLimits = MotionLimits()
 
     @property
     def chain(self) -> str:

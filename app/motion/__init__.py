@@ -4,9 +4,11 @@ A command is a `Path`, driven through its rows without a stop of the recording, 
 `Configurations`, standstill points. Rows are axis positions in mm and deg, lines are
 straight in them: all axes start and stop together, so a line never leaves a box that
 holds both of its ends, and checking the rows checks the whole swept path. A line is
-driven from rest to rest with constant acceleration a up to the feed v, which takes
-l / v + v / a for a length l ≥ v² / a, else 2 √(l / a). The length is that of the linear
-axes; where none moves it is in deg, and so is the feed.
+driven from rest to rest within the machine's acceleration a and jerk j. The ramp to a
+speed v takes t = v / a + a / j (2 √(v / j) below v = a² / j) over a length of v t / 2,
+so a line of length l takes l / v + t; v is the feed or, on a short line, the speed at
+which v t = l. The length is that of the linear axes; where none moves it is in deg, and
+so is the feed.
 
     configurations     standstill points; what is commanded, row by row
     commanded_rows     rows of users, checked

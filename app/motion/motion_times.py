@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from app.kinematics.machine import Machine, MotionLimits
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import Path
 
 DEFAULT_FEED_MM_MIN = 6000.0
-ACCELERATION_MM_S2 = 1000.0  # of a usual machine; times are predicted with it
+USUAL_MOTION = MotionLimits()
 # What alignment leaves out at either end beside ramp and settling.
 _SETTLE_S = 0.02
 _LEAST_S = 1e-9  # a gain beyond rounding
@@ -65,7 +66,7 @@ class Stops:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What the machine can: acceleration along a line, and the dwell at its end.
+    """How the machine goes along a line, and how long it dwells at its end.
 
     linear : (a,) which position columns are linear axes
     least_mm : no line takes the target less far
@@ -74,14 +75,21 @@ class Drive:
 
     linear: tuple[bool, ...]
     dwell_s: float
-    acceleration_mm_s2: float = ACCELERATION_MM_S2
+    limits: MotionLimits = USUAL_MOTION
     least_mm: float = 0.0
     fastest_deg_min: float = np.inf
 
     @classmethod
-    def of(cls, axes: Sequence[str], dwell_s: float) -> Drive:
+    def of(
+        cls, axes: Sequence[str], dwell_s: float, limits: MotionLimits = USUAL_MOTION
+    ) -> Drive:
         """Return the drive of axes by their names."""
-        return cls(tuple(name in "XYZ" for name in axes), dwell_s)
+        return cls(tuple(name in "XYZ" for name in axes), dwell_s, limits)
+
+    @classmethod
+    def of_machine(cls, machine: Machine, dwell_s: float) -> Drive:
+        """Return the drive of a machine."""
+        return cls.of(machine.axis_names, dwell_s, machine.motion)
 
     def length(self, legs: Legs) -> Float64[np.ndarray, " n"]:
         """Return the length of legs, mm; deg where rotary axes turn alone."""
@@ -97,16 +105,37 @@ class Drive:
         return np.minimum(legs.feed_mm_min, self.length(legs) / least_min)
 
     def times_s(self, legs: Legs) -> Float64[np.ndarray, " n"]:
-        """Return the time of each leg from rest to rest, and the dwell.
+        """Return the time of each leg from rest to rest, and the dwell."""
+        speed = self.peak_mm_s(legs)
+        return self.length(legs) / speed + self.ramp_s(speed) + self.dwell_s
 
-        One that is too short never reaches its feed.
+    def peak_mm_s(self, legs: Legs) -> Float64[np.ndarray, " n"]:
+        """Return the highest speed of each leg; a short one never reaches its feed.
+
+        A ramp from rest to the speed p and back takes 2 t(p) and a length of p t(p).
         """
-        length = self.length(legs)
-        speed = np.maximum(self.driven_feed(legs), 1e-9) / 60.0
-        ramp_s = speed / self.acceleration_mm_s2
-        short_s = 2.0 * np.sqrt(length / self.acceleration_mm_s2)
-        moving_s = np.where(length >= speed * ramp_s, length / speed + ramp_s, short_s)
-        return moving_s + self.dwell_s
+        limits, length = self.limits, np.maximum(self.length(legs), 1e-9)
+        rise_s = limits.acceleration_mm_s2 / limits.jerk_mm_s3
+        level = np.sqrt(rise_s**2 + 4.0 * length / limits.acceleration_mm_s2) - rise_s
+        highest = 0.5 * limits.acceleration_mm_s2 * level
+        if np.isfinite(limits.jerk_mm_s3):
+            short = (0.5 * length * limits.jerk_mm_s3**0.5) ** (2.0 / 3.0)
+            highest = np.where(
+                highest < limits.acceleration_mm_s2 * rise_s, short, highest
+            )
+        return np.minimum(np.maximum(self.driven_feed(legs) / 60.0, 1e-9), highest)
+
+    def ramp_s(
+        self, speed_mm_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Return how long the machine takes from rest to a speed, jerk limited."""
+        limits = self.limits
+        rise_s = limits.acceleration_mm_s2 / limits.jerk_mm_s3
+        return np.where(
+            speed_mm_s >= limits.acceleration_mm_s2 * rise_s,
+            speed_mm_s / limits.acceleration_mm_s2 + rise_s,
+            2.0 * np.sqrt(speed_mm_s / limits.jerk_mm_s3),
+        )
 
     def steady(
         self, legs: Legs
@@ -117,21 +146,25 @@ class Drive:
         too short.
         """
         length = np.maximum(self.length(legs), 1e-9)
-        speed = np.maximum(self.driven_feed(legs) / 60.0, 1e-9)
-        ramp_s = speed / self.acceleration_mm_s2
+        speed = self.peak_mm_s(legs)
+        ramp_s = self.ramp_s(speed)
         # The ramp takes half its time at full speed; half of it again settles.
         lost = np.minimum(speed * (ramp_s + _SETTLE_S) / length, 0.5)
         return lost, (1.0 - 2.0 * lost) * length / speed
 
-    def shortest_mm(self, feed_mm_min: float) -> float:
+    def shortest_mm(
+        self, feed_mm_min: float | Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
         """Return the shortest line worth its stops: most of it is driven steadily."""
-        speed = feed_mm_min / 60.0
-        steady_mm = 4.0 * speed * (speed / self.acceleration_mm_s2 + _SETTLE_S)
-        return max(steady_mm, self.least_mm)
+        speed = np.atleast_1d(np.asarray(feed_mm_min, np.float64)) / 60.0
+        steady_mm = 4.0 * speed * (self.ramp_s(speed) + _SETTLE_S)
+        return np.maximum(steady_mm, self.least_mm)
 
 
 def row_times_s(
-    commanded: Commanded, feed_mm_min: float = DEFAULT_FEED_MM_MIN
+    commanded: Commanded,
+    feed_mm_min: float = DEFAULT_FEED_MM_MIN,
+    limits: MotionLimits = USUAL_MOTION,
 ) -> Float64[np.ndarray, " n"]:
     """Return the time of each row: the line towards it, exact stops, and its dwell.
 
@@ -145,13 +178,13 @@ def row_times_s(
     if isinstance(commanded, Path):
         feed = commanded.feed_mm_min
     legs = Stops(commanded.position, feed).legs
-    moving_s = Drive.of(commanded.axes, 0.0).times_s(legs)
+    moving_s = Drive.of(commanded.axes, 0.0, limits).times_s(legs)
     return np.concatenate([[0.0], moving_s]) + commanded.dwell_s
 
 
-def travel_time_s(path: Path) -> float:
+def travel_time_s(path: Path, limits: MotionLimits = USUAL_MOTION) -> float:
     """Return how long the path takes from its first row, dwells included."""
-    return float(row_times_s(path).sum())
+    return float(row_times_s(path, limits=limits).sum())
 
 
 def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:

@@ -56,7 +56,7 @@ class AdaptivePlanner:
         self.commanded = commanded
         self._machine, self._order = machine, order
         self._moving, self._drive = order.moving(machine), order.drive(machine)
-        self._assumed = order.assume(machine)
+        self._assumed, self._feeds = order.assume(machine), order.feeds(machine)
         self._number = 0
 
     def next(self, found: LiveFindings, sigma_mm: float) -> Part:
@@ -93,7 +93,8 @@ class AdaptivePlanner:
         workspace = order.workspace
         if workspace.stations is not None:
             workspace = workspace.place_tracker(found.station_mm)
-        planner = Planner(self._machine, design, workspace, order.feeds_mm_min)
+        is_free = order.is_on_the_fly and not order.feeds_mm_min
+        planner = Planner(self._machine, design, workspace, self._feeds, is_free)
         for row in sorted({*found.rows, len(self.commanded) - 1}):
             line = slice(max(row - 1, 0), row + 1)
             planner = planner.update(select_rows(self.commanded, line))
@@ -124,10 +125,12 @@ class AdaptivePlanner:
     def _horizon_s(self) -> float:
         """How far ahead the planner looks: so many of the longest legs."""
         low, high = np.array([(a.low, a.high) for a in self._moving.axes]).T
-        slowest = np.array([min(self._order.feeds_mm_min)])
+        slowest = np.array([min(self._feeds)])
         leg_s = float(self._drive.times_s(Legs(low[None], high[None], slowest))[0])
         return (LINES_AHEAD if self._order.is_on_the_fly else POINTS_AHEAD) * leg_s
 
     @property
     def _used_s(self) -> float:
-        return float(row_times_s(self.commanded, self._order.feeds_mm_min[0]).sum())
+        return float(
+            row_times_s(self.commanded, self._feeds[0], self._machine.motion).sum()
+        )

@@ -37,7 +37,7 @@ _CHANGE_S = 5.0  # for the tracker to turn to another target
 
 def default_path(
     machine: Machine,
-    feed_mm_min: float = DEFAULT_FEED_MM_MIN,
+    feed_mm_min: float | None = None,
     *,
     lines: int | None = None,
     seed: int = 0,
@@ -48,6 +48,7 @@ def default_path(
     feed is lower where a rotary axis would turn faster than FASTEST_DEG_MIN; where no
     linear axis moves it is in deg/min.
 
+    feed_mm_min : where left out the usual one, or the highest of the machine
     lines : 22 where it is left out, 72 with rotary axes
 
     Raises PlanningError if a feed or a number of lines cannot be driven, or if
@@ -56,6 +57,8 @@ def default_path(
     targets = moving_targets(machine) if machine.rotary_axes else machine.targets[:1]
     if lines is None:
         lines = LINES_WITH_ROTARY_AXES if machine.rotary_axes else DEFAULT_LINES
+    if feed_mm_min is None:
+        feed_mm_min = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min)
     if feed_mm_min <= 0 or lines < 1:
         raise PlanningError(
             f"feed {feed_mm_min:g} mm/min, {lines} lines: both must be above 0"
@@ -89,7 +92,7 @@ def _make_planner(machine: Machine, target: Target, feed_mm_min: float) -> Plann
     low, high = inner_travel(machine)
     long_mm = _LONG * float(np.linalg.norm(high - low))
     drive = replace(
-        Drive.of(machine.axis_names, _DWELL_S),
+        Drive.of_machine(machine, _DWELL_S),
         least_mm=_SHORTEST_MM if machine.rotary_axes else long_mm,
         fastest_deg_min=FASTEST_DEG_MIN,
     )

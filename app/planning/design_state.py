@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from app.alignment.cell_blocks import STANDSTILL_SETTLE_S
+from app.alignment.segmentation import RAMP_SETTLE_S
 from app.kinematics.conditions import Conditions, RecordedState, observe_targets
 from app.kinematics.machine import Machine, Target
 from app.kinematics.model import MachineModel
@@ -26,10 +28,15 @@ from app.planning.next_configuration import Climb, search_space
 from app.planning.predicted_cells import find_slopes_mm
 from drivers.interfaces.records import Path
 
-_PLACES = 10  # along a line: error motions of few knots bend less often
-_MIDDLES = (np.arange(_PLACES) + 0.5) / _PLACES - 0.5  # of the steady part
+_STEADY = 10  # places along a line: error motions of few knots bend less often
+_MIDDLES = (np.arange(_STEADY) + 0.5) / _STEADY - 0.5  # of the steady part
+# Two places on each ramp, which with what settles after it takes 1.5 times as long as
+# the ramp alone: at a quarter and three quarters of that time, in shares of its length.
+_ON_RAMP, _PACE = np.array([0.07, 0.625]), np.array([0.375, 1.0])
+_PLACES = _STEADY + 2 * len(_ON_RAMP) + 1  # and the standstill at the end
 _LEAST_MOVE_MM = 1.0  # else standstills look like one
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
+_LEAST_S, _SAMPLES = 0.1, 30  # at a steady feed: less is not taken for a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +79,8 @@ class DesignState(ABC):
         """Return rows H of each leg with HᵀH its information."""
 
     @abstractmethod
-    def fits(self, legs: Legs, feed_mm_min: float) -> Bool[np.ndarray, " n"]:
-        """Tell which legs are long enough to be recognised and measured at a feed."""
+    def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
+        """Tell which legs are long enough to be recognised and measured."""
 
     @abstractmethod
     def command(self, machine: Machine, stops: Stops) -> Commanded:
@@ -121,11 +128,14 @@ class DesignState(ABC):
         return replace(at, approach=approach)
 
     def roots(
-        self, at: Conditions, direction: Float64[np.ndarray, "n 3"] | None = None
+        self,
+        at: Conditions,
+        direction: Float64[np.ndarray, "n 3"] | None = None,
+        jitter_mm2_s: float | Float64[np.ndarray, " n"] = 0.0,
     ) -> Float64[np.ndarray, "n 3 3"]:
         """Return W with WᵀW the information that a second at each place gives, 1/mm².
 
-        direction : of travel, in which the jitter of the feed counts
+        direction : of travel, in which the jitter counts
         """
         beam = at.point_mm - self.station_mm
         distance = np.linalg.norm(beam, axis=1)
@@ -137,7 +147,8 @@ class DesignState(ABC):
         if direction is not None:
             pulled = np.einsum("nij,nj->ni", precision, direction)
             total = np.einsum("ni,ni->n", pulled, direction)
-            weight = 1.0 / (1.0 / self.noise.jitter_mm2_s + total)
+            inverse_jitter = 1.0 / np.maximum(jitter_mm2_s, 1e-30)
+            weight = 1.0 / np.maximum(inverse_jitter + total, 1e-30)
             precision -= weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
         value, vector = np.linalg.eigh(precision)
         return np.sqrt(np.maximum(value, 0.0))[:, :, None] * np.swapaxes(vector, 1, 2)
@@ -154,7 +165,7 @@ class PointDesignState(DesignState):
         at = self.conditions(legs.end, np.sign(legs.step))
         return np.sqrt(self.drive.dwell_s) * (self.roots(at) @ self.model.jacobian(at))
 
-    def fits(self, legs: Legs, feed_mm_min: float) -> Bool[np.ndarray, " n"]:
+    def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
         """Tell which moves can be recognised.
 
         Every rotary axis turns: a target on a table that does not would not move.
@@ -202,44 +213,63 @@ class PointDesignState(DesignState):
 class LineDesignState(DesignState):
     """What is known so far; a line is measured while the machine drives it.
 
-    Places along its steady part count. Along the travel a phase and a speed of each
-    line are unknown, as no clock is shared, and are projected out; where only
-    deviations across the path are used, that direction tells nothing.
+    Along the travel a phase and a speed of its steady part are unknown, as no clock is
+    shared, and are projected out; on ramps, and where only deviations across the path
+    are used, that direction tells nothing. The standstill at its end tells all three.
     """
 
     def rows(self, legs: Legs) -> Float64[np.ndarray, "n r p"]:
         """Return rows H of each line with HᵀH its information, timing left out."""
-        n, step = len(legs), legs.step
+        n, step = len(legs), np.repeat(legs.step, _PLACES, axis=0)
         lost, seconds = self.drive.steady(legs)
-        places = _place(legs, 0.5 + _MIDDLES * (1.0 - 2.0 * lost)[:, None])
-        at = self.conditions(places, np.repeat(np.sign(step), _PLACES, axis=0))
+        on_ramp = lost[:, None] * _ON_RAMP
+        steady = 0.5 + _MIDDLES * (1.0 - 2.0 * lost)[:, None]
+        share = np.hstack([steady, on_ramp, 1.0 - on_ramp, np.ones((n, 1))])
+        at = self.conditions(_place(legs, share), np.sign(step))
         at = replace(at, recorded=self._record(at, legs))
-        slope = find_slopes_mm(at, np.repeat(step, _PLACES, axis=0))
+        slope = find_slopes_mm(at, step)
         pace = np.linalg.norm(slope, axis=1, keepdims=True)
-        weight = np.sqrt(np.repeat(seconds, _PLACES) / _PLACES)
-        root = self.roots(at, slope / np.maximum(pace, 1e-9))
-        root = weight[:, None, None] * root
+        jitter = np.tile(_PLACES * [np.inf], (n, 1))
+        jitter[:, :_STEADY], jitter[:, -1] = self.noise.jitter_mm2_s, 0.0
+        root = self.roots(at, slope / np.maximum(pace, 1e-9), jitter.ravel())
+        root = np.sqrt(self._share_time(legs, seconds).ravel())[:, None, None] * root
         rows = (root @ self.model.jacobian(at)).reshape(n, 3 * _PLACES, -1)
         if np.isinf(self.noise.jitter_mm2_s):
             return rows
-        phase = np.einsum("nij,nj->ni", root, slope)
-        speed = phase * np.tile(_MIDDLES, n)[:, None]
-        timing = np.stack([phase, speed], axis=2)
-        basis, _ = np.linalg.qr(timing.reshape(n, 3 * _PLACES, 2))
-        return rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
+        phase = np.einsum("nij,nj->ni", root, slope).reshape(n, _PLACES, 3)[:, :_STEADY]
+        timing = np.stack([phase, phase * _MIDDLES[:, None]], axis=3)
+        basis, _ = np.linalg.qr(timing.reshape(n, 3 * _STEADY, 2))
+        along = rows[:, : 3 * _STEADY]
+        along -= basis @ (np.swapaxes(basis, 1, 2) @ along)
+        return rows
 
-    def fits(self, legs: Legs, feed_mm_min: float) -> Bool[np.ndarray, " n"]:
+    def _share_time(
+        self, legs: Legs, steady_s: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "n k"]:
+        """Return the time that each place stands for."""
+        moving_s = self.drive.times_s(legs) - self.drive.dwell_s
+        ramp_s = np.maximum(0.5 * (moving_s - steady_s) - RAMP_SETTLE_S, 0.0)
+        dwell_s = max(self.drive.dwell_s - 2.0 * STANDSTILL_SETTLE_S, 0.0)
+        counts = [_STEADY, 2 * len(_ON_RAMP), 1]
+        each = [steady_s / _STEADY, ramp_s / len(_ON_RAMP), np.full(len(legs), dwell_s)]
+        return np.repeat(np.stack(each, axis=1), counts, axis=1)
+
+    def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
         """Tell which lines are driven at a steady feed for most of their length.
 
-        The way of the target counts: an axis that turns may hardly move it.
+        And long enough for the tracker's rate. The way of the target counts: an axis
+        that turns may hardly move it.
         """
+        shortest_mm = self.drive.shortest_mm(legs.feed_mm_min)
+        least_s = _SAMPLES / self.model.machine.tracker.rate_hz
+        enough = self.drive.steady(legs)[1] >= max(least_s, _LEAST_S)
         if not self.model.machine.rotary_axes:
-            return self.drive.length(legs) >= self.drive.shortest_mm(feed_mm_min)
-        places = _place(legs, np.tile(np.linspace(0.0, 1.0, _PLACES), (len(legs), 1)))
+            return enough & (self.drive.length(legs) >= shortest_mm)
+        places = _place(legs, np.tile(np.linspace(0.0, 1.0, _STEADY), (len(legs), 1)))
         point_mm = self.conditions(places, np.zeros_like(places)).point_mm
-        step_mm = np.diff(point_mm.reshape(len(legs), _PLACES, 3), axis=1)
+        step_mm = np.diff(point_mm.reshape(len(legs), _STEADY, 3), axis=1)
         way_mm = np.linalg.norm(step_mm, axis=2).sum(axis=1)
-        return way_mm >= self.drive.shortest_mm(feed_mm_min)
+        return enough & (way_mm >= shortest_mm)
 
     def hold(
         self, ends: Float64[np.ndarray, "n a"], here: Float64[np.ndarray, " a"]
@@ -271,12 +301,14 @@ class LineDesignState(DesignState):
 
         Every axis is taken to have reversed where its line begins.
         """
-        speed = self.drive.driven_feed(legs) / 60.0
+        speed = self.drive.peak_mm_s(legs)
         rate = legs.step * (speed / np.maximum(self.drive.length(legs), 1e-9))[:, None]
         rate, first = (np.repeat(v, _PLACES, axis=0) for v in (rate, legs.begin))
+        pace = np.concatenate([np.ones(_STEADY), _PACE, _PACE, [0.0]])
+        rate *= np.tile(pace, len(legs))[:, None]
         return RecordedState(
             rate,
-            np.full(len(at), 1.0 / _PLACES),
+            np.full(len(at), 1.0 / _STEADY),
             np.abs(at.position_mm - first),
             at.point_mm - self.station_mm,
             np.eye(3),

@@ -166,7 +166,7 @@ class LineChoice:
     @property
     def drive(self) -> Drive:
         """How the machine moves."""
-        return Drive.of(self.machine.axis_names, _DWELL_S)
+        return Drive.of_machine(self.machine, _DWELL_S)
 
     def choose(self) -> DiscriminationDesign:
         """Return the lines and what each question expects of them."""

@@ -35,8 +35,8 @@ _CURVE = 24  # places along the plan at which the uncertainty is stated
 # Of the tracker, before enough lines locate it: a millimetre, a milliradian.
 _POSE = {"mm": 1.0, "rad": 1e-3}
 # Estimates find machines smoother than they take them to be: by 3 to 9 on simulated
-# ones, in the median of their error motions.
-_SMOOTHER = 4.0
+# ones, in the median of their error motions; and to have less lost motion.
+_SMOOTHER, _LESS_LOST = 6.0, 4.0
 _POSITIONS = 41  # of an axis, at which an error motion's uncertainty is averaged
 
 
@@ -66,8 +66,9 @@ class Assumptions:
         precision = self.prior_precision
         if not precision:
             usual = guess_prior(model)
+            motions = {effect.name for effect in model.error_motions}
             precision = {
-                name: _SMOOTHER * value
+                name: value * (_SMOOTHER if name in motions else _LESS_LOST)
                 for name, value in usual.precision.items()
                 if not usual.charges[name].is_known
             }

@@ -52,7 +52,8 @@ class SearchEffort:
 class LegChoice:
     """Chooses stops for a design; draws candidates from one seeded generator.
 
-    feeds_mm_min : driven in turn, so that each has its share of the legs
+    feeds_mm_min : driven in turn, so that each has its share of the legs; or, where the
+        choice is free, each leg at the one at which it tells most a second
     """
 
     design: DesignState
@@ -60,6 +61,7 @@ class LegChoice:
     feeds_mm_min: tuple[float, ...]
     rng: np.random.Generator
     effort: SearchEffort = SearchEffort()
+    is_free: bool = False
 
     def stops(
         self,
@@ -80,14 +82,17 @@ class LegChoice:
                 f"no allowed motion from the first position fits into {budget_s:g} s; "
                 "give more time or a higher feed, or free more of the volume"
             )
+        best = stops
         for _ in range(self.effort.rounds):
             stops, gained = self._exchange(stops)
             if self.design.order_is_free:
                 stops = self._reorder(stops)
             stops = self._fill(stops, budget_s, legs)
+            # Legs that no longer fit are gone: what is left may tell less.
+            best = min(best, stops, key=self._left)
             if gained < _WORTH:
                 break
-        return stops
+        return best
 
     def _fill(self, stops: Stops, budget_s: float, legs: int | None) -> Stops:
         """Return the stops with more of them while time is left, or with fewer."""
@@ -97,11 +102,13 @@ class LegChoice:
         left_s = budget_s - float(times[:fits].sum())
         precision = self.design.precision + self._inform(stops)
         while legs is None or len(stops) <= legs:
-            feed = self.feeds_mm_min[len(stops) % len(self.feeds_mm_min)]
-            best = self._choose_next(precision, stops.position[-1], feed, left_s)
+            feeds = np.array(self.feeds_mm_min)
+            if not self.is_free:
+                feeds = feeds[[len(stops) % len(feeds)]]
+            best = self._choose_next(precision, stops.position[-1], feeds, left_s)
             if best is None:
                 return stops
-            end, rows, time_s = best
+            end, feed, rows, time_s = best
             stops = stops.append(end, feed)
             precision = precision + rows.T @ rows
             left_s -= time_s
@@ -111,24 +118,52 @@ class LegChoice:
         self,
         precision: Float64[np.ndarray, "p p"],
         here: Float64[np.ndarray, " a"],
-        feed_mm_min: float,
+        feeds_mm_min: Float64[np.ndarray, " f"],
         left_s: float,
-    ) -> tuple[Float64[np.ndarray, " a"], Float64[np.ndarray, "r p"], float] | None:
-        """Return the end whose leg gains most a second, its rows and its time."""
+    ) -> (
+        tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
+        | None
+    ):
+        """Return end and feed of the leg that gains most a second, its rows and time.
+
+        Each end is judged at one of the feeds, the best one at all of them.
+        """
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
-        legs = _join_legs(here, ends, feed_mm_min)
+        feeds = feeds_mm_min[np.arange(len(ends)) % len(feeds_mm_min)]
+        known = IntegratedVariance(inverse(precision), self.design.gram)
+        best = self._judge(known, here, ends, feeds, left_s)
+        if best is not None and len(feeds_mm_min) > 1:
+            ends = np.tile(best[0], (len(feeds_mm_min), 1))
+            best = self._judge(known, here, ends, feeds_mm_min, left_s)
+        return best
+
+    def _judge(
+        self,
+        known: IntegratedVariance,
+        here: Float64[np.ndarray, " a"],
+        ends: Float64[np.ndarray, "n a"],
+        feeds_mm_min: Float64[np.ndarray, " n"],
+        left_s: float,
+    ) -> (
+        tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
+        | None
+    ):
+        """Return the best of some legs from here, None where none is allowed."""
+        legs = _join_legs(here, ends, feeds_mm_min)
         times = self.design.drive.times_s(legs)
         ok = (times <= left_s) & self.region.allowed(legs)
         if not ok.any():
             return None
-        ends, times = ends[ok], times[ok]
-        rows = self.design.rows(_join_legs(here, ends, feed_mm_min))
-        known = IntegratedVariance(inverse(precision), self.design.gram)
+        ends, feeds, times = ends[ok], feeds_mm_min[ok], times[ok]
+        rows = self.design.rows(_join_legs(here, ends, feeds))
         best = int(np.argmax(known.compute_drops(rows) / times))
-        return ends[best], rows[best], float(times[best])
+        return ends[best], float(feeds[best]), rows[best], float(times[best])
 
     def _exchange(self, stops: Stops) -> tuple[Stops, float]:
-        """Move each stop but the first to where J · T is least; tell the gain."""
+        """Move each stop but the first to where J · T is least; tell the gain.
+
+        Where the choice is free, the feed towards it changes as well.
+        """
         total = self.design.precision + self._inform(stops)
         before = cost = self._cost(stops)
         for k in range(1, len(stops)):
@@ -148,11 +183,19 @@ class LegChoice:
         rest_s = self._duration_s(stops) - self._duration_s(old)
         C = inverse(others)
         places = self._places_for(stops.position[k], C)
-        meeting = self._list_legs(stops, k, places)
-        places = places[np.all([self.region.allowed(legs) for legs in meeting], axis=0)]
-        if not len(places):
+        feeds = np.full(len(places), stops.feed_mm_min[k])
+        if self.is_free:
+            every = np.array(self.feeds_mm_min)
+            changed = self.rng.random(len(places)) < 0.5
+            feeds[changed] = self.rng.choice(every, np.count_nonzero(changed))
+            feeds = np.append(feeds, every)
+            places = np.vstack([places, np.tile(places[0], (len(every), 1))])
+        meeting = self._list_legs(stops, k, places, feeds)
+        ok = np.all([self.region.allowed(legs) for legs in meeting], axis=0)
+        if not ok.any():
             return stops, total, cost
-        meeting = self._list_legs(stops, k, places)
+        places, feeds = places[ok], feeds[ok]
+        meeting = self._list_legs(stops, k, places, feeds)
         rows = np.concatenate([self.design.rows(m) for m in meeting], axis=1)
         times = np.sum([self.design.drive.times_s(legs) for legs in meeting], axis=0)
         known = IntegratedVariance(C, self.design.gram)
@@ -161,10 +204,10 @@ class LegChoice:
         best = int(np.argmin(costs))
         if costs[best] >= cost * (1.0 - 1e-9):
             return stops, total, cost
-        position = stops.position.copy()
-        position[k] = places[best]
+        position, feed = stops.position.copy(), stops.feed_mm_min.copy()
+        position[k], feed[k] = places[best], feeds[best]
         total = others + rows[best].T @ rows[best]
-        return Stops(position, stops.feed_mm_min), total, float(costs[best])
+        return Stops(position, feed), total, float(costs[best])
 
     def _reorder(self, stops: Stops) -> Stops:
         """Return the stops in an order of short moves, unless they tell less so."""
@@ -181,11 +224,18 @@ class LegChoice:
         return min(stops, found, key=self._cost)
 
     def _list_legs(
-        self, stops: Stops, k: int, places: Float64[np.ndarray, "n a"]
+        self,
+        stops: Stops,
+        k: int,
+        places: Float64[np.ndarray, "n a"],
+        feeds_mm_min: Float64[np.ndarray, " n"],
     ) -> list[Legs]:
-        """Return the legs before a stop, and those after it, for places of it."""
+        """Return the legs before a stop, and those after it, for places of it.
+
+        feeds_mm_min : towards the stop
+        """
         position, feed = stops.position, stops.feed_mm_min
-        found = [_join_legs(position[k - 1], places, feed[k])]
+        found = [_join_legs(position[k - 1], places, feeds_mm_min)]
         if k + 1 < len(stops):
             found.append(_join_legs(places, position[k + 1], feed[k + 1]))
         return found
@@ -210,8 +260,11 @@ class LegChoice:
 
     def _cost(self, stops: Stops) -> float:
         """Return J · T."""
-        known = self.design.add(self._inform(stops))
-        return known.integrated_variance * self._duration_s(stops)
+        return self._left(stops) * self._duration_s(stops)
+
+    def _left(self, stops: Stops) -> float:
+        """Return J."""
+        return self.design.add(self._inform(stops)).integrated_variance
 
     def _inform(self, stops: Stops) -> Float64[np.ndarray, "p p"]:
         return self.design.information(stops.legs)
@@ -221,8 +274,10 @@ class LegChoice:
 
 
 def _join_legs(
-    begin: Float64[np.ndarray, "*n a"], end: Float64[np.ndarray, "*n a"], feed: float
+    begin: Float64[np.ndarray, "*n a"],
+    end: Float64[np.ndarray, "*n a"],
+    feed: float | Float64[np.ndarray, " n"],
 ) -> Legs:
     """Return legs from one place to each of several, or from each to one."""
     begin, end = np.broadcast_arrays(begin, end)
-    return Legs(begin, end, np.full(len(begin), feed))
+    return Legs(begin, end, np.broadcast_to(np.float64(feed), len(begin)).copy())

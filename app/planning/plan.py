@@ -17,7 +17,8 @@ from app.estimation.prior_model import PriorModel
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.configurations import Commanded, join_rows
 from app.motion.corner_path import corner_path
-from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive, row_times_s
+from app.motion.motion_times import Drive, row_times_s
+from app.motion.travel import inner_travel
 from app.motion.workspace import (
     StationAreas,
     Workspace,
@@ -46,6 +47,7 @@ _TRIES = 5
 _SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
 _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
 _CLOSE = 0.93  # a plan that would be shorter by less is not tried
+_FEEDS = (1.0, 0.63, 0.4, 0.25)  # of the highest: among these a line has its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,8 @@ class PlanOrder:
 
     mode : `otf` or `standstill`
     minutes : at most; target_um : volumetric uncertainty (k = 1) to reach
-    feeds_mm_min : several to tell dynamic effects from static ones
+    feeds_mm_min : several to tell dynamic effects from static ones; where left out,
+        those at which lines tell most a second
     corner_path : the path of the 2023 paper instead, to compare with
     model : whose effects are to be told apart from the error motions and each other
     """
@@ -62,7 +65,7 @@ class PlanOrder:
     mode: str = "otf"
     minutes: float | None = None
     target_um: float | None = None
-    feeds_mm_min: tuple[float, ...] = (DEFAULT_FEED_MM_MIN,)
+    feeds_mm_min: tuple[float, ...] = ()
     dwell_s: float | None = None
     perpendicular_only: bool = False
     corner_path: bool = False
@@ -101,9 +104,27 @@ class PlanOrder:
     def drive(self, machine: Machine) -> Drive:
         """Return how the machine moves."""
         usual_s = LINE_DWELL_S if self.is_on_the_fly else POINT_DWELL_S
-        return Drive.of(self.moving(machine).axis_names, self.dwell_s or usual_s)
+        return Drive.of_machine(self.moving(machine), self.dwell_s or usual_s)
 
-    def refuse_nonsense(self) -> None:
+    def feeds(self, machine: Machine) -> tuple[float, ...]:
+        """Return the feeds as asked for, else those that lines choose from.
+
+        Highest first. Between points the machine goes as fast as it can. A feed that
+        not even the longest line holds is left out, unless it is the lowest.
+        """
+        highest = machine.motion.max_feed_mm_min
+        if self.feeds_mm_min:
+            return self.feeds_mm_min
+        if not self.is_on_the_fly:
+            return (highest,)
+        feeds = tuple(float(round(share * highest)) for share in _FEEDS)
+        low, high = inner_travel(self.moving(machine))
+        longest_mm = float(np.linalg.norm(high - low))
+        least_mm = self.drive(machine).shortest_mm(np.array(feeds))
+        held = [f for f, mm in zip(feeds, least_mm, strict=True) if mm <= longest_mm]
+        return tuple(held) or feeds[-1:]
+
+    def refuse_nonsense(self, machine: Machine) -> None:
         """Raise PlanningError for numbers that no plan can follow."""
         if self.mode not in DEFAULT_MINUTES:
             raise PlanningError(f"mode is {self.mode!r}; it is otf or standstill")
@@ -113,8 +134,13 @@ class PlanOrder:
         for name, value in numbers:
             if value is not None and not 0.0 < value < np.inf:
                 raise PlanningError(f"{name} is {value:g}; it must be above 0")
-        if not self.feeds_mm_min:
-            raise PlanningError("no feed is given; give at least one")
+        motion = machine.motion
+        stated = "max_feed_mm_min" not in motion.assumed
+        if stated and max(self.feeds_mm_min, default=0.0) > motion.max_feed_mm_min:
+            raise PlanningError(
+                f"feed_mm_min is {max(self.feeds_mm_min):g}, but {machine.name} goes "
+                f"at most {motion.max_feed_mm_min:g}; give a lower feed"
+            )
         if self.corner_path and (self.minutes or self.target_um):
             raise PlanningError(
                 "a corner path is as long as it is; leave minutes and target out"
@@ -130,6 +156,8 @@ class Plan:
     station_mm : of the tracker; time_s : (rows,) at which each row is done
     lag_sigma_s : of each axis behind the others, where there are several feeds
     stations : what is said of the tracker's place, where areas for it are known
+    feeds_worth : what a second would tell, of what it does, with all lines at one feed;
+        nothing where the feeds were given
     """
 
     machine: Machine
@@ -140,6 +168,7 @@ class Plan:
     forecast: Forecast
     lag_sigma_s: dict[str, float]
     stations: StationAdvice | None = None
+    feeds_worth: dict[float, float] = field(default_factory=dict[float, float])
 
     @property
     def duration_s(self) -> float:
@@ -169,7 +198,7 @@ def make_plan(
     Raises PlanningError if nothing can be planned; it names the reason. BundleError if
     the model is of another machine.
     """
-    order.refuse_nonsense()
+    order.refuse_nonsense(machine)
     on_progress(0.0, "planning")
     station_mm = choose_station(machine, order.workspace)
     attempt = _PlanAttempt(machine, order, order.assume(machine), station_mm)
@@ -253,7 +282,7 @@ class _PlanAttempt:
             order.moving(self.machine),
             replace(self, order=free).survey(),
             workspace,
-            order.feeds_mm_min[0],
+            order.feeds(self.machine)[0],
         )
         judge = StationJudge.of(survey, self.assumed, areas.specification)
         stated_mm = None if workspace.tracker_mm is None else self.station_mm
@@ -267,7 +296,7 @@ class _PlanAttempt:
 
     def _corners(self) -> Path:
         dwell_s = self.order.drive(self.machine).dwell_s
-        return corner_path(self.machine, self.order.feeds_mm_min[0], dwell_s)
+        return corner_path(self.machine, self.order.feeds(self.machine)[0], dwell_s)
 
     def _choose(self, budget_s: float, survey: bool = False) -> Commanded:
         choose = self._lines if self.order.is_on_the_fly else self._points
@@ -286,12 +315,19 @@ class _PlanAttempt:
         )
 
     def _line_planner(self) -> Planner:
-        feeds = self.order.feeds_mm_min
-        return self._make_planner(feeds, dynamic=len(feeds) > 1)
+        feeds = self.order.feeds(self.machine)
+        return self._make_planner(feeds, dynamic=self._tells_lags)
+
+    @property
+    def _tells_lags(self) -> bool:
+        """Whether lags are to be told from what does not depend on the feed."""
+        known = self.assumed.known.effects
+        return len(self.order.feeds_mm_min) > 1 or any(e.lag_axis for e in known)
 
     def _points(self, budget_s: float, survey: bool) -> Commanded:
         """Return a block of points for each target that moves, one after another."""
-        targets, feeds = moving_targets(self.machine), self.order.feeds_mm_min[:1]
+        targets = moving_targets(self.machine)
+        feeds = self.order.feeds(self.machine)[:1]
         planners = [self._make_planner(feeds, target=t.name) for t in targets]
         legs, effort = (_SURVEY_POINTS, _SURVEY_EFFORT) if survey else (None, None)
         shares = [PlanShare(one, budget_s / len(targets), legs) for one in planners]
@@ -314,7 +350,8 @@ class _PlanAttempt:
             target=target,
             dynamic=dynamic,
         )
-        return Planner(self.machine, design, order.workspace, feeds)
+        is_free = order.is_on_the_fly and not order.feeds_mm_min
+        return Planner(self.machine, design, order.workspace, feeds, is_free)
 
     def _evaluate(self, commanded: Commanded) -> Plan:
         order = self.order
@@ -324,10 +361,22 @@ class _PlanAttempt:
             self.station_mm,
             self.assumed,
         )
-        time_s = np.cumsum(row_times_s(commanded, order.feeds_mm_min[0]))
+        limits = self.machine.motion
+        time_s = np.cumsum(row_times_s(commanded, order.feeds(self.machine)[0], limits))
         lags: dict[str, float] = {}
-        if order.is_on_the_fly and len(order.feeds_mm_min) > 1:
+        worth: dict[float, float] = {}
+        if order.is_on_the_fly and self._tells_lags:
             lags = predict_lag_sigmas_s(self._line_planner().update(commanded).design)
+        is_given = order.feeds_mm_min or order.corner_path
+        if isinstance(commanded, Path) and not is_given:
+            worth = self._line_planner().judge_feeds(commanded)
         return Plan(
-            self.machine, order, commanded, self.station_mm, time_s, prediction, lags
+            self.machine,
+            order,
+            commanded,
+            self.station_mm,
+            time_s,
+            prediction,
+            lags,
+            feeds_worth=worth,
         )

@@ -34,13 +34,14 @@ class Planner:
     design : of lines or of standstills; its machine may lack the rotary axes of
         `machine`, which then stand at 0, or at the near end of their travel
     feeds_mm_min : several where dynamic effects are to be told from static ones, driven
-        in turn
+        in turn; or those among which each line has its own, where the choice is free
     """
 
     machine: Machine
     design: DesignState
     workspace: Workspace
     feeds_mm_min: tuple[float, ...]
+    is_free: bool = False
 
     def plan(
         self,
@@ -62,7 +63,7 @@ class Planner:
         Raises PlanningError if no motion fits in, or none is allowed.
         """
         rng = np.random.default_rng(seed)
-        region = self._region()
+        region = self.region()
         if not self._is_apart(np.stack([region.low, region.high])):
             raise PlanningError(self._hindrance())
         begin = self._first_stop(region, rng) if start is None else start
@@ -72,6 +73,7 @@ class Planner:
             self.feeds_mm_min,
             rng,
             effort or SearchEffort(),
+            self.is_free,
         )
         budget_s -= self.design.drive.dwell_s
         stops = choice.stops(begin, budget_s, legs)
@@ -94,6 +96,25 @@ class Planner:
         known = self.design.add(self.design.information(legs))
         return replace(self, design=known)
 
+    def judge_feeds(self, path: Path) -> dict[float, float]:
+        """Return what a second tells at each feed, relative to the path's own feeds.
+
+        All its lines are driven at that feed, as far as the feed is reached.
+        """
+        columns = len(self.design.model.machine.axes)
+        stops = Stops(path.position[:, :columns], path.feed_mm_min)
+
+        def worth(stops: Stops) -> float:
+            known = self.design.add(self.design.information(stops.legs))
+            time_s = float(self.design.drive.times_s(stops.legs).sum())
+            return 1.0 / (known.integrated_variance * time_s)
+
+        own = worth(stops)
+        return {
+            feed: worth(Stops(stops.position, np.full(len(stops), feed))) / own
+            for feed in self.feeds_mm_min
+        }
+
     def check(self, plan: Commanded) -> None:
         """Raise PlanningError if a plan leaves the travel or breaks the workspace."""
         check_travel(self.machine, plan)
@@ -103,7 +124,7 @@ class Planner:
         feed = max(self.feeds_mm_min)
         anyhow = replace(self.design.drive, least_mm=0.0)
         design = replace(self.design, drive=anyhow)
-        return bool(design.fits(Stops(ends, np.full(2, feed)).legs, feed)[0])
+        return bool(design.fits(Stops(ends, np.full(2, feed)).legs)[0])
 
     def _hindrance(self) -> str:
         """Return why not even the diagonal of the travel can be measured."""
@@ -117,13 +138,14 @@ class Planner:
             f"{max(self.feeds_mm_min):g} mm/min; lower the feed"
         )
 
-    def _region(self) -> SearchRegion:
-        machine, feed = self.design.model.machine, max(self.feeds_mm_min)
+    def region(self) -> SearchRegion:
+        """Return where stops may lie, and which lines are allowed between them."""
+        machine = self.design.model.machine
         low, high = inner_travel(machine)
 
         def allowed(legs: Legs) -> Bool[np.ndarray, " n"]:
-            fits = self.design.fits(legs, feed)
-            return fits & self.workspace.allowed(machine, legs.begin, legs.end)
+            free = self.workspace.allowed(machine, legs.begin, legs.end)
+            return self.design.fits(legs) & free
 
         return SearchRegion(low, high, allowed)
 

@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import approach_signs
+from app.alignment.cell_blocks import STANDSTILL_SETTLE_S, approach_signs
 from app.alignment.observations import Observations, add_surroundings
+from app.alignment.segmentation import RAMP_SETTLE_S
 from app.errors import PlanningError
 from app.estimation.noise import NoiseModel
 from app.kinematics.conditions import Conditions, make_standstill, observe_targets
 from app.kinematics.machine import LinearAxis, Machine
 from app.motion.configurations import Commanded, Configurations
-from app.motion.motion_times import ACCELERATION_MM_S2, Drive, Stops, row_times_s
+from app.motion.motion_times import Drive, Stops, row_times_s
 from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path
 
@@ -28,14 +29,13 @@ from drivers.interfaces.records import Path
 EXPECTED_NOISE = NoiseModel((1.0, 1.0), (0.2, 0.2), 1.0, 2e-4)
 _CELL_MM, _CELL_S = 16.0, 0.25
 _MOST_CELLS = 4000  # then cells are longer
-_STEADY = 0.1  # of a line, at least: a short one is driven below its feed
 _AHEAD = 1e-4  # of a line, to see where the target is going
 _POINT_TO_POINT_S = 2.0  # usual time of a move between standstill points
 
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """One line or dwell: shares of the way to its row, and the times of its cells.
+    """Part of a line, or a dwell: shares of the way to its row, and times of its cells.
 
     rate : of the share, a second; 0 for a dwell
     """
@@ -44,7 +44,8 @@ class _Stretch:
     share: Float64[np.ndarray, " n"]
     time_s: Float64[np.ndarray, " n"]
     cell_s: float
-    rate: float = 0.0
+    rate: Float64[np.ndarray, " n"]
+    is_ramp: bool = False
 
 
 def predict_cells(
@@ -64,7 +65,7 @@ def predict_cells(
     Raises PlanningError if nothing moves and nothing dwells.
     """
     is_path = isinstance(commanded, Path)
-    parts = list(_lines(commanded, cell_mm) if is_path else _dwells(commanded))
+    parts = list(_lines(machine, commanded, cell_mm) if is_path else _dwells(commanded))
     if not parts:
         raise PlanningError(
             "no line has a length and no point a dwell; nothing would be measured"
@@ -84,26 +85,83 @@ def predict_cells(
         (),
         int(count.sum()),
         int(count.sum()),
+        np.concatenate([np.full(len(p.share), p.is_ramp) for p in parts]),
     )
     return add_surroundings(seen, commanded)
 
 
-def _lines(path: Path, cell_mm: float) -> Iterator[_Stretch]:
-    """Yield the part of each line that is driven at constant feed."""
-    row_s = row_times_s(path)
-    begin_s = np.cumsum(row_s) - row_s
+def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
+    """Yield each line, at constant feed and on its ramps, and the dwell at its end."""
+    row_s = row_times_s(path, limits=machine.motion)
+    end_s = np.cumsum(row_s)
+    drive = Drive.of(path.axes, 0.0, machine.motion)
     legs = Stops(path.position, path.feed_mm_min).legs
-    length = Drive.of(path.axes, 0.0).length(legs)
-    speed = path.feed_mm_min[1:] / 60.0
-    steady = np.maximum(length - speed**2 / ACCELERATION_MM_S2, _STEADY * length)
-    cell = np.maximum(cell_mm, steady.clip(0.0).sum() / _MOST_CELLS)
-    for k in np.flatnonzero(steady > 0.0):
-        cells = max(1, round(float(steady[k] / min(cell, max(speed[k], cell)))))
-        place = (np.arange(cells) + 0.5) / cells * steady[k]
-        share = (place + 0.5 * (length[k] - steady[k])) / length[k]
-        time_s = begin_s[k + 1] + place / speed[k] + speed[k] / ACCELERATION_MM_S2
-        seconds = float(steady[k] / speed[k] / cells)
-        yield _Stretch(int(k) + 1, share, time_s, seconds, float(speed[k] / length[k]))
+    length, speed = np.maximum(drive.length(legs), 1e-9), drive.peak_mm_s(legs)
+    ramp_s, (lost, steady_s) = drive.ramp_s(speed), drive.steady(legs)
+    cell = np.maximum(cell_mm, length.sum() / _MOST_CELLS)
+    yield from _dwell(0, path.dwell_s[0], end_s[0])
+    for k in range(len(legs)):
+        row, begin_s = k + 1, end_s[k]
+        moving_s = row_s[row] - path.dwell_s[row]
+        span_s = 0.5 * (moving_s - steady_s[k])
+        ramp = _ramp(row, lost[k], span_s, ramp_s[k], cell / length[k])
+        if ramp is not None:
+            yield replace(ramp, time_s=begin_s + ramp.time_s)
+        if steady_s[k] > 0.0:
+            rate = (1.0 - 2.0 * lost[k]) / steady_s[k]
+            cells = _count(steady_s[k], rate * length[k] / cell)
+            place = (np.arange(cells) + 0.5) / cells
+            yield _Stretch(
+                row,
+                lost[k] + place * (1.0 - 2.0 * lost[k]),
+                begin_s + span_s + place * steady_s[k],
+                float(steady_s[k] / cells),
+                np.full(cells, rate),
+            )
+        if ramp is not None:
+            yield replace(
+                ramp,
+                share=1.0 - ramp.share[::-1],
+                time_s=begin_s + moving_s - ramp.time_s[::-1],
+                rate=ramp.rate[::-1],
+            )
+        yield from _dwell(row, path.dwell_s[row], end_s[row])
+
+
+def _ramp(
+    row: int, lost: float, span_s: float, ramp_s: float, cell_share: float
+) -> _Stretch | None:
+    """Return the first stretch of a line, at even acceleration and what settles after.
+
+    lost : share of the line that it takes; span_s : its time, ramp_s of it on the ramp
+    """
+    used_s = span_s - RAMP_SETTLE_S
+    if used_s <= 0.0:
+        return None
+    cells = _count(used_s, lost / used_s / cell_share)
+    time_s = RAMP_SETTLE_S + (np.arange(cells) + 0.5) / cells * used_s
+    ramp_s = min(ramp_s, span_s)
+    rate = lost / (span_s - 0.5 * ramp_s)  # at the end of the ramp
+    on_ramp_s = np.minimum(time_s, ramp_s)
+    share = rate * (0.5 * on_ramp_s**2 / ramp_s + time_s - on_ramp_s)
+    seconds = used_s / cells
+    return _Stretch(row, share, time_s, seconds, rate * on_ramp_s / ramp_s, True)
+
+
+def _dwell(row: int, dwell_s: float, end_s: float) -> Iterator[_Stretch]:
+    """Yield a standstill at the end of a line, where it is long enough."""
+    span_s = dwell_s - 2.0 * STANDSTILL_SETTLE_S
+    if span_s <= 0.0:
+        return
+    cells = _count(span_s, 0.0)
+    place = (np.arange(cells) + 0.5) / cells
+    time_s = end_s - dwell_s + STANDSTILL_SETTLE_S + place * span_s
+    yield _Stretch(row, np.ones(cells), time_s, span_s / cells, np.zeros(cells))
+
+
+def _count(span_s: float, cells_per_s: float) -> int:
+    """Return the number of cells; none lasts longer than a second."""
+    return max(1, round(float(span_s * max(cells_per_s, 1.0))))
 
 
 def _dwells(points: Configurations) -> Iterator[_Stretch]:
@@ -113,7 +171,7 @@ def _dwells(points: Configurations) -> Iterator[_Stretch]:
         cells = max(1, round(float(points.dwell_s[k]) / cell))
         seconds = float(points.dwell_s[k]) / cells
         time_s = begin_s[k] + (np.arange(cells) + 0.5) * seconds
-        yield _Stretch(int(k), np.ones(cells), time_s, seconds)
+        yield _Stretch(int(k), np.ones(cells), time_s, seconds, np.zeros(cells))
 
 
 def _conditions(
@@ -121,7 +179,7 @@ def _conditions(
 ) -> Conditions:
     sizes = [len(p.share) for p in parts]
     row = np.repeat([p.row for p in parts], sizes)
-    rate = np.repeat([p.rate for p in parts], sizes)
+    rate = np.concatenate([p.rate for p in parts])
     share = np.concatenate([p.share for p in parts])
     time_s = np.concatenate([p.time_s for p in parts])
     middle = np.concatenate([np.full(len(p.share), p.time_s.mean()) for p in parts])
@@ -136,7 +194,8 @@ def _conditions(
     velocity = find_slopes_mm(at, step) * rate[:, None]
     goes = np.linalg.norm(velocity, axis=1) > 0.0
     line = np.where(goes, row, -1)
-    lag = np.where(goes, time_s - middle, 0.0)
+    timed = goes & ~np.repeat([p.is_ramp for p in parts], sizes)
+    lag = np.where(timed, time_s - middle, 0.0)
     return replace(
         at,
         time_s=time_s,

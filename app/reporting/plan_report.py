@@ -61,8 +61,16 @@ def render_plan_report(document: Mapping[str, Any]) -> str:
             "effects": [_state_effect(effect) for effect in predicted["effects"]],
             "unobservable": document["unobservable"],
             "stations": document["stations"],
+            "feeds": explain_feeds(document),
         },
     )
+
+
+def explain_feeds(document: Mapping[str, Any]) -> list[str]:
+    """Return why the plan has its feeds, and what of the machine is assumed."""
+    choice, motion = document.get("feed_choice"), document.get("motion")
+    why = [choice["reason"]] if choice else []
+    return why + (motion["assumed"] if motion else [])
 
 
 def _state_effect(effect: Mapping[str, Any]) -> tuple[str, ...]:
@@ -120,7 +128,7 @@ def write_plan(
     commanded, machine = planned.commanded, planned.machine
     rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
     files = {rows: encode_commanded(commanded)}
-    feed = planned.order.feeds_mm_min[0]
+    feed = planned.order.feeds(machine)[0]
     for control in controls or list_dialects():
         text = write_program(commanded, machine, control, feed_mm_min=feed)
         files[f"{control}/{name_file(text, control)}"] = text.encode()

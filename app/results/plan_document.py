@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from app.files.machine_file import machine_to_json
 from app.files.units import scale_of
+from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.planning.plan import Plan
 from app.results.station_json import stations_json
 from app.results.updated_effects import predicted_effects_json, prior_model_json
+from drivers.interfaces.records import Path
 
 SCHEMA = "plan/1"
 
@@ -26,7 +29,9 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "duration_s": round(planned.duration_s, 3),
         "corner_path": order.corner_path,
         "perpendicular_only": order.perpendicular_only,
-        "feeds_mm_min": list(order.feeds_mm_min),
+        "feeds_mm_min": _list_feeds(planned),
+        "motion": _state_motion(planned.machine),
+        "feed_choice": _explain_feeds(planned),
         "model": model and prior_model_json(model),
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.station_mm],
@@ -56,6 +61,65 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         ],
         "unobservable": _list_unobservable(planned),
     }
+
+
+def _list_feeds(planned: Plan) -> list[float]:
+    """Return the feeds: those that were given, else those that are driven."""
+    if planned.order.feeds_mm_min:
+        return list(planned.order.feeds_mm_min)
+    if isinstance(planned.commanded, Path):
+        return sorted(set(planned.commanded.feed_mm_min[1:].tolist()), reverse=True)
+    return list(planned.order.feeds(planned.machine))
+
+
+def _state_motion(machine: Machine) -> dict[str, Any]:
+    """Return what the machine can, and in words what of it is assumed."""
+    motion, texts = machine.motion, list[str]()
+    if "max_feed_mm_min" in motion.assumed:
+        texts.append(
+            f"highest feed taken to be {motion.max_feed_mm_min:g} mm/min; state "
+            "motion.max_feed_mm_min in the machine file"
+        )
+    if "acceleration_mm_s2" in motion.assumed:
+        texts.append(
+            f"acceleration taken to be {motion.acceleration_mm_s2:g} mm/s²; state "
+            "motion.acceleration_mm_s2 in the machine file"
+        )
+    jerk = motion.jerk_mm_s3
+    return {
+        "max_feed_mm_min": motion.max_feed_mm_min,
+        "acceleration_mm_s2": motion.acceleration_mm_s2,
+        "jerk_mm_s3": jerk if math.isfinite(jerk) else None,
+        "assumed": texts,
+    }
+
+
+def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
+    """Return which lines have which feed and why; None where feeds were given."""
+    path = planned.commanded
+    if not planned.feeds_worth or not isinstance(path, Path):
+        return None
+    feeds = [
+        {
+            "feed_mm_min": feed,
+            "lines": int((path.feed_mm_min[1:] == feed).sum()),
+            "relative_information_per_s": round(worth, 3),
+        }
+        for feed, worth in planned.feeds_worth.items()
+    ]
+    driven = ", ".join(
+        f"{f['lines']} at {f['feed_mm_min']:g}" for f in feeds if f["lines"]
+    )
+    alone = ", ".join(
+        f"{f['relative_information_per_s']:.2f} at {f['feed_mm_min']:g}" for f in feeds
+    )
+    highest = planned.machine.motion.max_feed_mm_min
+    reason = (
+        f"each line has the feed, up to {highest:g} mm/min, at which it tells most a "
+        f"second, ramps and dwells included: of {len(path) - 1} lines {driven}; "
+        f"with one feed for all a second would tell {alone} times as much"
+    )
+    return {"feeds": feeds, "reason": reason}
 
 
 def _list_unobservable(planned: Plan) -> list[str]:

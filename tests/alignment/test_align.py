@@ -84,7 +84,8 @@ def test_lost_frames_breaks_spikes_holds_and_repeats_cost_only_themselves(record
     rough = with_stream(rough, first)
     a, b = align(clean), align(rough)
     # The silence swallows line 7, the broken beam most of line 13.
-    assert {p.row for p in b.passes} == {p.row for p in a.passes} - {7, 13}
+    steady = {p.row for p in b.passes if p.is_steady}
+    assert steady == {p.row for p in a.passes} - {7, 13}
     assert b.used > 0.9 * a.used
     assert np.abs(nominal_error_mm(b)).max() < 0.2
 

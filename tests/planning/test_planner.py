@@ -12,7 +12,7 @@ from app.motion.workspace import Workspace
 from app.planning.default_path import default_path
 from app.planning.design_state import LineDesignState, inverse
 from app.planning.initial_design import predict_lag_sigmas_s, start_design
-from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
+from app.planning.leg_choice import LegChoice, SearchEffort
 from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 
@@ -67,15 +67,14 @@ def test_the_default_path_leaves_little_more_than_a_plan_of_the_same_time(
 
 def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
     made = planner(mill)
-    low, high = inner_travel(mill)
-    region = SearchRegion(low, high, lambda legs: np.ones(len(legs), bool))
+    low, _ = inner_travel(mill)
 
-    def left(rounds):
+    def left(rounds, seed):
         choice = LegChoice(
             made.design,
-            region,
+            made.region(),
             (6000.0,),
-            np.random.default_rng(1),
+            np.random.default_rng(seed),
             SearchEffort(rounds=rounds),
         )
         stops = choice.stops(low, 60.0)
@@ -83,7 +82,9 @@ def test_moving_stops_after_a_greedy_choice_leaves_less(planner, mill):
         C = inverse(made.design.precision + told)
         return float(np.sum(C * made.design.gram)) ** 0.5
 
-    assert left(2) < 0.95 * left(0)
+    ratios = [left(2, seed) / left(0, seed) for seed in (1, 2, 3)]
+    assert max(ratios) <= 1.0
+    assert np.mean(ratios) < 0.99
 
 
 def test_planned_lines_leave_less_than_corner_lines_of_the_same_time(planner, mill):

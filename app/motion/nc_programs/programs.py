@@ -13,7 +13,6 @@ from app.errors import OutOfTravel, PlanningError
 from app.kinematics.machine import Machine, position_unit
 from app.motion.configurations import Configurations
 from app.motion.motion_times import (
-    ACCELERATION_MM_S2,
     DEFAULT_FEED_MM_MIN,
     travel_time_s,
 )
@@ -206,7 +205,7 @@ def _write_header(
     planned : the path before it was rounded
     """
     feeds = f"{path.feed_mm_min.min():.0f} TO {path.feed_mm_min.max():.0f} MM/MIN"
-    minutes, seconds = divmod(round(travel_time_s(path)), 60)
+    minutes, seconds = divmod(round(travel_time_s(path, machine.motion)), 60)
     rounded = float(np.abs(path.position - planned.position).max())
     facts = [
         f"TRUEPATH MEASURING PATH {name} FOR {kind.control}",
@@ -214,7 +213,7 @@ def _write_header(
         f"ROWS {len(path)}, FEED {feeds}, FEED OVERRIDE 100 PERCENT",
         *_state_travel(path, machine),
         f"EXPECTED TIME {minutes} MIN {seconds} S FROM THE BEGIN OF THE "
-        f"RECORDING, AT {ACCELERATION_MM_S2:.0f} MM/S2",
+        f"RECORDING, AT {machine.motion.acceleration_mm_s2:.0f} MM/S2",
         f"PATH CHECKSUM {compute_checksum(path.axes, path.position)}",
         f"POSITIONS ARE MACHINE COORDINATES, MM AND DEG, {kind.frame}",
         "NO TOOL LENGTH, NO TOOL RADIUS, NO ROTATION, NO TILTED PLANE",

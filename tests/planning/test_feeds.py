@@ -1,0 +1,76 @@
+"""The feeds of a plan: what the machine can, and what tells most a second."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.errors import PlanningError
+from app.files.machine_file import machine_from_json, machine_to_json
+from app.kinematics.machine import MotionLimits
+from app.motion.motion_times import Drive, Legs
+from app.planning.plan import PlanOrder, make_plan
+from app.results.plan_document import plan_document
+from simulators.profile import Limits, rest_to_rest
+
+
+def moving_at(machine, **stated):
+    return machine_from_json({**machine_to_json(machine), "motion": stated})
+
+
+def test_a_machine_file_keeps_what_the_machine_can(mill):
+    stated = {"max_feed_mm_min": 16_000.0, "jerk_mm_s3": 3e4}
+    machine = moving_at(mill, **stated)
+    assert machine_to_json(machine)["motion"] == stated
+    assert machine.motion.assumed == ("acceleration_mm_s2",)
+    assert "motion" not in machine_to_json(mill)
+
+
+@pytest.mark.parametrize("jerk_mm_s3", [np.inf, 3e4, 3e3])
+@pytest.mark.parametrize("length_mm", [1.0, 40.0, 700.0])
+def test_a_line_takes_as_long_as_a_jerk_limited_machine_does(length_mm, jerk_mm_s3):
+    limits = MotionLimits(1.2e4, 1500.0, jerk_mm_s3)
+    leg = Legs(np.zeros((1, 3)), np.array([[length_mm, 0, 0]]), np.array([1.2e4]))
+    expected = rest_to_rest(
+        np.array([length_mm]), np.array([200.0]), Limits(1500.0, jerk_mm_s3)
+    )
+    drive = Drive.of("XYZ", 0.0, limits)
+    assert drive.times_s(leg)[0] == pytest.approx(expected[0, :, 0].sum(), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def planned(mill):
+    machine = moving_at(mill, max_feed_mm_min=16_000, acceleration_mm_s2=3000)
+    return make_plan(machine, PlanOrder(minutes=1.5))
+
+
+def test_a_plan_keeps_to_the_highest_feed_and_says_why_it_has_its_feeds(planned):
+    feeds = planned.commanded.feed_mm_min[1:]
+    document = plan_document(planned)
+    assert feeds.max() <= 16_000.0
+    assert document["feeds_mm_min"] == sorted(set(feeds), reverse=True)
+    assert "16000" in document["feed_choice"]["reason"]
+    lines = {f["feed_mm_min"]: f["lines"] for f in document["feed_choice"]["feeds"]}
+    assert sum(lines.values()) == len(feeds)
+
+
+def test_no_single_feed_tells_much_more_a_second_than_those_of_the_plan(planned):
+    assert max(planned.feeds_worth.values()) < 1.08
+
+
+def test_a_machine_that_states_no_motion_is_planned_with_the_usual_and_told(mill):
+    document = plan_document(make_plan(mill, PlanOrder(minutes=0.8)))
+    assert document["motion"]["max_feed_mm_min"] == 10_000.0
+    assert any("10000" in text for text in document["motion"]["assumed"])
+
+
+def test_a_slow_machine_is_planned_slowly(mill):
+    slow = replace(mill, motion=MotionLimits(2400.0, assumed=()))
+    plan = make_plan(slow, PlanOrder(minutes=1.0))
+    assert plan.commanded.feed_mm_min.max() <= 2400.0
+
+
+def test_a_feed_above_what_the_machine_can_is_refused(mill):
+    slow = replace(mill, motion=MotionLimits(2400.0, assumed=()))
+    with pytest.raises(PlanningError, match=r"at most 2400"):
+        make_plan(slow, PlanOrder(minutes=1.0, feeds_mm_min=(6000.0,)))
