@@ -285,7 +285,8 @@ def _compute_residuals(
     ]
     residual, travel = (np.concatenate(each) for each in zip(*parts, strict=True))
     across = residual - np.einsum("ni,ni->n", residual, travel)[:, None] * travel
-    counted = across if run.noise.along_sigma_mm == np.inf else residual
+    is_across = np.isinf(run.noise.along_sigma_mm) | run.observations.is_ramp
+    counted = np.where(is_across[:, None], across, residual)
     return Residuals(
         residual,
         np.linalg.norm(across, axis=1),
