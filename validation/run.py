@@ -19,6 +19,7 @@ SCRIPTS = (
     "random_machines",
     "large_machines",
     "along_the_path",
+    "forecasts",
     "disturbed_runs",
     "target_seats",
 )
