@@ -71,7 +71,7 @@ class ErrorMap:
         """Return ω of an axis, 0 where the result has no angular error motion."""
         omega = np.zeros((len(at_mm), 3))
         model = self.result.model
-        for motion in model.error_motions:
+        for motion in model.identifiable_motions:
             if motion.symbol[2] == axis and is_turn(motion.symbol):
                 part = model.slices[motion.name]
                 value = motion.rows(at_mm) @ self.result.theta[part]

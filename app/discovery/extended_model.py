@@ -6,7 +6,7 @@ a step, the tracker's own errors) was taken out of the numbers and stays with it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -78,7 +78,7 @@ def _join(effects: list[Effect], base: MachineModel) -> MachineModel:
     """Return a model that has an effect once, even if it was found again."""
     once = {effect.name: effect for effect in reversed(effects)}
     names = dict.fromkeys(effect.name for effect in effects)
-    return MachineModel(base.machine, tuple(once[name] for name in names))
+    return replace(base, effects=tuple(once[name] for name in names))
 
 
 def _spread_beyond(

@@ -161,7 +161,7 @@ class Linearisation:
 
     def restrict(self, effects: Sequence[Effect]) -> Linearisation:
         """Return it with some of the machine's effects only."""
-        model = MachineModel(self.machine_model.machine, tuple(effects))
+        model = replace(self.machine_model, effects=tuple(effects))
         return replace(self, machine_model=model)
 
     def select_columns(self, effects: Sequence[Effect]) -> Bool[np.ndarray, " p"]:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.linalg import eigh
 
+from app.estimation.confounded_prior import straight_precision
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.estimation.separation import describe_confounded
@@ -94,6 +95,10 @@ def usual_precision_matrix(
     known = {n: s for n, s in (prior_precision or {}).items() if n in prior.precision}
     prior = replace(prior, precision={**prior.precision, **known})
     slack = diagonal_precision(model.parameters, USUAL)
+    for effect in model.effects:
+        if effect.name in model.confounded:
+            part = model.slices[effect.name]
+            slack[part, part] = straight_precision(effect)
     return prior.precision_matrix(model.size) + slack
 
 

@@ -29,6 +29,7 @@ from app.estimation.information import (
 from app.kinematics.effects.base import Parameter, QuadraticPrior
 from app.kinematics.model import MachineModel
 
+USUAL_PRECISION = 8.0  # of an effect of usual 1, before any data
 _ROUNDS = 40  # at most
 _SETTLED = 0.15  # change of a log precision that no table shows
 _SPREAD = 1.2  # τ: standard deviation of log precision within a kind
@@ -84,7 +85,7 @@ def guess_prior(model: MachineModel) -> BendingPrior:
     asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
     precision = {
-        name: 1.0 if charge.is_known else 8.0 / charge.usual
+        name: 1.0 if charge.is_known else USUAL_PRECISION / charge.usual
         for name, charge in charges.items()
     }
     log_forms = sum(_log_determinant(charge) for charge in charges.values())
@@ -154,8 +155,17 @@ def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, 
     return variance
 
 
+def find_kind_precisions(prior: BendingPrior) -> dict[str, float]:
+    """Return the geometric mean precision of a kind, for an effect of usual 1."""
+    found: dict[str, list[float]] = {}
+    for name, charge in prior.charges.items():
+        relative = np.log(prior.precision[name] * charge.usual)
+        found.setdefault(charge.kind, []).append(float(relative))
+    return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
+
+
 def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
-    usual = _usual_precision(prior)
+    usual = find_kind_precisions(prior)
     precision: dict[str, float] = {}
     for name, charge in prior.charges.items():
         part, old = prior.model.slices[name], prior.precision[name]
@@ -173,15 +183,6 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         else:
             precision[name] = max(free, 0.05) / energy
     return precision
-
-
-def _usual_precision(prior: BendingPrior) -> dict[str, float]:
-    """Return the geometric mean precision of a kind, for an effect of usual 1."""
-    found: dict[str, list[float]] = {}
-    for name, charge in prior.charges.items():
-        relative = np.log(prior.precision[name] * charge.usual)
-        found.setdefault(charge.kind, []).append(float(relative))
-    return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
 
 
 def _pooled_precision(free: float, energy: float, centre: float) -> float:

@@ -9,7 +9,7 @@ of the file.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -183,6 +183,7 @@ class ModelFile(FileModel):
 
     schema_: Literal["model/1"] = Field(alias="schema")
     effects: list[EffectFile]
+    confounded: list[Text] = Field(default_factory=list[Text])
     covariance: CovarianceFile
 
     @model_validator(mode="after")
@@ -202,7 +203,8 @@ class ModelFile(FileModel):
 
     def estimated_model(self, machine: Machine) -> EstimatedModel:
         """Return the model with its parameters."""
-        model = MachineModel(machine, tuple(effect for effect, _ in self.stated))
+        effects = tuple(effect for effect, _ in self.stated)
+        model = MachineModel(machine, effects, frozenset(self.confounded))
         G = build_number_rows(model)
         back = (G / np.sum(G**2, axis=0)).T  # G⁺, its columns being orthogonal
         values = np.concatenate([*(v for _, v in self.stated), np.empty(0)])
@@ -225,7 +227,7 @@ def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
     model = estimated.model
     own = tuple(e for e in model.effects if e.role is Role.MACHINE)
     kept = np.concatenate([np.arange(model.size)[model.slices[e.name]] for e in own])
-    model = MachineModel(model.machine, own)
+    model = replace(model, effects=own)
     covariance = estimated.covariance[np.ix_(kept, kept)]
     G = build_number_rows(model)
     values = G @ estimated.theta[kept]
@@ -235,6 +237,7 @@ def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "effects": [_effect_json(e, catalogued.get(e.name), v) for e, v in stated],
+        "confounded": sorted(model.confounded),
         "covariance": covariance_json(G @ covariance @ G.T),
     }
 

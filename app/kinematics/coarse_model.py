@@ -25,7 +25,10 @@ from app.kinematics.effects.base import (
     SplineEffect,
     columns_along,
 )
-from app.kinematics.identifiable import build_identifiable_model
+from app.kinematics.identifiable import (
+    build_identifiable_model,
+    list_confounded_effects,
+)
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.kinematics.splines import CubicSpline, natural_spline
@@ -62,9 +65,11 @@ class NestedModels:
     """Models of Runs that differ in what the direction of approach may do.
 
     alone : error motions, and effects known before
+    confounded : effects of the machine that the targets do not tell
     """
 
     alone: MachineModel
+    confounded: tuple[Effect, ...] = ()
 
     @cached_property
     def constant(self) -> MachineModel:
@@ -135,7 +140,9 @@ def build_run_models(
     """
     model, _ = build_identifiable_model(machine, *offsets_mm)
     return RunModels(
-        NestedModels(model.with_effects(*known)),
+        NestedModels(
+            model.with_effects(*known), list_confounded_effects(machine, *offsets_mm)
+        ),
         build_coarse_model(machine, offsets_mm, known),
         build_shape_model(machine, *offsets_mm),
     )

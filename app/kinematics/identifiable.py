@@ -40,6 +40,7 @@ from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
 _MOST_INTERVALS = 48  # unless a motion needs more
+_CONFOUNDED_INTERVALS = 12  # what data do not show needs no fine shapes
 _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
 _PROBE = 700  # configurations that stand for the whole volume
 _INTERVALS = 8  # shapes of motions against which single numbers are held
@@ -86,6 +87,31 @@ def build_identifiable_model(
         for s in symbols
     ]
     return MachineModel(machine, (*motions, *others)), confounded
+
+
+def list_confounded_effects(
+    machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
+) -> tuple[Effect, ...]:
+    """Return the effects of the machine that these targets do not tell from others.
+
+    They move another target, or another tool, in ways that the data leave open.
+    """
+    runs = tuple(_targets_at(machine, offsets) for offsets in offsets_mm)
+    _, _, confounded = _find_identifiable(machine, runs)
+    axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
+    singles: list[Effect] = [*list_squarenesses(machine.axis_names)]
+    for axis in machine.rotary_axes:
+        singles += list_axis_locations(axis)
+    known = {effect.name: effect for effect in singles}
+    return tuple(
+        known.get(one.symbol) or _make_confounded(one.symbol, axes[one.symbol])
+        for one in confounded
+    )
+
+
+def _make_confounded(symbol: str, axis: Axis) -> Effect:
+    intervals = min(_CONFOUNDED_INTERVALS, _intervals(axis, KNOT_SPACING_MM))
+    return make_error_motion(symbol, axis, intervals)
 
 
 def _targets_at(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -79,10 +79,15 @@ class CatalogueEffect(Effect):
 
 @dataclass(frozen=True)
 class MachineModel:
-    """A nominal machine and effects; θ is their parameters one after another."""
+    """A nominal machine and effects; θ is their parameters one after another.
+
+    confounded : names of effects that the measured targets do not tell from others;
+        what is known of them comes from a prior
+    """
 
     machine: Machine
     effects: tuple[Effect, ...]
+    confounded: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuse effects of one name: their parameters would share a place in θ."""
@@ -119,8 +124,13 @@ class MachineModel:
 
     @property
     def knows_all_motions(self) -> bool:
-        """Whether it has all six error motions of every axis: it holds for any tool."""
-        return len(self.error_motions) == 6 * len(self.machine.axes)
+        """Whether all error motions of all axes are told: it holds for any tool."""
+        return len(self.identifiable_motions) == 6 * len(self.machine.axes)
+
+    @cached_property
+    def identifiable_motions(self) -> tuple[ErrorMotion, ...]:
+        """The error motions that the measured targets tell."""
+        return tuple(m for m in self.error_motions if m.name not in self.confounded)
 
     @cached_property
     def catalogue_effects(self) -> tuple[CatalogueEffect, ...]:
@@ -137,6 +147,11 @@ class MachineModel:
     def with_effects(self, *more: Effect) -> MachineModel:
         """Return this model with further effects at the end."""
         return replace(self, effects=(*self.effects, *more))
+
+    def with_confounded(self, effects: Sequence[Effect]) -> MachineModel:
+        """Return this model with effects at the end that the targets do not tell."""
+        names = self.confounded.union(effect.name for effect in effects)
+        return replace(self.with_effects(*effects), confounded=names)
 
 
 def restore_effect(

@@ -252,7 +252,7 @@ def _coarser(
     Every second knot of a spline makes a spline of the same space, so nothing is lost.
     """
     effects = tuple(effect.coarsen(_SHAPES) for effect in model.effects)
-    coarse = MachineModel(model.machine, effects)
+    coarse = replace(model, effects=effects)
     refined = np.zeros((model.size, coarse.size))
     for fine, rough in zip(model.effects, effects, strict=True):
         part = (model.slices[fine.name], coarse.slices[rough.name])

@@ -66,7 +66,7 @@ def draw_legend(
 
 def _make_fine_table(findings: Findings, symbol: str) -> ErrorTable | None:
     """Return an error motion as densely as it is drawn."""
-    motions = {m.symbol: m for m in findings.estimate.model.error_motions}
+    motions = {m.symbol: m for m in findings.estimate.model.identifiable_motions}
     if symbol not in motions:
         return None
     axis = motions[symbol].axis

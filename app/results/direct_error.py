@@ -154,7 +154,7 @@ def _pool_spread(sides: Sequence[_Direction]) -> float:
 
 def index_motions(result: CalibrationResult) -> dict[str, ErrorMotion]:
     """Return the error motions that a result tells, by symbol."""
-    return {motion.symbol: motion for motion in result.model.error_motions}
+    return {motion.symbol: motion for motion in result.model.identifiable_motions}
 
 
 def build_convention(

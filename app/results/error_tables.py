@@ -90,6 +90,8 @@ def build_error_tables(
     squareness: list[SingleError] = []
     locations: list[SingleError] = []
     for effect in model.effects:
+        if effect.name in model.confounded:
+            continue
         if motion := effect.motion:
             at_mm = choose_table_positions(motion.axis)
             table = build_error_table(estimated, motion, at_mm)

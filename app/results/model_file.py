@@ -6,7 +6,7 @@ a model, with the effects that were found in it.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -30,7 +30,6 @@ from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run, digest_run
 from app.files.units import unit_of
 from app.kinematics.effects.nuisance import list_target_seats
-from app.kinematics.model import MachineModel
 from app.kinematics.volumetric_map import build_shape_model
 from app.results.discovery_json import effect_json
 from app.results.error_table_files import observability_json, tables_json
@@ -45,7 +44,7 @@ def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
     """
     earlier.require_same(run.machine)
     loaded = earlier.result
-    model = MachineModel(run.machine, loaded.model.effects)
+    model = replace(loaded.model, machine=run.machine)
     seats = list_target_seats([run.machine.targets])
     model = model.with_effects(*seats)
     size = loaded.model.size

@@ -142,7 +142,8 @@ def _list_quantities(
 ) -> Iterator[tuple[_Place, Float64[np.ndarray, "m p"]]]:
     """Yield every quantity with its rows in the parameters of the machine."""
     for effect in model.effects:
-        if not (symbol := effect.iso_symbol):
+        symbol = effect.iso_symbol
+        if not symbol or effect.name in model.confounded:
             continue
         at, position_unit, rows = np.zeros((1, 0)), "", np.eye(1)
         if motion := effect.motion:
