@@ -61,6 +61,12 @@ def print_result(result: Result, folder: Path) -> None:
         (name, f"{at['value']:.1f}", "", f"{at['uncertainty']:.2f}", "µrad")
         for name, at in result["squareness_urad"].items()
     ]
+    rows += [
+        (name, f"{at[f'value_{unit}']:.1f}", "", f"{u:.2f}", UNITS[unit])
+        for name, at in result.get("axis_location", {}).items()
+        for unit in (find_unit(at, "value"),)
+        for u in (at[f"uncertainty_{unit}"],)
+    ]
     columns = ("error", "lowest", "highest", "largest u (k = 1)", "")
     print_table(f"Errors of {result['machine']['name']}", columns, rows)
     for effect in result["effects"]:

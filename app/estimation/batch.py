@@ -12,7 +12,7 @@ from app.alignment.cell_gate import USUAL_OU
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import DesignMatrix
-from app.estimation.direction import Fit, select_fit
+from app.estimation.direction import Fit, include_confounded, select_fit
 from app.estimation.extrapolation import Ranges, find_measured_ranges, soften_ends
 from app.estimation.information import Posterior
 from app.estimation.knots import (
@@ -186,6 +186,7 @@ def estimate(
         if not undetermined:
             raise
         raise Unidentifiable(undetermined) from error
+    fit = include_confounded(fit, models.nested.confounded)
     on_progress(0.9)
     observability = assess_observability(models.shapes, inputs)
     measured = find_measured_ranges(*observed)

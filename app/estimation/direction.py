@@ -37,7 +37,8 @@ class Fit:
     """One model and what it makes of the data.
 
     direction : `none`, `constant` (half widths) or `tables` (both directions)
-    runs : information of each Run on the model
+    found : information of each Run on the model, and on what its targets do not tell
+    runs : the same on the model alone
     known : effects in it that an earlier measurement knows
     result : of the machine's parameters
     cost : −2 log evidence, with the price of its precisions
@@ -45,6 +46,7 @@ class Fit:
 
     direction: str
     model: MachineModel
+    found: tuple[RunInformation, ...]
     runs: tuple[RunInformation, ...]
     known: KnownEffects
     prior: BendingPrior
@@ -66,20 +68,17 @@ def select_fit(
 
     known : effects of the models that an earlier measurement knows
 
-    Effects that the targets do not tell play no part in the choice; under their prior
-    they are in the fit that is returned.
+    Effects that the targets do not tell play no part in the choice.
     """
     known = known or KnownEffects()
     found = _collect(runs, models, models.constant)
     none = _fit("none", models.alone, found, known)
     constant = _fit("constant", models.constant, found, known)
     if none.cost <= constant.cost:
-        return _add_confounded(none, models.confounded, found)
-    tables = _collect(runs, models, models.tables)
-    larger = _fit("tables", models.tables, tables, known)
-    if constant.cost <= larger.cost:
-        return _add_confounded(constant, models.confounded, found)
-    return _add_confounded(larger, models.confounded, tables)
+        return none
+    found = _collect(runs, models, models.tables)
+    tables = _fit("tables", models.tables, found, known)
+    return min(constant, tables, key=lambda fit: fit.cost)
 
 
 def _collect(
@@ -88,21 +87,16 @@ def _collect(
     return collect_information(runs, model.with_confounded(models.confounded))
 
 
-def _add_confounded(
-    fit: Fit, confounded: Sequence[Effect], found: tuple[RunInformation, ...]
-) -> Fit:
-    """Return the fit with effects of which a prior alone says what they are.
-
-    found : information on the fit's model and on them
-    """
-    if not confounded:
+def include_confounded(fit: Fit, effects: Sequence[Effect]) -> Fit:
+    """Return the fit with the effects of which a prior alone says what they are."""
+    if not effects:
         return fit
-    model = fit.model.with_confounded(confounded)
+    model = fit.model.with_confounded(effects)
     prior = add_confounded(fit.prior, fit.result, model)
-    narrow = tuple(run.restrict(model.effects) for run in found)
-    added = replace(fit, model=model, prior=prior, runs=narrow)
+    runs = tuple(run.restrict(model.effects) for run in fit.found)
+    wider = replace(fit, model=model, prior=prior, runs=runs)
     precision = prior.precision_matrix(model.size)
-    return replace(added, result=compute_posterior(added.data, precision))
+    return replace(wider, result=compute_posterior(wider.data, precision))
 
 
 def _fit(
@@ -116,4 +110,4 @@ def _fit(
     prior, result = guess_prior(model).fit(data)
     precisions = len(model.effects) - len(model.error_motions)
     cost = compute_evidence_cost(data, prior, result) + _PRICE * precisions
-    return Fit(direction, model, runs, known, prior, result, cost)
+    return Fit(direction, model, found, runs, known, prior, result, cost)

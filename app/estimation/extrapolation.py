@@ -114,7 +114,7 @@ def beyond_travel_variance_mm2(
     motion may bend away from it: by κ d²/2, and with a bounded slope.
     """
     total = np.zeros((len(at), 3))
-    for motion in model.identifiable_motions:
+    for motion in model.error_motions:
         position = at.axis_mm(motion.axis.name)
         away = _away(position, (motion.axis.low, motion.axis.high))
         if motion.spline.period or not away.any():
@@ -190,16 +190,14 @@ def _share_with_kind(
     motion: ErrorMotion, model: MachineModel, own: dict[str, Variation]
 ) -> Variation:
     """Return half of the motion's own, half of its kind's, scaled to its travel."""
-    told = model.identifiable_motions
-    kind = [m for m in told if _kind(m) == _kind(motion)] or [motion]
+    kind = [m for m in model.error_motions if _kind(m) == _kind(motion)]
     travel = _travel(motion)
     curvature = np.mean([own[m.name].curvature_square * _travel(m) ** 4 for m in kind])
     slope = np.mean([own[m.name].slope_square * _travel(m) ** 2 for m in kind])
-    mine, share = own[motion.name], 0.0 if motion.name in model.confounded else _OWN
-    others = 1.0 - share
+    mine, others = own[motion.name], 1.0 - _OWN
     return Variation(
-        share * mine.curvature_square + others * float(curvature) / travel**4,
-        share * mine.slope_square + others * float(slope) / travel**2,
+        _OWN * mine.curvature_square + others * float(curvature) / travel**4,
+        _OWN * mine.slope_square + others * float(slope) / travel**2,
     )
 
 
@@ -230,5 +228,4 @@ def _soften(
         if high - low > _FEWEST_INTERVALS * _interval(motion):
             off = _mean_slope(motion, low, high) - inside
             form = form + off.T @ off / max(precision * allowed, 1e-300)
-    softer = motion.gauge.T @ (form - motion.spline.bending()) @ motion.gauge
-    return replace(charge, form=charge.form + softer)
+    return replace(charge, form=motion.gauge.T @ form @ motion.gauge)

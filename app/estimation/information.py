@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from app.errors import Unidentifiable
 from app.numerics.scaled_cholesky import ScaledCholesky
@@ -42,6 +42,17 @@ class Information:
             total[columns, -1],
             float(total[-1, -1]),
             log_determinant,
+        )
+
+    def select(
+        self, columns: Int64[np.ndarray, " p"] | Bool[np.ndarray, " q"]
+    ) -> Information:
+        """Return what is told of some parameters where all others are 0."""
+        return Information(
+            self.matrix[columns][:, columns],
+            self.vector[columns],
+            self.square,
+            self.log_determinant,
         )
 
     @staticmethod

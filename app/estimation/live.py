@@ -21,6 +21,7 @@ from app.alignment.cell_blocks import CellBlock
 from app.alignment.observations import Observations, add_surroundings
 from app.alignment.streaming import StreamingAlignment
 from app.errors import Unidentifiable
+from app.estimation.confounded_prior import add_confounded
 from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import Information, compute_posterior
 from app.estimation.knots import join_cells
@@ -42,7 +43,10 @@ from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import add_half_widths, build_coarse_model
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.nuisance import TrackerPose
-from app.kinematics.identifiable import build_identifiable_model
+from app.kinematics.identifiable import (
+    build_identifiable_model,
+    list_confounded_effects,
+)
 from app.kinematics.machine import Machine
 from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.motion.configurations import Configurations
@@ -109,9 +113,10 @@ class LiveEstimator:
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
-        self._model = add_half_widths(model.with_effects(*self._known.effects))
+        told = add_half_widths(model.with_effects(*self._known.effects))
+        self._model = told.with_confounded(list_confounded_effects(machine, offsets))
         self._gram = compute_volumetric_gram(self._model)
-        self._prior: BendingPrior = guess_prior(self._model)
+        self._prior: BendingPrior = guess_prior(told)
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
         self._looked = 0  # stretches that pose and noise were last looked at with
@@ -151,8 +156,12 @@ class LiveEstimator:
             return None
         size = self._model.size
         data = self._add_known(self._sums.information(), self._sums.linearisation)
-        self._prior, result = self._prior.fit(data)
-        widened = widen_by_unknown_precision(self._prior, result)
+        columns = np.arange(len(data.vector))
+        told = np.delete(columns, np.s_[self._prior.model.size : size])
+        self._prior, result = self._prior.fit(data.select(told))
+        prior = add_confounded(self._prior, result, self._model)
+        result = compute_posterior(data, prior.precision_matrix(len(columns)))
+        widened = widen_by_unknown_precision(prior, result)
         covariance = widened.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))
         return LiveEstimate(

@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
@@ -71,13 +69,10 @@ class RunInformation:
     def restrict(self, effects: Sequence[Effect]) -> RunInformation:
         """Return what the Run tells where only some of the machine's effects are."""
         keep = self.linearisation.select_columns(effects)
-        data = replace(
-            self.data,
-            matrix=self.data.matrix[np.ix_(keep, keep)],
-            vector=self.data.vector[keep],
-        )
         return RunInformation(
-            self.observations, self.linearisation.restrict(effects), data
+            self.observations,
+            self.linearisation.restrict(effects),
+            self.data.select(keep),
         )
 
 

@@ -10,11 +10,13 @@ of the file.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
 from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, model_validator
+from scipy.linalg import cho_factor, cho_solve
 
 from app.errors import BadInput
 from app.files.covariance_file import (
@@ -29,7 +31,7 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import Family, find_family
 from app.kinematics.effects.error_motion import make_error_motion_over
 from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
-from app.kinematics.machine import Machine, position_unit
+from app.kinematics.machine import LinearAxis, Machine, position_unit
 from app.kinematics.model import CatalogueEffect, MachineModel, restore_effect
 from app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions
 
@@ -39,7 +41,7 @@ _FEWEST_KNOTS, _MOST_KNOTS = 3, 2_000
 Stated = tuple[Effect, Float64[np.ndarray, " s"]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class EstimatedModel:
     """A model with its parameters and their covariance."""
 
@@ -53,6 +55,45 @@ class EstimatedModel:
         """Return parameters and covariance of one effect."""
         part = self.model.slices[name]
         return self.theta[part], self.covariance[part, part]
+
+    @cached_property
+    def at_targets(self) -> EstimatedModel:
+        """What the measured targets show: tables that hold for them state it.
+
+        A turn of a linear axis that is confounded has a constant arm at the measured
+        targets: there the displacement that it is confounded with makes up for it. So
+        it is set to 0, and all others are what they are then. What is confounded of a
+        rotary axis stays: no one displacement makes up for it.
+        """
+        rows = self.target_rows
+        kept = tuple(e for e in self.model.effects if e.name not in self._made_up_for)
+        covariance = rows @ self.covariance @ rows.T
+        model = replace(self.model, effects=kept)
+        return EstimatedModel(model, rows @ self.theta, covariance)
+
+    @cached_property
+    def target_rows(self) -> Float64[np.ndarray, "k p"]:
+        """The parameters of `at_targets`, linear in these: a regression."""
+        own = np.zeros(self.model.size, bool)
+        for name in self._made_up_for:
+            own[self.model.slices[name]] = True
+        rows = np.eye(self.model.size)[~own]
+        if own.any():
+            scale = np.sqrt(np.diag(self.covariance)[own])
+            among = self.covariance[np.ix_(own, own)] / scale / scale[:, None]
+            across = self.covariance[np.ix_(own, ~own)] / scale[:, None]
+            rows[:, own] = -(cho_solve(cho_factor(among), across).T / scale)
+        return rows
+
+    @property
+    def _made_up_for(self) -> frozenset[str]:
+        return frozenset(
+            e.name
+            for e in self.model.effects
+            if e.motion
+            and e.name in self.model.confounded
+            and isinstance(e.motion.axis, LinearAxis)
+        )
 
     def effects(self) -> dict[str, Effect]:
         """Return the machine's own effects by name."""

@@ -24,7 +24,11 @@ from app.estimation.normal_equations import RecursiveEstimator
 from app.estimation.observability import assess_observability, usual_precision_matrix
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput
-from app.kinematics.identifiable import build_identifiable_model
+from app.files.model_file import EstimatedModel
+from app.kinematics.identifiable import (
+    build_identifiable_model,
+    list_confounded_effects,
+)
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
 from app.kinematics.volumetric_map import build_shape_model, compute_volumetric_gram
@@ -104,11 +108,12 @@ class Forecast:
         Of an error motion the root mean square over its travel.
         """
         found: dict[str, float] = {}
-        for effect in self.model.effects:
-            if not effect.iso_symbol:
+        nothing = np.zeros(self.model.size)
+        told = EstimatedModel(self.model, nothing, self.covariance).at_targets
+        for effect in told.model.effects:
+            if not effect.iso_symbol or effect.name in told.model.confounded:
                 continue
-            part = self.model.slices[effect.name]
-            C = self.covariance[part, part]
+            _, C = told.part(effect.name)
             mean_square = float(np.trace(C))
             if motion := effect.motion:
                 low, high = motion.axis.low, motion.axis.high
@@ -132,7 +137,8 @@ def forecast(
     assumed = assumed or Assumptions()
     known, noise = assumed.known, assumed.used_noise
     model, _ = build_identifiable_model(machine, cells.at.offset_mm)
-    model = model.with_effects(*known.effects)
+    confounded = list_confounded_effects(machine, cells.at.offset_mm)
+    model = model.with_effects(*known.effects).with_confounded(confounded)
     prior = assumed.make_prior(model)
     gram = compute_volumetric_gram(model)
     about = linearise(cells, model, cells.pose, noise)

@@ -36,9 +36,14 @@ from app.estimation.observability import (
 from app.estimation.prior import diagonal_precision
 from app.estimation.separation import describe_confounded
 from app.kinematics.effects.nuisance import TrackerPose
+from app.kinematics.identifiable import list_confounded_effects
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
-from app.kinematics.volumetric_map import build_shape_model
+from app.kinematics.volumetric_map import (
+    ShapeModel,
+    build_shape_model,
+    compute_volumetric_gram,
+)
 from app.motion.configurations import Commanded
 from app.planning.forecast import Assumptions
 from app.planning.predicted_cells import (
@@ -117,7 +122,8 @@ class SetUp:
 class _Evaluation:
     """Set-ups, solved as far as that goes before anything has been measured.
 
-    information : (p, p) on the machine, whatever the tracker's poses
+    information : (p, p) on what the targets tell, whatever the tracker's poses
+    covariance : (p, p) of that; sigma_mm : with what they do not tell
     """
 
     set_ups: tuple[SetUp, ...]
@@ -133,20 +139,24 @@ class _Evaluation:
 
 @dataclass(frozen=True, slots=True)
 class _Criterion:
-    """The criterion of set-ups; gram is of the model's θ."""
+    """The criterion of set-ups; gram is of the model's θ.
+
+    told : of its parameters, those that the targets tell; they come first
+    """
 
     model: MachineModel
     gram: Float64[np.ndarray, "p p"]
     noise: NoiseModel
+    told: int
 
     def evaluate(self, set_ups: tuple[SetUp, ...]) -> _Evaluation:
         cells = [one.predict() for one in set_ups]
         information = np.sum([self._marginalise_pose(one) for one in cells], axis=0)
         prior = usual_precision_matrix(self.model)
-        covariance = compute_posterior(
-            Information.of_matrix(information), prior
-        ).covariance
-        sigma = float(np.sqrt(max(np.sum(self.gram * covariance), 0.0)))
+        every = _compute_covariance(information, prior)
+        sigma = float(np.sqrt(max(np.sum(self.gram * every), 0.0)))
+        information, prior = (m[: self.told, : self.told] for m in (information, prior))
+        covariance = _compute_covariance(information, prior)
         return _Evaluation(
             set_ups, information, covariance, sigma, _sample_sigma_mm(cells)
         )
@@ -159,6 +169,12 @@ class _Criterion:
         own = matrix[p:, p:] + diagonal_precision(pose, _ROUGH_POSE)
         cross = matrix[:p, p:]
         return matrix[:p, :p] - cross @ np.linalg.solve(own, cross.T)
+
+
+def _compute_covariance(
+    information: Float64[np.ndarray, "p p"], prior: Float64[np.ndarray, "p p"]
+) -> Float64[np.ndarray, "p p"]:
+    return compute_posterior(Information.of_matrix(information), prior).covariance
 
 
 def grade(
@@ -201,10 +217,13 @@ def _grade_stations(
     shapes = build_shape_model(machine, offsets_mm, intervals=_INTERVALS)
     model = shapes.model
     noise = Assumptions(perpendicular_only=perpendicular_only).used_noise
-    criterion = _Criterion(model, shapes.gram, noise)
-    every = [criterion.evaluate(set_ups) for set_ups in candidates]
-    worst = max(every, key=lambda one: one.number)
-    weakest, improved = _find_weakest(worst, criterion), None
+    effects = list_confounded_effects(machine, offsets_mm)
+    every = model.with_confounded([e.coarsen(_INTERVALS) for e in effects])
+    gram = compute_volumetric_gram(every)
+    criterion = _Criterion(every, gram, noise, model.size)
+    evaluated = [criterion.evaluate(set_ups) for set_ups in candidates]
+    worst = max(evaluated, key=lambda one: one.number)
+    weakest, improved = _find_weakest(worst, shapes), None
     if remedy := weakest[0].remedy:  # a line more, at the end of the last Run
         *others, last = worst.set_ups
         longer = replace(last, commanded=append_line(last.commanded, remedy))
@@ -217,7 +236,7 @@ def _grade_stations(
         worst.sample_sigma_mm,
         worst.set_ups[-1].station_mm,
         False,
-        min(one.number for one in every),
+        min(one.number for one in evaluated),
         improved,
         weakest,
         find_poorly_observable(
@@ -265,8 +284,8 @@ def _coarser(
     return coarse, refined
 
 
-def _find_weakest(one: _Evaluation, criterion: _Criterion) -> tuple[WeakMotion, ...]:
-    model, gram = criterion.model, criterion.gram
+def _find_weakest(one: _Evaluation, shapes: ShapeModel) -> tuple[WeakMotion, ...]:
+    model, gram = shapes.model, shapes.gram
     share = {
         m.name: float(np.sqrt(max(np.sum(gram[p, p] * one.covariance[p, p]), 0.0)))
         for m in model.error_motions

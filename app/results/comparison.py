@@ -189,7 +189,7 @@ def _compare_error(
     gauge = build_convention(symbol, axis, theirs.position_mm)
     removed = theirs.mean - gauge @ theirs.mean  # of both directions: reversal stays
     rows = gauge @ motions[symbol].rows(theirs.position_mm)
-    value, sigma = evaluate(symbol, rows, *result.part(symbol))
+    value, sigma = evaluate(symbol, rows, *result.at_targets.part(symbol))
     return ComparedError(
         symbol=symbol,
         unit=find_unit(symbol),

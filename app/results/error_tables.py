@@ -85,7 +85,8 @@ def build_error_tables(
 
     measured : by axis, the range that was measured, if it is known
     """
-    ranges, model = measured or {}, estimated.model
+    ranges, estimated = measured or {}, estimated.at_targets
+    model = estimated.model
     tables: list[ErrorTable] = []
     squareness: list[SingleError] = []
     locations: list[SingleError] = []
@@ -124,7 +125,7 @@ def build_error_table(
     position_mm: Float64[np.ndarray, " n"],
 ) -> ErrorTable:
     """Return one error motion at given positions."""
-    part = estimated.part(motion.symbol)
+    part = estimated.at_targets.part(motion.symbol)
     stated = evaluate(motion.symbol, motion.rows(position_mm), *part)
     return ErrorTable(
         motion.symbol,
@@ -141,6 +142,7 @@ def compute_half_differences(estimated: EstimatedModel) -> tuple[ErrorTable, ...
     Going up an axis errs by its table plus the half difference, coming down by the
     table less it.
     """
+    estimated = estimated.at_targets
     model = estimated.model
     parts = [
         (effect.name, half)

@@ -44,6 +44,7 @@ def list_differences(
 
     A number has changed if it did so by more than its expanded uncertainty (k = 2).
     """
+    before, after = before.at_targets, after.at_targets
     old, new = before.effects(), after.effects()
     added = [_describe_effect(after, new[n], "added") for n in new if n not in old]
     removed = [_describe_effect(before, old[n], "removed") for n in old if n not in new]

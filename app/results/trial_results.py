@@ -20,7 +20,6 @@ from app.estimation.monte_carlo import prepare_trials, run_block
 from app.files.units import UM_PER_MM, scale_of
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import position_unit as unit_of_axis
-from app.kinematics.model import MachineModel
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.numerics.adaptive_trials import (
@@ -114,7 +113,7 @@ def run_trials(
     """
     if estimate.fit is None:
         raise ValueError("the estimate has not kept its fit")
-    asked = list(_list_quantities(estimate.model))
+    asked = list(_list_quantities(estimate))
     rows = np.concatenate([of for _, of in asked])
     trials = prepare_trials(estimate.fit, rows, plan)
     moved = propagate(partial(run_block, trials), plan, run, on_progress)
@@ -138,19 +137,20 @@ def run_trials(
 
 
 def _list_quantities(
-    model: MachineModel,
+    estimate: Estimate,
 ) -> Iterator[tuple[_Place, Float64[np.ndarray, "m p"]]]:
     """Yield every quantity with its rows in the parameters of the machine."""
-    for effect in model.effects:
+    model, stated = estimate.model, estimate.at_targets.model
+    for effect in stated.effects:
         symbol = effect.iso_symbol
-        if not symbol or effect.name in model.confounded:
+        if not symbol or effect.name in stated.confounded:
             continue
         at, position_unit, rows = np.zeros((1, 0)), "", np.eye(1)
         if motion := effect.motion:
             at = choose_table_positions(motion.axis)[:, None]
             position_unit, rows = unit_of_axis(motion.axis), motion.rows(at[:, 0])
-        whole = np.zeros((len(rows), model.size))
-        whole[:, model.slices[effect.name]] = scale_of(find_unit(symbol)) * rows
+        scaled = scale_of(find_unit(symbol)) * rows
+        whole = scaled @ estimate.target_rows[stated.slices[effect.name]]
         yield (symbol, find_unit(symbol), at, position_unit), whole
     at = make_grid(model.machine, _LINEAR, _ROTARY)
     J = build_volumetric_map(model).jacobian(make_standstill(model.machine, at))

@@ -67,8 +67,8 @@ def test_the_slow_part_of_the_noise_is_found_in_the_data(record, judge):
 def test_twice_the_noise_is_twice_the_uncertainty(record, judge):
     _, _, once = judge(*record(24, rows=30))
     _, _, twice = judge(*record(24, rows=30, setting=Setting(noise_scale=2.0)))
-    c0y = once.model.slices["C0Y"]
-    ratio = np.sqrt(twice.covariance[c0y, c0y] / once.covariance[c0y, c0y])
+    (_, first), (_, second) = (e.at_targets.part("C0Y") for e in (once, twice))
+    ratio = np.sqrt(second / first)
     assert ratio.item() == pytest.approx(2.0, rel=0.3)
 
 

@@ -12,7 +12,6 @@ from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import build_identifiable_model
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.configurations import Configurations
@@ -109,7 +108,7 @@ def volumetric_sigma(result):
 
 
 def motions(result):
-    return [e for e in result.model.effects if isinstance(e, ErrorMotion)]
+    return result.model.identifiable_motions
 
 
 def test_both_modes_together_leave_less_than_each_alone(moving, standing, judge):

@@ -173,7 +173,7 @@ def test_the_tables_have_the_uncertainty_of_the_effect_in_theirs(told):
 def test_a_machine_that_has_changed_since_is_told(told):
     one = told(SAG)
     known = one.earlier.result
-    effect = known.model.slices[known.model.effects[-1].name]
+    effect = known.model.slices[known.model.catalogue_effects[-1].name]
     theta = known.theta.copy()
     theta[effect] += 30.0 * np.sqrt(np.diag(known.covariance)[effect])
     changed = render_analysis(
