@@ -242,7 +242,7 @@ def _grade_stations(
         find_poorly_observable(
             refined.T @ worst.information @ refined,
             coarse,
-            refined.T @ criterion.gram @ refined,
+            refined.T @ shapes.gram @ refined,
         ),
         describe_confounded(offsets_mm, shapes.confounded, model, worst.covariance),
     )
