@@ -223,7 +223,7 @@ def _fit(
     """
     fit = select_fit(inputs, nested, known)
     while intervals := find_intervals(fit):
-        nested = NestedModels(refine_motions(nested.alone, intervals))
+        nested = replace(nested, alone=refine_motions(nested.alone, intervals))
         inputs = [
             replace(run, observations=cells)
             for run, cells in zip(inputs, join_cells(seen, nested.alone), strict=True)

@@ -88,7 +88,7 @@ def find_intervals(fit: Fit) -> dict[str, int]:
 def add_hidden_variance(result: Posterior, fit: Fit) -> Posterior:
     """Return the posterior with what motions may do between knots that are far."""
     hidden = np.zeros(len(result.theta))
-    for motion in fit.model.error_motions:
+    for motion in fit.model.identifiable_motions:
         if _can_refine(motion):
             precision = fit.prior.precision[motion.name]
             # Of every control value: their shapes are orthonormal.
