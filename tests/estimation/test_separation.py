@@ -146,3 +146,15 @@ def test_where_hardly_anything_is_told_no_length_of_a_tool_is_asked_for():
     for said in separation.describe_confounded(offsets, merged, model, poor):
         assert "at least" not in said
         assert "tell too little for any tool" in said
+
+
+def test_a_set_up_for_another_tool_is_worth_less_than_for_its_own():
+    """What the targets do not tell moves another tool, and the grade counts it."""
+    own = mill((30.0, 20.0, -100.0))
+    path = default_path(own)
+    aside = replace(
+        own, targets=(Target("far", "tool", (0.0, 0.0, -400.0)), *own.targets)
+    )
+    other = replace(path, target=("T0",) * len(path))
+    worth = grade(own, path, station_mm=STATION_MM).number
+    assert grade(aside, other, station_mm=STATION_MM).number > 3.0 * worth
