@@ -159,7 +159,7 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:
             centre = usual[charge.kind] / charge.usual
-            precision[name] = _pooled_precision(free, energy, centre)
+            precision[name] = _pool_precision(free, energy, centre)
         else:
             precision[name] = max(free, 0.05) / energy
     return precision
@@ -174,7 +174,7 @@ def _usual_precision(prior: BendingPrior) -> dict[str, float]:
     return {kind: float(np.exp(np.mean(values))) for kind, values in found.items()}
 
 
-def _pooled_precision(free: float, energy: float, centre: float) -> float:
+def _pool_precision(free: float, energy: float, centre: float) -> float:
     """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ.
 
     Increasing and convex in log λ: Newton's steps from above go straight to the root.

@@ -33,7 +33,7 @@ class SearchRegion:
 
     low: Float64[np.ndarray, " a"]
     high: Float64[np.ndarray, " a"]
-    allowed: Callable[[Legs], Bool[np.ndarray, " n"]]
+    allows: Callable[[Legs], Bool[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class LegChoice:
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
         legs = _join_legs(here, ends, feed_mm_min)
         times = self.design.drive.times_s(legs)
-        ok = (times <= left_s) & self.region.allowed(legs)
+        ok = (times <= left_s) & self.region.allows(legs)
         if not ok.any():
             return None
         ends, times = ends[ok], times[ok]
@@ -149,7 +149,7 @@ class LegChoice:
         C = inverse(others)
         places = self._places_for(stops.position[k], C)
         meeting = self._list_legs(stops, k, places)
-        places = places[np.all([self.region.allowed(legs) for legs in meeting], axis=0)]
+        places = places[np.all([self.region.allows(legs) for legs in meeting], axis=0)]
         if not len(places):
             return stops, total, cost
         meeting = self._list_legs(stops, k, places)
@@ -175,7 +175,7 @@ class LegChoice:
             np.full(n * n, stops.feed_mm_min.mean()),
         )
         times = self.design.drive.times_s(legs)
-        times = np.where(self.region.allowed(legs), times, np.inf)
+        times = np.where(self.region.allows(legs), times, np.inf)
         order = find_short_order(times.reshape(n, n))
         found = Stops(stops.position[order], stops.feed_mm_min)
         return min(stops, found, key=self._cost)

@@ -121,11 +121,11 @@ class Planner:
         machine, feed = self.design.model.machine, max(self.feeds_mm_min)
         low, high = inner_travel(machine)
 
-        def allowed(legs: Legs) -> Bool[np.ndarray, " n"]:
+        def allows(legs: Legs) -> Bool[np.ndarray, " n"]:
             fits = self.design.fits(legs, feed)
-            return fits & self.workspace.allowed(machine, legs.begin, legs.end)
+            return fits & self.workspace.allows(machine, legs.begin, legs.end)
 
-        return SearchRegion(low, high, allowed)
+        return SearchRegion(low, high, allows)
 
     def _first_stop(
         self, region: SearchRegion, rng: np.random.Generator
@@ -135,7 +135,7 @@ class Planner:
         corners = np.array(list(product(*zip(low, high, strict=True))))
         anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), DECIMALS)
         places = np.vstack([corners, anywhere])
-        free = self.workspace.allowed(self.design.model.machine, places, places)
+        free = self.workspace.allows(self.design.model.machine, places, places)
         if not free.any():
             raise PlanningError(
                 "no place in the travel is free of keep-out boxes and in range and in "
