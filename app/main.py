@@ -34,7 +34,7 @@ from app.jobs.live_estimation import LiveEstimation
 from app.jobs.runs import RunCatalogue
 from app.jobs.science import analyse_recorded, prepare
 from app.jobs.store import Store
-from app.jobs.workers import workers_of
+from app.jobs.workers import choose_workers
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell
 from app.measurement.messages import CellConfig
@@ -111,7 +111,7 @@ def _make_context(
     settings: Settings, database: Database, event_bus: EventBus, stack: ExitStack
 ) -> JobContext:
     machine, config = _load_machine(settings, stack)
-    workers = workers_of(settings)
+    workers = choose_workers(settings)
     workers.check()
     executor = ProcessExecutor(settings.analysis_workers, prepare)
     stack.callback(executor.close)

@@ -21,7 +21,7 @@ from simulators.bench import Bench
 from simulators.errors import SimulatorError
 from simulators.faults import KINDS, parse_fault
 from simulators.hidden.drawing import EFFECTS
-from simulators.scenario import bundled_machines, load_machine
+from simulators.scenario import list_machines, load_machine
 
 _CHECK_S = 0.5
 
@@ -157,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--machine",
         default="demo",
-        help=f"machine.json, or one of {', '.join(bundled_machines())}",
+        help=f"machine.json, or one of {', '.join(list_machines())}",
     )
     add("--seed", type=int, default=1, help="of the errors, the noise and the pose")
     add("--speed", type=float, default=1.0, help="device seconds in a wall second")

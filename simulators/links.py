@@ -28,7 +28,7 @@ class Port(ABC):
         """Descriptors that become readable when there is something to do."""
 
     @abstractmethod
-    def blocked_descriptors(self) -> list[int]:
+    def list_blocked_descriptors(self) -> list[int]:
         """Descriptors that become writable when waiting bytes can go on."""
 
     @abstractmethod
@@ -73,7 +73,7 @@ class PtyPort(Port):
         """Return the master."""
         return [self._master]
 
-    def blocked_descriptors(self) -> list[int]:
+    def list_blocked_descriptors(self) -> list[int]:
         """Return the master while bytes wait."""
         return [self._master] if self._waiting else []
 
@@ -147,7 +147,7 @@ class TcpPort(Port):
             descriptors.append(self._host.fileno())
         return descriptors
 
-    def blocked_descriptors(self) -> list[int]:
+    def list_blocked_descriptors(self) -> list[int]:
         """Return the connection while bytes wait."""
         if self._host is None or not self._waiting:
             return []

@@ -10,7 +10,7 @@ from typing import Any
 from simulators.errors import SimulatorError
 
 
-def bundled_machines() -> tuple[str, ...]:
+def list_machines() -> tuple[str, ...]:
     """Return the names of the machines that come with the simulators."""
     folder = resources.files("simulators") / "scenarios"
     return tuple(
@@ -27,13 +27,13 @@ def load_machine(name: str | Path) -> dict[str, Any]:
 
     Raises SimulatorError naming the file, or what is bundled.
     """
-    if str(name) in bundled_machines():
+    if str(name) in list_machines():
         file = resources.files("simulators") / "scenarios" / f"{name}.json"
         return json.loads(file.read_text(encoding="utf-8"))
     try:
         content = json.loads(Path(name).read_text(encoding="utf-8"))
     except OSError as error:
-        known = ", ".join(bundled_machines())
+        known = ", ".join(list_machines())
         raise SimulatorError(
             f"{name}: {error.strerror}; a path to a machine.json, or one of {known}"
         ) from error

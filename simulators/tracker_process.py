@@ -86,7 +86,7 @@ def _next_wake(last_s: float, now_s: float, *, streaming: bool) -> float:
 def _wait(descriptors: list[int], port: Port, until_s: float) -> None:
     # Bytes that wait go on as soon as there is room, not at the next period: the reply
     # to a new host stands behind what the last one has left unread.
-    blocked = port.blocked_descriptors()
+    blocked = port.list_blocked_descriptors()
     select.select(descriptors, blocked, [], max(until_s - time.monotonic(), 0.0))
 
 

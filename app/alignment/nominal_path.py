@@ -187,13 +187,13 @@ def compute_nominal_path(
     first : rows of the places, where they are known already
     """
     n = len(commanded)
-    end_mm = _expected_mm(machine, commanded, np.arange(n), commanded.position)
+    end_mm = _compute_target_mm(machine, commanded, np.arange(n), commanded.position)
     if isinstance(commanded, Configurations):
         rows, none = np.arange(n), np.zeros(n)
         slowest = _SLOWEST_TRAVERSE_MM_S
         return NominalPath(end_mm, end_mm, none, none, {}, slowest, rows, rows)
     before = np.concatenate([commanded.position[:1], commanded.position[:-1]])
-    begin_mm = _expected_mm(machine, commanded, np.arange(n), before)
+    begin_mm = _compute_target_mm(machine, commanded, np.arange(n), before)
     length_mm = np.linalg.norm(end_mm - begin_mm, axis=1)
     is_rotary = np.array([isinstance(axis, RotaryAxis) for axis in machine.axes])
     step = commanded.position - before
@@ -212,7 +212,7 @@ def compute_nominal_path(
     )
 
 
-def _expected_mm(
+def _compute_target_mm(
     machine: Machine,
     commanded: Path | Configurations,
     row: Int64[np.ndarray, " n"],
@@ -238,7 +238,9 @@ def _find_bends(
     shares = [np.linspace(0.0, 1.0, count) for count in nodes]
     row, share = np.repeat(rows, nodes), np.concatenate(shares)
     step = commanded.position[row] - before[row]
-    point = _expected_mm(machine, commanded, row, before[row] + share[:, None] * step)
+    point = _compute_target_mm(
+        machine, commanded, row, before[row] + share[:, None] * step
+    )
     parts = np.split(point, np.cumsum(nodes)[:-1])
     return {
         int(row): Curve(points, float(turn_deg[row]))

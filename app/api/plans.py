@@ -21,7 +21,7 @@ from app.api.models.plan import (
 from app.api.problems import declare_problems, describe_failure
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
-from app.files.commanded_file import commanded_from_json
+from app.files.commanded_file import decode_commanded_json
 from app.jobs.errors import NoMachine
 from app.jobs.job import Job, JobKind
 from app.jobs.plan_orders import check_rows
@@ -223,7 +223,7 @@ def _read_set_up(job: Job, service: Service, missing: str) -> tuple[Machine, Com
         raise NotFound(f"job {job.id} ({job.kind}, {job.state}) {missing}")
     if service.machine is None:
         raise NotFound("the service has no machine file to check the plan against")
-    return service.machine, commanded_from_json(plan)
+    return service.machine, decode_commanded_json(plan)
 
 
 def _send_program(set_up: tuple[Machine, Commanded], dialect: str) -> PlainTextResponse:

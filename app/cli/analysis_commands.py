@@ -167,10 +167,10 @@ def predict(
 
 def _open_workers() -> AbstractContextManager[Mapper]:
     # Only trials ask who computes: settings and workers are not loaded for others.
-    from app.jobs.workers import open_workers, workers_of
+    from app.jobs.workers import choose_workers, open_workers
     from app.settings import load_settings
 
-    return open_workers(workers_of(load_settings()))
+    return open_workers(choose_workers(load_settings()))
 
 
 def _summarise_prediction(predicted: Prediction, output: Path) -> dict[str, object]:

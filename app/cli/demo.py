@@ -21,7 +21,7 @@ from app.cli.terminal import NotedProgress, print_json, say, show_progress
 from app.compensation.export import remove_rigid_motion
 from app.errors import BadInput, MeasurementFailed, PlanningError
 from app.files.bundle import write_bundle
-from app.files.commanded_file import commanded_from_json
+from app.files.commanded_file import decode_commanded_json
 from app.files.machine_file import decode_machine
 from app.files.result_file import result_from_json
 from app.files.run import Run
@@ -186,7 +186,7 @@ def compare_with_truth(
 def _plan_first_part(machine: Machine, request: Mapping[str, Any]) -> Commanded:
     with show_progress("plan") as on_progress:
         order = order_first_part(machine, request)
-        return commanded_from_json(
+        return decode_commanded_json(
             plan_measurement(machine, order, on_progress=on_progress)
         )
 

@@ -144,12 +144,12 @@ class _Solution:
         return np.array(found)
 
     def _curvature(self) -> Float64[np.ndarray, "k k"]:
-        moved = self._perturbed_data()
+        moved = self._perturb_data()
         weighted = self.inverse.apply(moved).reshape(-1, moved.shape[2])
         half = self.factor.solve_half(self.columns.T @ moved.reshape(weighted.shape))
         return moved.reshape(weighted.shape).T @ weighted - half.T @ half
 
-    def _perturbed_data(self) -> Float64[np.ndarray, "n 3 k"]:
+    def _perturb_data(self) -> Float64[np.ndarray, "n 3 k"]:
         """Return ∂V P y for each parameter."""
         n = len(self.of.residual)
         ou = self.ou_residual.reshape(n, 3)

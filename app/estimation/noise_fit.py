@@ -105,7 +105,7 @@ def _fit_noise(
     effects: KnownEffects,
     longest_s: float,
 ) -> NoiseModel:
-    design = _merged_design(run.observations, run.linearisation)
+    design = _merge_design(run.observations, run.linearisation)
     charged = Information.of_matrix(prior.precision_matrix(prior.model.size))
     before = effects.add_to(charged, prior.model)
     known = add_information([before, *(other.own.eliminate() for other in others)])
@@ -121,7 +121,7 @@ def estimate_residual_noise(
 
     Quick, for the live estimate: what the estimate has taken up of it is not counted.
     """
-    design = _merged_design(observations, about)
+    design = _merge_design(observations, about)
     timing = _select_independent(design)[:, :, design.fixed :]
     residual = design.residual - design.columns @ theta
     nothing = Information.of_matrix(np.zeros((0, 0)))
@@ -129,7 +129,7 @@ def estimate_residual_noise(
     return _maximise(evidence, about.noise, LONGEST_S)
 
 
-def _merged_design(observations: Observations, about: Linearisation) -> DesignMatrix:
+def _merge_design(observations: Observations, about: Linearisation) -> DesignMatrix:
     return about.build(observations, merge=_count_to_merge(observations))
 
 

@@ -179,13 +179,13 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:
             centre = usual[charge.kind] / charge.usual
-            precision[name] = _pooled_precision(free, energy, centre)
+            precision[name] = _pool_precision(free, energy, centre)
         else:
             precision[name] = max(free, 0.05) / energy
     return precision
 
 
-def _pooled_precision(free: float, energy: float, centre: float) -> float:
+def _pool_precision(free: float, energy: float, centre: float) -> float:
     """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ."""
     relative = 0.5 * _SPREAD**2 * free
     pull = 0.5 * _SPREAD**2 * centre * energy

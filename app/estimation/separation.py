@@ -48,13 +48,13 @@ def describe_confounded(
     """
     measured = np.unique(offsets_mm, axis=0)
     still = {
-        what: _still_merged(model.machine, measured, np.array(way))
+        what: _find_still_merged(model.machine, measured, np.array(way))
         for what, way in (_TRIALS.items() if merged else ())
     }
     return tuple(_statement(m, len(measured), still, model, covariance) for m in merged)
 
 
-def _still_merged(
+def _find_still_merged(
     machine: Machine,
     measured: Float64[np.ndarray, "t 3"],
     way: Float64[np.ndarray, "3"],

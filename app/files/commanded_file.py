@@ -73,7 +73,7 @@ def list_columns(commanded: Commanded) -> dict[str, Iterable[object]]:
     return columns
 
 
-def commanded_to_json(commanded: Commanded) -> dict[str, Any]:
+def encode_commanded_json(commanded: Commanded) -> dict[str, Any]:
     """Return the plan as JSON: mm and deg, one list a row in the order of `axes`."""
     is_path = isinstance(commanded, Path)
     return {
@@ -86,8 +86,8 @@ def commanded_to_json(commanded: Commanded) -> dict[str, Any]:
     }
 
 
-def commanded_from_json(content: Mapping[str, Any]) -> Commanded:
-    """Return what the content made by `commanded_to_json` commands."""
+def decode_commanded_json(content: Mapping[str, Any]) -> Commanded:
+    """Return what the content made by `encode_commanded_json` commands."""
     axes, target = tuple(content["axes"]), tuple(content["target"])
     position = np.array(content["position"], float).reshape(-1, len(axes))
     dwell_s = np.array(content["dwell_s"], float)

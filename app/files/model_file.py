@@ -242,7 +242,7 @@ class ModelFile(FileModel):
         """Effects of the machine with their stated values."""
         return self.effects  # pyright: ignore[reportReturnType] (what _restore returns)
 
-    def estimated_model(self, machine: Machine) -> EstimatedModel:
+    def restore_estimated_model(self, machine: Machine) -> EstimatedModel:
         """Return the model with its parameters."""
         effects = tuple(effect for effect, _ in self.stated)
         model = MachineModel(machine, effects, frozenset(self.confounded))
@@ -256,7 +256,7 @@ class ModelFile(FileModel):
 def model_from_json(content: object, machine: Machine, *, file: str) -> EstimatedModel:
     """Return the model that the key `model` of a file states. Raises BundleError."""
     stated = validate(ModelFile, content, file, key="model", context=machine)
-    return stated.estimated_model(machine)
+    return stated.restore_estimated_model(machine)
 
 
 def model_to_json(estimated: EstimatedModel) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 from app.errors import BundleError, PlanningError
-from app.files.commanded_file import commanded_from_json, commanded_to_json
+from app.files.commanded_file import decode_commanded_json, encode_commanded_json
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.files.one_machine import one_machine
 from app.files.workspace_file import workspace_from_json
@@ -59,7 +59,7 @@ def plan_measurement(
 
     if "mode" not in order:
         feed_mm_min, *_ = order.get("feeds_mm_min") or [None]
-        return commanded_to_json(_default_path(machine, feed_mm_min))
+        return encode_commanded_json(_default_path(machine, feed_mm_min))
     planned = make_plan(machine, read_plan_order(order), on_progress=on_progress)
     if len(planned.commanded) > MAX_ROWS:
         raise PlanningError(
@@ -73,7 +73,7 @@ def plan_measurement(
         perpendicular_only=planned.order.perpendicular_only,
     )
     return {
-        **commanded_to_json(planned.commanded),
+        **encode_commanded_json(planned.commanded),
         "predicted_um": planned.uncertainty_um,
         "document": plan_document(planned) | {"grade": grade},
     }
@@ -148,7 +148,7 @@ def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str
     Raises PlanningError if it is of the other mode, was made for another state of the
     machine file, or leaves the travel.
     """
-    commanded = commanded_from_json(plan)
+    commanded = decode_commanded_json(plan)
     if isinstance(commanded, Path) != (kind is JobKind.MEASURE_OTF):
         wanted = JobKind.MEASURE_OTF if isinstance(commanded, Path) else _POINTS
         raise PlanningError(f"the plan is one for {wanted}, not for {kind}")
@@ -158,12 +158,13 @@ def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str
             "the machine file has changed since this plan was made; plan again"
         )
     check_travel(machine, commanded)
-    return {**commanded_to_json(commanded), "predicted_um": plan["predicted_um"]}
+    return {**encode_commanded_json(commanded), "predicted_um": plan["predicted_um"]}
 
 
 def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[str, Any]:
-    """Return the extra lines that a discovery asks for, as `commanded_to_json` does,
-    with `discovery_id`.
+    """Return the extra lines that a discovery asks for, with `discovery_id`.
+
+    As `encode_commanded_json` does.
 
     folder, job_id : of the discovery
 
@@ -186,4 +187,4 @@ def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[st
             f"the extra lines are for another machine: {error}"
         ) from error
     path = command_rows(machine, ask["rows"], is_path=True)
-    return {**commanded_to_json(path), "discovery_id": job_id}
+    return {**encode_commanded_json(path), "discovery_id": job_id}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from app.errors import IllegalTransition, NotFound
-from app.files.commanded_file import commanded_to_json
+from app.files.commanded_file import encode_commanded_json
 from app.jobs.context import JobContext
 from app.jobs.job import Job, JobKind, Json
 from app.jobs.plan_orders import (
@@ -85,9 +85,9 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
             rows, feed_mm_min = request.rows, request.feed_mm_min
             is_path = kind is JobKind.MEASURE_OTF
             checked = command_rows(machine, rows, feed_mm_min, is_path=is_path)
-            return commanded_to_json(checked)
+            return encode_commanded_json(checked)
         if kind is JobKind.MEASURE_STANDSTILL:
-            return commanded_to_json(default_points(machine))
+            return encode_commanded_json(default_points(machine))
         return {}  # the default path takes a worker process seconds
     job = context.store.get(request.plan_id)
     plan = context.store.read_plan(job.id)

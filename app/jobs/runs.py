@@ -22,7 +22,7 @@ from sqlalchemy import insert, select
 
 from app.errors import NotFound
 from app.files.bundle import read_bundle, zip_bundle
-from app.files.commanded_file import commanded_to_json
+from app.files.commanded_file import encode_commanded_json
 from app.files.run import Run
 from app.files.whole_files import replace_file, sync_to_disk
 from app.jobs.database import Database
@@ -165,7 +165,7 @@ class RunCatalogue:
             machine=run.machine.name[:_NAME_LENGTH],
             samples=len(run.tracker),
             lost_samples=int(lost_samples),
-            plan=commanded_to_json(run.commanded),
+            plan=encode_commanded_json(run.commanded),
             created=format_utc_now(),
         )
         self._database.write(lambda connection: connection.execute(query).rowcount)

@@ -69,7 +69,7 @@ class Store:
     ) -> tuple[Job, bool]:
         """Add a job; True if it is new, False if the key has made it before.
 
-        plan : as `commanded_to_json` makes it, and the `request` of a job that plans
+        plan : as `encode_commanded_json` makes it; the `request` of a job that plans
 
         Raises KeyReused, CellBusy.
         """

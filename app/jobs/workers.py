@@ -51,7 +51,7 @@ class Workers:
             )
 
 
-def workers_of(settings: Settings) -> Workers:
+def choose_workers(settings: Settings) -> Workers:
     """Return the workers that are set."""
     return Workers(
         settings.executor, settings.executor_workers, settings.dask_scheduler

@@ -14,7 +14,7 @@ from typing import Any
 import structlog
 
 from app.errors import MeasurementFailed, TruepathError
-from app.files.commanded_file import commanded_from_json, commanded_to_json
+from app.files.commanded_file import decode_commanded_json, encode_commanded_json
 from app.jobs.active_job import ActiveJob
 from app.jobs.cell_measurement import CellMeasurement
 from app.jobs.context import JobContext
@@ -130,7 +130,9 @@ class _JobSteps:
 
     def _wait_until_armed(self) -> Commanded:
         """Return what the user lets the machine drive, checked against its travel."""
-        commanded = commanded_from_json(self.context.store.read_plan(self.job.id) or {})
+        commanded = decode_commanded_json(
+            self.context.store.read_plan(self.job.id) or {}
+        )
         check_travel(self.context.require_machine(), commanded)
         self.context.require_cell().connect()
         self.active.checkpoint()
@@ -218,7 +220,7 @@ class _JobSteps:
     def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
         self.active.publish("plan", part)
         try:
-            self.context.store.keep_plan(self.job.id, commanded_to_json(rows))
+            self.context.store.keep_plan(self.job.id, encode_commanded_json(rows))
         except StorageUnavailable:
             log.exception("the extended plan is not stored; the Run holds it")
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from app.files.commanded_file import commanded_from_json, commanded_to_json
+from app.files.commanded_file import decode_commanded_json, encode_commanded_json
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.files.whole_files import sync_to_disk
 from app.kinematics.machine import Machine
@@ -130,7 +130,7 @@ def decode_header(manifest: dict[str, str], *, file: str) -> RunHeader:
     return RunHeader(
         name=content["name"],
         machine=machine_from_json(content["machine"], file=f"{file}, machine"),
-        commanded=commanded_from_json(content["commanded"]),
+        commanded=decode_commanded_json(content["commanded"]),
         rate_hz=float(content["rate_hz"]),
         devices={key: Identity(**who) for key, who in content["devices"].items()},
         axes=tuple(content["axes"]),
@@ -144,7 +144,7 @@ def _sign(rows: dict[str, str]) -> dict[str, str]:
 
 def _encode_commanded(commanded: Commanded) -> dict[str, Any]:
     exact = {"position": commanded.position.tolist()}
-    return commanded_to_json(commanded) | exact
+    return encode_commanded_json(commanded) | exact
 
 
 def pack_samples(samples: TrackerSamples) -> bytes:

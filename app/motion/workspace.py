@@ -94,7 +94,7 @@ class Workspace:
         x, y, z = (float(v) for v in place_mm)
         return replace(self, tracker_mm=(x, y, z))
 
-    def allowed(
+    def allows(
         self,
         machine: Machine,
         begin: Float64[np.ndarray, "n a"],
@@ -114,7 +114,7 @@ class Workspace:
         position = commanded.position
         begin = position[:-1] if len(position) > 1 else position
         end = position[1:] if len(position) > 1 else position
-        bad = ~self.allowed(machine, begin, end)
+        bad = ~self.allows(machine, begin, end)
         if bad.any():
             index = int(np.argmax(bad))
             rules = self._check_rules(machine, begin[index, None], end[index, None])

@@ -33,7 +33,7 @@ class SearchRegion:
 
     low: Float64[np.ndarray, " a"]
     high: Float64[np.ndarray, " a"]
-    allowed: Callable[[Legs], Bool[np.ndarray, " n"]]
+    allows: Callable[[Legs], Bool[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class LegChoice:
         """Return the best of some legs from here, None where none is allowed."""
         legs = _join_legs(here, ends, feeds_mm_min)
         times = self.design.drive.times_s(legs)
-        ok = (times <= left_s) & self.region.allowed(legs)
+        ok = (times <= left_s) & self.region.allows(legs)
         if not ok.any():
             return None
         ends, feeds, times = ends[ok], feeds_mm_min[ok], times[ok]
@@ -191,7 +191,7 @@ class LegChoice:
             feeds = np.append(feeds, every)
             places = np.vstack([places, np.tile(places[0], (len(every), 1))])
         meeting = self._list_legs(stops, k, places, feeds)
-        ok = np.all([self.region.allowed(legs) for legs in meeting], axis=0)
+        ok = np.all([self.region.allows(legs) for legs in meeting], axis=0)
         if not ok.any():
             return stops, total, cost
         places, feeds = places[ok], feeds[ok]
@@ -218,7 +218,7 @@ class LegChoice:
             np.full(n * n, stops.feed_mm_min.mean()),
         )
         times = self.design.drive.times_s(legs)
-        times = np.where(self.region.allowed(legs), times, np.inf)
+        times = np.where(self.region.allows(legs), times, np.inf)
         order = find_short_order(times.reshape(n, n))
         found = Stops(stops.position[order], stops.feed_mm_min)
         return min(stops, found, key=self._cost)

@@ -143,11 +143,11 @@ class Planner:
         machine = self.design.model.machine
         low, high = inner_travel(machine)
 
-        def allowed(legs: Legs) -> Bool[np.ndarray, " n"]:
-            free = self.workspace.allowed(machine, legs.begin, legs.end)
+        def allows(legs: Legs) -> Bool[np.ndarray, " n"]:
+            free = self.workspace.allows(machine, legs.begin, legs.end)
             return self.design.fits(legs) & free
 
-        return SearchRegion(low, high, allowed)
+        return SearchRegion(low, high, allows)
 
     def _first_stop(
         self, region: SearchRegion, rng: np.random.Generator
@@ -157,7 +157,7 @@ class Planner:
         corners = np.array(list(product(*zip(low, high, strict=True))))
         anywhere = np.round(rng.uniform(low, high, (_STARTS, len(low))), DECIMALS)
         places = np.vstack([corners, anywhere])
-        free = self.workspace.allowed(self.design.model.machine, places, places)
+        free = self.workspace.allows(self.design.model.machine, places, places)
         if not free.any():
             raise PlanningError(
                 "no place in the travel is free of keep-out boxes and in range and in "

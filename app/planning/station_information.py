@@ -142,7 +142,7 @@ class StationJudge:
             survey.measured, survey.commanded, place_mm, cell_mm=self._cell_mm
         )
         at_mm = cells.at.position_mm
-        seen = workspace.allowed(survey.measured, at_mm, at_mm)
+        seen = workspace.allows(survey.measured, at_mm, at_mm)
         if not seen.any():
             return None
         seconds = row_times_s(survey.commanded, survey.feed_mm_min).sum()
@@ -159,7 +159,7 @@ class StationJudge:
             place_mm,
             rate * found.matrix[:p, :p],
             rate * found.matrix[:p, p:],
-            workspace.allowed(survey.machine, everywhere, everywhere),
+            workspace.allows(survey.machine, everywhere, everywhere),
         )
 
     def evaluate(

@@ -29,7 +29,7 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
         "schema": SCHEMA,
         "effects": [effect_json(f) for f in named],
         "unnamed": [
-            _unnamed_json(f.structure, f)
+            _encode_unnamed(f.structure, f)
             for f in found.findings
             if f.structure is not None
         ],
@@ -42,13 +42,13 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
             "on": "held-out segments",
         },
         "where": _worst(found),
-        "explained_by": _explained(found.residuals[0]),
+        "explained_by": _state_explanation(found.residuals[0]),
         "runs": [
             {
                 "name": scene.run.name,
                 "mode": scene.run.mode,
                 "where": [_segment_json(s) for s in one.before.segments[:_SEGMENTS]],
-                "explained_by": _explained(one),
+                "explained_by": _state_explanation(one),
             }
             for scene, one in zip(found.aligned, found.residuals, strict=True)
         ],
@@ -79,7 +79,7 @@ def effect_json(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _unnamed_json(family: Family, finding: Finding) -> dict[str, Any]:
+def _encode_unnamed(family: Family, finding: Finding) -> dict[str, Any]:
     amplitude = finding.parameters.get("amplitude_um")
     rms = finding.parameters.get("rms_um")
     size = rms.value if rms else (amplitude.value / 2**0.5 if amplitude else 0.0)
@@ -113,7 +113,7 @@ def _worst(found: Discovery) -> list[dict[str, Any]]:
     return [{**_segment_json(s), "run": k} for s, k in every[:_SEGMENTS]]
 
 
-def _explained(shown: RunResidual) -> dict[str, dict[str, float]]:
+def _state_explanation(shown: RunResidual) -> dict[str, dict[str, float]]:
     return {"before": shown.before.shares, "after": shown.after.shares}
 
 

@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 
 from app.api.application import create_application
 from app.api.service import Service
-from app.files.commanded_file import commanded_to_json
+from app.files.commanded_file import encode_commanded_json
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.context import JobContext
@@ -97,7 +97,7 @@ def planner():
     def plan(machine, order, *, on_progress):
         on_progress(0.5, "planning")
         document = {"machine": machine_to_json(machine)}
-        rows = commanded_to_json(default_path(machine))
+        rows = encode_commanded_json(default_path(machine))
         return {**rows, "predicted_um": 1.0, "document": document}
 
     return plan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scripted_cell import wait_until
 
-from app.files.commanded_file import commanded_to_json
+from app.files.commanded_file import encode_commanded_json
 from app.files.machine_file import machine_to_json
 from app.planning.default_path import default_path
 
@@ -25,7 +25,7 @@ def planner(orders):
 
     def plan(machine, order, *, on_progress):
         orders.append(dict(order))
-        rows = commanded_to_json(default_path(machine))
+        rows = encode_commanded_json(default_path(machine))
         document = {"machine": machine_to_json(machine)}
         return {**rows, "predicted_um": 1.0, "document": document}
 

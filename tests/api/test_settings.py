@@ -5,7 +5,7 @@ import os
 import pytest
 
 from app.errors import BadInput
-from app.jobs.workers import Workers, workers_of
+from app.jobs.workers import Workers, choose_workers
 from app.main import open_service
 from app.settings import load_settings
 
@@ -136,11 +136,13 @@ def test_settings_do_not_change():
 
 
 def test_who_computes_is_set_like_everything_else(monkeypatch):
-    assert workers_of(load_settings()) == Workers()
+    assert choose_workers(load_settings()) == Workers()
     monkeypatch.setenv("TRUEPATH_EXECUTOR", "dask")
     monkeypatch.setenv("TRUEPATH_DASK_SCHEDULER", "tcp://192.0.2.20:8786")
     monkeypatch.setenv("TRUEPATH_EXECUTOR_WORKERS", "6")
-    assert workers_of(load_settings()) == Workers("dask", 6, "tcp://192.0.2.20:8786")
+    assert choose_workers(load_settings()) == Workers(
+        "dask", 6, "tcp://192.0.2.20:8786"
+    )
 
 
 def test_a_service_whose_executor_cannot_be_does_not_start(tmp_path):

@@ -10,7 +10,7 @@ from scripted_cell import ScriptedLive, wait_until
 from sqlalchemy import text
 
 from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
-from app.files.commanded_file import commanded_from_json, commanded_to_json
+from app.files.commanded_file import decode_commanded_json, encode_commanded_json
 from app.jobs import cell_measurement
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import (
@@ -787,6 +787,6 @@ def test_the_targets_of_rows_are_the_machines(context, machine):
     rows = [{**ROWS[0], "target": "T1"}, {**ROWS[0], "target": "T2"}]
     path = command_rows(two, rows, is_path=True)
     assert path.target == ("T1", "T2")
-    assert commanded_from_json(commanded_to_json(path)).target == ("T1", "T2")
+    assert decode_commanded_json(encode_commanded_json(path)).target == ("T1", "T2")
     with pytest.raises(PlanningError, match="row 1: target '' is unknown"):
         command_rows(two, [ROWS[0], rows[1]], is_path=True)

@@ -55,7 +55,7 @@ def test_no_line_is_allowed_that_goes_behind_what_an_axis_carries(
         tuple(corner), tuple(corner + rng.uniform(50.0, 300.0, 3)), "", carried_by
     )
     workspace = Workspace(tracker_mm=TRACKER, blocks_sight=(box,))
-    allowed = bool(workspace.allowed(machine, begin[None], end[None])[0])
+    allowed = bool(workspace.allows(machine, begin[None], end[None])[0])
     if blocked_by_sampling(machine, box, begin, end):
         assert not allowed
 
@@ -68,7 +68,7 @@ def test_a_body_that_the_tool_carries_blocks_exactly(mill):
     near = Box((x - 50.0, y - 90.0, z - 50.0), (x + 50.0, y - 1.0, z + 50.0), "", "Z")
     for box, seen in ((far, True), (near, False)):
         workspace = Workspace(tracker_mm=TRACKER, blocks_sight=(box,))
-        assert workspace.allowed(mill, begin, end)[0] == seen
+        assert workspace.allows(mill, begin, end)[0] == seen
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_reflector_is_seen_within_its_working_angle(
         tracker_mm=TRACKER, reflector=Reflector(direction, half_angle_deg)
     )
     begin, end = np.array([[10.0, 10.0, -290.0]]), np.array([[490.0, 390.0, -10.0]])
-    assert workspace.allowed(mill, begin, end)[0] == seen
+    assert workspace.allows(mill, begin, end)[0] == seen
 
 
 def test_the_tracker_may_stand_in_an_area_and_not_where_it_is_kept_out():

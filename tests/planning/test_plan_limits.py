@@ -98,7 +98,7 @@ def test_what_the_workspace_allows_the_checker_finds_nothing_wrong_with(
 ):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**31)))
     begin, end = (rng.uniform(LOW, HIGH, (4, 3)) for _ in range(2))
-    allowed = workspace.allowed(mill, begin, end)
+    allowed = workspace.allows(mill, begin, end)
     for a, b, ok in zip(begin, end, allowed, strict=True):
         found = violations(limits_of(workspace), np.stack([a, b]))
         assert not (ok and found)

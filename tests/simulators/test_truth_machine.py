@@ -10,7 +10,7 @@ import pytest
 from simulators.errors import SimulatorError
 from simulators.joint import rotation_matrices
 from simulators.machine_file import MachineFile, Reflector, parse_machine
-from simulators.scenario import bundled_machines, load_machine
+from simulators.scenario import list_machines, load_machine
 from simulators.truth_machine import (
     LinearJoint,
     TruthMachine,
@@ -212,7 +212,7 @@ def test_rotations_are_proper_and_follow_the_right_hand(
     np.testing.assert_allclose(turned, [0.0, 1.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", bundled_machines())
+@pytest.mark.parametrize("name", list_machines())
 def test_bundled_machines_can_be_simulated(name: str) -> None:
     machine = parse_machine(load_machine(name))
     assert np.all(machine.high > machine.low)

@@ -20,6 +20,18 @@ from app.results.findings import state_findings
 from app.results.prediction import predict
 from app.results.result_json import result_json
 
+# Of result/1, beside the schema.
+KEYS = (
+    "machine",
+    "mode",
+    "error_tables",
+    "squareness_urad",
+    "alignment",
+    "residuals",
+    "observability",
+    "provenance",
+)
+
 
 @pytest.fixture
 def content(found):
@@ -29,17 +41,7 @@ def content(found):
 
 def test_every_key_of_the_contract_is_there(content):
     assert content["schema"] == "result/1"
-    assert set(content) >= {
-        "machine",
-        "mode",
-        "error_tables",
-        "squareness_urad",
-        "alignment",
-        "residuals",
-        "observability",
-        "provenance",
-        "verdict",
-    }
+    assert set(content) >= {*KEYS, "verdict"}
     assert content["mode"] == "otf"
     assert content["residuals"]["rms_um"] > 0.0
     assert set(content["observability"]) >= {"rank", "parameters", "unobservable"}
@@ -180,19 +182,7 @@ FIRST = ("model", "effects", 0)
 BAD = [
     (with_value("result/9", "schema"), "schema is not that of a result"),
     (without("schema"), "schema is missing"),
-    *(
-        (without(key), f"{key} is missing")
-        for key in (
-            "machine",
-            "mode",
-            "error_tables",
-            "squareness_urad",
-            "alignment",
-            "residuals",
-            "observability",
-            "provenance",
-        )
-    ),
+    *((without(key), f"{key} is missing") for key in KEYS),
     (without("model"), "model is missing, without which nothing can be predicted"),
     (with_value("flying", "mode"), 'mode is "flying"'),
     (with_value(3, "provenance"), "provenance is 3"),
