@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.design_matrix import DesignMatrix
+from app.estimation.design_matrix import DesignMatrix, Linearisation
 from app.estimation.direction import Fit
 from app.estimation.information import Information, add_information
-from app.estimation.noise import NoiseModel, split_sigma_mm
+from app.estimation.noise import NoiseModel, total_precision
 from app.estimation.runs import RunInformation
 from app.numerics.correlated_noise import Whitener
 from app.numerics.scaled_cholesky import ScaledCholesky
@@ -126,7 +126,7 @@ class _Examination:
             drift_square += np.einsum("nip,niq->pq", S, S)
             left = rest[:, :, None]
             square += float(np.sum(left * _weight(design, whitener, left)))
-            freedom -= design.timing.shape[2]
+            freedom -= design.timing.shape[2] + _count_untimed(design, self.about)
             rest = rest - _time(design, whitener, rest)
             squares.append(_cell_squares(design, rest, self.about.noise))
             off.append(np.linalg.norm(rest, axis=1))
@@ -281,6 +281,13 @@ def _limit_noise(noise: NoiseModel) -> NoiseModel:
     )
 
 
+def _count_untimed(design: DesignMatrix, about: Linearisation) -> int:
+    """Return of how many cells only what is across the travel counts."""
+    seen = design.observations
+    moves = seen.direction.any(axis=1)
+    return int((moves & (seen.is_ramp | (not about.has_timing))).sum())
+
+
 def _weight(
     design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
 ) -> Float64[np.ndarray, "n 3 p"]:
@@ -300,17 +307,9 @@ def _time(
 def _cell_squares(
     design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], noise: NoiseModel
 ) -> Float64[np.ndarray, " n"]:
-    """Return rᵀ(D + C + σ² u uᵀ)⁻¹r of each cell by itself (Sherman & Morrison)."""
-    white, ou = split_sigma_mm(design.observations, noise)
-    variance = white**2 + ou**2
-    square = (rest**2 / variance).sum(axis=1)
-    if noise.along_sigma_mm == 0.0:
-        return square
-    pulled = design.travel / variance
-    total = np.einsum("ni,ni->n", design.travel, pulled)
-    jitter = 0.0 if np.isinf(noise.along_sigma_mm) else noise.along_sigma_mm**-2
-    along = np.einsum("ni,ni->n", rest, pulled) ** 2
-    return square - np.where(total > 0.0, along / np.maximum(jitter + total, 1e-300), 0)
+    """Return the square of each cell by itself, in units of its noise."""
+    precision = total_precision(design.observations, noise, design.travel)
+    return np.einsum("ni,nij,nj->n", rest, precision, rest)
 
 
 def _invert(

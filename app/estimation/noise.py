@@ -37,8 +37,27 @@ def cell_noise(
     travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
     """
     white, ou = split_sigma_mm(observations, noise)
-    along = np.where(observations.is_ramp, np.inf, noise.along_sigma_mm)
-    return _add_jitter(white**-2, travel, along), ou
+    return _add_jitter(white**-2, travel, _along_mm(observations, noise)), ou
+
+
+def total_precision(
+    observations: Observations,
+    noise: NoiseModel,
+    travel: Float64[np.ndarray, "n 3"],
+) -> Float64[np.ndarray, "n 3 3"]:
+    """Return the precision of each cell by itself, correlated noise included.
+
+    travel : (n, 3) direction of travel in the beam frame, 0 at a standstill
+    """
+    white, ou = split_sigma_mm(observations, noise)
+    along = _along_mm(observations, noise)
+    return _add_jitter(1.0 / (white**2 + ou**2), travel, along)
+
+
+def _along_mm(
+    observations: Observations, noise: NoiseModel
+) -> Float64[np.ndarray, " n"]:
+    return np.where(observations.is_ramp, np.inf, noise.along_sigma_mm)
 
 
 def split_sigma_mm(
