@@ -31,7 +31,7 @@ class CellBlock:
 
     row : of the commanded path or points; velocity_mm_s : (n, 3), 0 at a standstill
     position_mm : (n, axes) nominal; line_time_s : (n,) from the middle of the pass
-    line_speed_mm_s : mean speed along the line
+    line_speed_mm_s : mean speed along the line, of a pass at constant feed
     left_out : samples that are in no cell
     """
 
@@ -279,8 +279,10 @@ def join_blocks(
     row = np.repeat(np.array([p.row for p in parts]), sizes)
     line = np.repeat(np.array([p.line for p in parts]), sizes)
     velocity = np.concatenate([p.velocity_mm_s for p in parts])
-    mean_speed = np.repeat(np.array([p.line_speed_mm_s for p in parts]), sizes)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    is_ramp = np.repeat(np.array([p.is_ramp for p in parts]), sizes)
+    mean_speed = np.repeat(np.array([p.line_speed_mm_s for p in parts]), sizes)
+    mean_speed = np.where(is_ramp, speed[:, 0], mean_speed)
     names = run.commanded.target or ("",) * len(run.commanded)
     targets = [run.machine.target(names[int(r)]) for r in row]
     at = Conditions(
@@ -313,7 +315,7 @@ def join_blocks(
         int(count.sum()),
         len(run.tracker),
         gather(said, at.time_s, row),
-        np.repeat(np.array([p.is_ramp for p in parts]), sizes),
+        is_ramp,
     )
 
 

@@ -95,6 +95,12 @@ class Observations:
         return list(zip(begin.tolist(), end.tolist(), strict=True))
 
     @property
+    def measured_rows(self) -> frozenset[int]:
+        """Rows of the lines that were measured; of the points where there is no line."""
+        on_line = self.at.line >= 0
+        return frozenset((self.row[on_line] if on_line.any() else self.row).tolist())
+
+    @property
     def stretches(self) -> list[tuple[int, int]]:
         """First cell and one past the last of lines and standstills, ramps apart."""
         changes = 1 + np.flatnonzero(np.diff(self.is_ramp))

@@ -43,7 +43,8 @@ from app.progress import ShareProgress, ignore_progress
 class Residuals:
     """What the model leaves of the cells.
 
-    residual_mm : (n, 3) measured minus modelled, along beam, azimuth, elevation
+    residual_mm : (n, 3) measured minus modelled, along beam, azimuth, elevation; only
+        what is across the travel, where only that counts
     across_mm : (n,) size of the residual across the travel
     row : (n,) row of the path or points; position_mm : (n, axes)
     rms_mm : over all; floor_mm : what the noise alone would leave
@@ -77,7 +78,7 @@ class RunEstimate:
         about `centre_mm`
     tracker : as the Run's own machine file states it
     distance_mm : mean distance of the measured points from the tracker
-    lines : rows of the path or points that it has data of
+    measured_rows : lines of the path, or points, that it has data of
     usual_floor_mm : root mean square of a residual component if the noise were as the
         tracker states it, with the usual correlated part
     seats : of its targets, those that are a matter of the pose left out
@@ -93,9 +94,14 @@ class RunEstimate:
     cells: int
     used_samples: int
     offered_samples: int
-    lines: int
+    measured_rows: frozenset[int]
     usual_floor_mm: float = np.inf
     seats: tuple[SeatEstimate, ...] = ()
+
+    @property
+    def lines(self) -> int:
+        """How many lines or points it has data of."""
+        return len(self.measured_rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +252,7 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         len(observations),
         observations.used,
         observations.offered,
-        len(np.unique(observations.row)),
+        observations.measured_rows,
         floor_mm(observations, _usual_noise(run.noise), _travel(run)),
         tuple(_find_seats(run, machine)),
     )
@@ -289,7 +295,7 @@ def _compute_residuals(
     is_across = np.isinf(run.noise.along_sigma_mm) | run.observations.is_ramp
     counted = np.where(is_across[:, None], across, residual)
     return Residuals(
-        residual,
+        counted,
         np.linalg.norm(across, axis=1),
         run.observations.row,
         run.observations.at.position_mm,

@@ -87,14 +87,20 @@ def find_intervals(fit: Fit) -> dict[str, int]:
 
 def add_hidden_variance(result: Posterior, fit: Fit) -> Posterior:
     """Return the posterior with what motions may do between knots that are far."""
-    hidden = np.zeros(len(result.theta))
+    hidden = np.diag(compute_hidden_variances(fit))
+    return replace(result, covariance=result.covariance + hidden)
+
+
+def compute_hidden_variances(fit: Fit) -> Float64[np.ndarray, " p"]:
+    """Return of every parameter the variance between knots that are far."""
+    hidden = np.zeros(fit.model.size)
     for motion in fit.model.identifiable_motions:
         if _can_refine(motion):
             precision = fit.prior.precision[motion.name]
             # Of every control value: their shapes are orthonormal.
             own = fit.model.slices[motion.name]
             hidden[own] = compute_hidden_variance(motion, precision)
-    return replace(result, covariance=result.covariance + np.diag(hidden))
+    return hidden
 
 
 def compute_hidden_variance(motion: ErrorMotion, precision: float) -> float:

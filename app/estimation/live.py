@@ -135,7 +135,7 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        rows = frozenset(part.row for part in self._parts)
+        rows = self._find_rows()
         return LiveFindings(rows, station_mm, about.noise, self._prior.precision)
 
     def take(self, block: TrackerSamples) -> bool:
@@ -169,10 +169,19 @@ class LiveEstimator:
             result.theta[:size],
             covariance,
             float(np.sqrt(max(mean_square, 0.0))),
-            len({part.row for part in self._parts}),
+            len(self._find_rows()),
             self._sums.cells,
             self._sums.time_s,
         )
+
+    def _find_rows(self) -> frozenset[int]:
+        """Return the lines, or else points, that were measured.
+
+        The standstill at the end of a line that was lost is no line.
+        """
+        is_path = isinstance(self._commanded, Path)
+        parts = (p for p in self._parts if p.line >= 0 or not is_path)
+        return frozenset(part.row for part in parts)
 
     def _add(self, parts: list[CellBlock]) -> bool:
         if not parts:

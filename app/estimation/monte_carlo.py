@@ -1,11 +1,11 @@
 """Trials of the measurement: what it could have been, solved again (GUM Supplement 1).
 
 A trial draws white and Ornstein–Uhlenbeck noise of every cell, jitter along the travel,
-how strongly the prior charges each error motion, and the shapes that only the prior
-knows. It solves again, and keeps what the outputs do. The noise is made from its
-description alone, cell by cell in time, and not by the algebra that weighs it;
-precisions act in full, where the linear law takes them to second order: so trials and
-linear law can contradict each other.
+how strongly the prior charges each error motion, the shapes that only the prior knows,
+and what error motions do between knots that are far. It solves again, and keeps what
+the outputs do. The noise is made from its description alone, cell by cell in time, and
+not by the algebra that weighs it; precisions act in full, where the linear law takes
+them to second order: so trials and linear law can contradict each other.
 
 With H = D + Σ λₖKₖ, D the data's information on the machine's parameters, a trial is
 
@@ -28,6 +28,7 @@ from scipy.linalg import cho_factor, cho_solve
 from app.alignment.observations import Observations
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit
+from app.estimation.knots import compute_hidden_variances
 from app.estimation.noise import NoiseModel, split_sigma_mm
 from app.estimation.prior import log_precision_variance
 from app.estimation.runs import RunInformation, combine_runs
@@ -80,6 +81,7 @@ class Trials:
     """Everything that a block of trials needs; may be sent to another process.
 
     data : (m, m), D; theta : (m,), θ̂; outputs : (o, m)
+    hidden_sigma : (m,) of what error motions do between knots that are far
     """
 
     runs: tuple[TrialRun, ...]
@@ -87,6 +89,7 @@ class Trials:
     theta: Float64[np.ndarray, " m"]
     prior: tuple[PriorBlock, ...]
     outputs: Float64[np.ndarray, "o m"]
+    hidden_sigma: Float64[np.ndarray, " m"]
     seed: int
     interval: Interval
 
@@ -104,6 +107,7 @@ def prepare_trials(
         fit.result.theta,
         _split_prior(fit),
         outputs,
+        np.sqrt(compute_hidden_variances(fit)),
         plan.seed,
         plan.interval,
     )
@@ -165,6 +169,7 @@ def _draw_some(trials: Trials, rng: np.random.Generator) -> Float64[np.ndarray, 
     for first in range(0, _AT_ONCE, _SAME_PRECISION):
         same = slice(first, first + _SAME_PRECISION)
         moved[:, same] = _solve_again(trials, pulled[:, same], rng)
+    moved += trials.hidden_sigma[:, None] * rng.standard_normal(moved.shape)
     return trials.outputs @ moved
 
 

@@ -22,7 +22,7 @@ from app.numerics.rigid import cross_matrix
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
 _SOBOL = 11  # 2^11 points where there are rotary axes
-_NODES = 12  # Gauss–Legendre nodes an axis: exact for the shapes splines take
+_NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
 
 
 @dataclass(frozen=True, slots=True)

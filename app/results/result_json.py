@@ -208,7 +208,7 @@ def _alignment_json(found: Findings, run: RunFindings) -> dict[str, Any]:
     first = 1 if summary.mode == "otf" else 0
     rows = set(range(first, first + summary.lines))
     parts = [each for each in found.runs if each.summary is summary]
-    seen = {row for each in parts for row in each.by_line.row.tolist()}
+    seen = {row for each in parts for row in each.estimate.measured_rows}
     return {
         "pose": {
             "from": "workpiece",

@@ -104,8 +104,9 @@ def test_samples_are_kept_for_a_line_or_so_however_long_the_run(record):
 
 
 def test_samples_that_wait_for_a_stop_in_vain_are_let_go(record, monkeypatch):
-    monkeypatch.setattr(streaming, "_MOST_KEPT", 2000)
+    monkeypatch.setattr(streaming, "_MOST_KEPT_S", 4.0)
     run, _ = record(3)
+    assert run.machine.tracker.rate_hz == 500.0
     live = StreamingAlignment(run.machine, run.commanded)
     for _ in range(20):
         moving = rows_of(run.tracker, slice(600, 900))  # in the middle of a line

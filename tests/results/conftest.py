@@ -49,7 +49,7 @@ def of_a_run(residuals: Residuals) -> RunEstimate:
         CELLS,
         9_000,
         10_000,
-        LINES,
+        frozenset(range(1, LINES + 1)),
     )
 
 

@@ -90,9 +90,8 @@ def test_tables_say_for_which_targets_they_hold(content, construct, three_target
 
 
 def test_rows_that_left_no_data_are_named(estimate, provenance, with_residuals):
-    residuals = estimate.runs[0].residuals
-    kept = np.where(residuals.row == 4, 5, residuals.row)
-    thinned = with_residuals(estimate, replace(residuals, row=kept), lines=11)
+    left = estimate.runs[0].measured_rows - {4}
+    thinned = with_residuals(estimate, estimate.runs[0].residuals, measured_rows=left)
     alignment = result_json(state_findings(thinned, provenance))["alignment"]
     assert alignment["rows_without_data"] == [4]
     assert (alignment["matched_lines"], alignment["lines"]) == (11, 12)
