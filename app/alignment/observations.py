@@ -96,7 +96,7 @@ class Observations:
 
     @property
     def measured_rows(self) -> frozenset[int]:
-        """Rows of the lines that were measured; of the points where there is no line."""
+        """Rows of the lines that were measured; of points where there is no line."""
         on_line = self.at.line >= 0
         return frozenset((self.row[on_line] if on_line.any() else self.row).tolist())
 
