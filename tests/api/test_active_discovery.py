@@ -25,11 +25,9 @@ from app.main import open_service
 from app.settings import load_settings
 from simulators import paths, synthetic
 from simulators.bundle_files import write_bundle_files
-from simulators.hidden.backlash import Backlash
 from simulators.hidden.drawing import as_json
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.lateral_backlash import LateralBacklash
-from simulators.hidden.servo_mismatch import ServoMismatch
 from simulators.hidden.squareness import Squareness
 from simulators.machine_file import parse_machine
 from simulators.scenario import load_machine
@@ -39,7 +37,6 @@ MACHINE = 5
 SPEED = 15.0
 PATIENCE_S = 120.0
 FEW = 10  # extra lines
-DRIVES = {"backlash", "servo-mismatch"}
 LEANS = {"lateral-backlash", "squareness"}
 JOBS = "/api/v1/jobs"
 CONTENT = load_machine("demo")
@@ -106,19 +103,6 @@ def shop_that_hides(hidden: HiddenEffect, folder: Path) -> Iterator[Shop]:
         yield Shop(client)
 
 
-def even_in_x() -> Rows:
-    """Lines on which X always moves at one speed: lost motion looks like a lag."""
-    rng, n = np.random.default_rng(3), 24
-    share = rng.random((n, 3))
-    far = np.arange(n) % 2 == 1
-    share[:, 0] = np.where(far, 0.75 + 0.25 * share[:, 0], 0.25 * share[:, 0])
-    position = np.round(LOW + share * (HIGH - LOW), 3)
-    step = np.diff(position, axis=0, prepend=position[:1])
-    slant = np.linalg.norm(step[1:], axis=1) / np.abs(step[1:, 0])
-    event_bus = np.round(4800.0 * np.append(1.0, slant), 1)
-    return rows_of(position, dwell_s=0.35, feed_mm_min=event_bus)
-
-
 def two_sides_of_y() -> Rows:
     """Points at the ends of Y, each approached from the other: play looks like a lean.
 
@@ -182,43 +166,12 @@ def check_what_is_decided(
     assert gap["after"] < 1.3 * gap["noise_floor"]
 
 
-@pytest.mark.timeout(180)
-def test_backlash_and_servo_mismatch_are_told_apart_by_the_machine(tmp_path):
-    hidden = Backlash("X", 8.0)
-    with shop_that_hides(hidden, tmp_path) as context:
-        measured = context.done(kind="measure-otf", path=even_in_x())
-        first = context.done(kind="discover", run_id=measured["run_id"])
-        check_what_is_asked(context.found(first), DRIVES)
-        second = context.done(kind="measure-extra", discovery_id=first["id"])
-        assert second["run_ids"] == [measured["run_id"], second["run_id"]]
-        check_what_is_decided(context.found(second), DRIVES, hidden, "width_um")
-        assert context.found(second)["ask"] is None
-        model = context.client.get(second["discovery"]["model"]).json()
-        assert [e["name"] for e in model["effects"]] == ["backlash"]
-
-
-@pytest.mark.long
-@pytest.mark.timeout(300)
-def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
-    hidden = ServoMismatch("X", 0.06)
-    with shop_that_hides(hidden, tmp_path) as context:
-        measured = context.done(kind="measure-otf", path=even_in_x())
-        first = context.found(context.done(kind="discover", run_id=measured["run_id"]))
-        check_what_is_asked(first, DRIVES)
-        # So few lines need not determine tables of their own; their Run stands.
-        extra = context.ended(kind="measure-otf", path=first["ask"]["rows"])
-        runs = [measured["run_id"], extra["run_id"]]
-        second = context.found(context.done(kind="discover", run_ids=runs))
-        check_what_is_decided(second, DRIVES, hidden, "lag_ms")
-
-
-@pytest.mark.long
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("hidden", "parameter"),
     [
         (LateralBacklash("Y", "EXY", 5.0, 0.3), "half_width"),
-        (Squareness("C0Y", -27.0), "value_urad"),
+        pytest.param(Squareness("C0Y", -27.0), "value_urad", marks=pytest.mark.long),
     ],
     ids=["lateral-backlash", "squareness"],
 )
@@ -235,3 +188,23 @@ def test_lateral_backlash_and_squareness_are_told_apart_by_the_machine(
         check_what_is_asked(context.found(first), LEANS)
         second = context.done(kind="measure-extra", discovery_id=first["id"])
         check_what_is_decided(context.found(second), LEANS, hidden, parameter)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_the_lines_may_be_driven_as_a_path_of_ones_own(tmp_path):
+    (tmp_path / "bundle").mkdir()
+    hidden = LateralBacklash("Y", "EXY", 5.0, 0.3)
+    with shop_that_hides(hidden, tmp_path / "data") as context:
+        before = context.upload(calibration(tmp_path / "bundle"))
+        model = context.done(kind="discover", run_id=before)["id"]
+        points = two_sides_of_y()
+        run = context.done(kind="measure-standstill", points=points)["run_id"]
+        job = context.done(kind="discover", run_id=run, model_id=model)
+        first = context.found(job)
+        check_what_is_asked(first, LEANS)
+        # So few lines need not determine tables of their own; their Run stands.
+        extra = context.ended(kind="measure-otf", path=first["ask"]["rows"])
+        runs = [run, extra["run_id"]]
+        second = context.done(kind="discover", run_ids=runs, model_id=model)
+        check_what_is_decided(context.found(second), LEANS, hidden, "half_width")
