@@ -154,6 +154,12 @@ class Observations:
         joined = np.concatenate(starts)
         return self if len(joined) == len(self) else self.join(joined)
 
+    def find_edges(self, joined: Observations) -> Int64[np.ndarray, " e"]:
+        """Return the first cell in each of joined cells, and one past the last."""
+        ends, joined_ends = np.cumsum(self.count), np.cumsum(joined.count)
+        edges = 1 + np.searchsorted(ends, joined_ends - 0.5)  # whole samples
+        return np.concatenate([[0], edges])
+
     def _count_to_join(
         self, first: int, last: int, longest: Float64[np.ndarray, " a"]
     ) -> int:

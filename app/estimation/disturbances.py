@@ -111,7 +111,7 @@ def estimate_checked(
     misfits: tuple[Misfit, ...] = ()
     for turn in range(_ROUNDS):
         misfits = _assess(found)
-        fewer = _act(parts, misfits)
+        fewer = _act(parts, found, misfits)
         if fewer is None:
             break
         try:
@@ -137,19 +137,29 @@ def _assess(found: Estimate) -> tuple[Misfit, ...]:
     return tuple(assess_misfit(found.fit, k) for k in range(len(found.runs)))
 
 
-def _act(parts: list[_Part], misfits: tuple[Misfit, ...]) -> list[_Part] | None:
+def _list_fitted(found: Estimate) -> list[Observations]:
+    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
+    return [run.observations for run in found.fit.runs]
+
+
+def _act(
+    parts: list[_Part], found: Estimate, misfits: tuple[Misfit, ...]
+) -> list[_Part] | None:
     """Return the parts without the plainest contradiction; None where there is none."""
     fewer: list[_Part] = []
-    for part, misfit in zip(parts, misfits, strict=True):
+    for part, fitted, misfit in zip(parts, _list_fitted(found), misfits, strict=True):
+        # The fit may have joined cells of the part.
+        edges = part.seen.find_edges(fitted)
         bad = _find_bad_cells(misfit)
         step = misfit.step
         worst = float(misfit.line.max(initial=0.0))
         if step and step.alone > _OF_LINE * worst and _is_knock(misfit, step):
-            fewer += _split(part, step)
+            fewer += _split(part, step, edges)
         elif bad.any():
-            fewer.append(_Part(part.given, _leave_out(part.seen, bad, misfit)))
+            seen = _leave_out(part.seen, bad, misfit, edges)
+            fewer.append(_Part(part.given, seen))
         elif step and _is_knock(misfit, step):
-            fewer += _split(part, step)
+            fewer += _split(part, step, edges)
         else:
             fewer.append(part)
     same = len(fewer) == len(parts) and all(
@@ -190,18 +200,26 @@ def _stand_out(square: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def _leave_out(
-    seen: Observations, bad: Bool[np.ndarray, " n"], misfit: Misfit
+    seen: Observations,
+    bad: Bool[np.ndarray, " n"],
+    misfit: Misfit,
+    edges: Int64[np.ndarray, " e"],
 ) -> Observations:
-    """Return observations without some cells, and with what is said of these."""
+    """Return observations without some cells, and with what is said of these.
+
+    bad : of those that were fitted; edges : where they begin among those seen
+    """
     said: list[LeftOut] = []
-    for first, last in zip(misfit.begin, misfit.end, strict=True):
+    sizes = np.diff(edges)
+    bad, off_mm = np.repeat(bad, sizes), np.repeat(misfit.off_mm, sizes)
+    for first, last in zip(edges[misfit.begin], edges[misfit.end], strict=True):
         part = slice(int(first), int(last))
         if bad[part].any():
             said += describe_cells(
                 bad[part],
                 seen.at.time_s[part],
                 seen.count[part],
-                misfit.off_mm[part],
+                off_mm[part],
                 int(seen.row[first]),
             )
     kept = _drop_remnants(seen, np.flatnonzero(~bad))
@@ -225,17 +243,20 @@ def _order(each: LeftOut) -> tuple[float, int]:
     return float(np.nan_to_num(each.begin_s)), each.row
 
 
-def _split(part: _Part, step: Step) -> list[_Part]:
+def _split(part: _Part, step: Step, edges: Int64[np.ndarray, " e"]) -> list[_Part]:
     """Return what is before a step and what is after it, as Runs of their own.
 
     Where it is within a line, the cell that it may be in belongs to neither.
+    edges : where the cells that were fitted begin among those of the part
     """
-    seen, cell = part.seen, step.cell
+    seen, cell = part.seen, int(edges[step.cell])
     within = seen.row[cell] == seen.row[cell - 1] and bool(
         seen.at.line[cell] == seen.at.line[cell - 1]
     )
-    ends = (cell - 1, cell + 1) if within else (cell, cell)
-    halves = [np.arange(ends[0]), np.arange(ends[1], len(seen))]
+    before, after = (cell, cell)
+    if within:
+        before, after = edges[step.cell - 1], edges[step.cell + 1]
+    halves = [np.arange(before), np.arange(after, len(seen))]
     time_s = 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
     found: list[_Part] = []
     used = 0

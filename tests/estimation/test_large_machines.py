@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
+from app.alignment.observations import add_surroundings
 from app.errors import Unidentifiable
+from app.estimation.disturbances import estimate_checked
 from app.estimation.knots import compute_hidden_variance
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
+from app.kinematics.coarse_model import build_run_models
 from app.kinematics.identifiable import build_identifiable_model
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
@@ -105,3 +108,24 @@ def test_an_axis_that_rests_is_refused_by_name_with_the_lines_that_mend_it():
     run, _ = _record((600.0, 500.0, 400.0), 24, level=200.0)
     with pytest.raises(Unidentifiable, match=r"add lines that move .*Z"):
         estimate(align(run))
+
+
+def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
+    run, _ = _record(LONG, 30)
+    seen = add_surroundings(align(run), run.commanded)
+    models = build_run_models(run.machine, [seen.at.offset_mm])
+    line = np.flatnonzero((seen.row == 17) & ~seen.is_ramp)
+    burst = line[len(line) // 2 : len(line) // 2 + 12]
+    moved = seen.tracker_mm.copy()
+    moved[burst] += [0.1, -0.1, 0.1]
+    checked = estimate_checked(models, [replace(seen, tracker_mm=moved)])
+    assert checked.estimate.fit is not None
+    fitted = checked.estimate.fit.runs[0].observations
+    assert len(fitted) < 0.6 * len(seen)
+    assert {each.row for each in checked.left_out[0]} == {17}
+    begin, end = seen.at.time_s[burst[0]], seen.at.time_s[burst[-1]]
+    assert min(each.begin_s for each in checked.left_out[0]) > begin - 0.2
+    assert max(each.end_s for each in checked.left_out[0]) < end + 0.2
+    assert (
+        sum(each.samples for each in checked.left_out[0]) < 2 * seen.count[burst].sum()
+    )
