@@ -114,9 +114,9 @@ def followed(faults, machine, sqlite_catalogue, event_bus, tmp_path):
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("faults", [("tracker:beam-break@17s+8s",)])
 def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(followed):
-    job = followed.run("otf", target_um=0.8)
+    job = followed.run("otf", target_um=0.5)
     assert job.state is State.SUCCEEDED, job.failure
-    assert job.early_end.reached_um <= 0.8
+    assert job.early_end.reached_um <= 0.5
     run = open_run(followed.context.runs.file(job.id))
     lines = len(run.commanded) - 1
     parts = followed.notices("plan")

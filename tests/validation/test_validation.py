@@ -29,7 +29,7 @@ def validation():
 def test_every_section_of_the_document_holds_a_table():
     text = DOCUMENT.read_text(encoding="utf-8")
     sections = re.findall(r"<!-- ([\w-]+) -->\n(.*?)<!-- /\1 -->", text, re.DOTALL)
-    assert len(sections) == 11
+    assert len(sections) == text.count("<!-- /") > 10
     assert all("| --- |" in body for _, body in sections)
 
 
