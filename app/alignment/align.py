@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from app.alignment.cell_blocks import (
     CellBlock,
@@ -28,6 +30,7 @@ from app.alignment.stops import find_stops
 from app.errors import AlignmentError
 from app.files.run import Run
 
+_TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
@@ -74,7 +77,13 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         stops, nominal.place_mm, ordered_by=commanded, seating=seating
     )
     if seating is not None:
-        require_targets(seating, matching, stops, commanded)
+
+        def places_of(name: str) -> Float64[np.ndarray, "w 3"]:
+            names = (name,) * len(run.commanded)
+            measured = replace(run.commanded, target=names)
+            return compute_nominal_path(machine, measured, nominal.first).place_mm
+
+        require_targets(seating, matching, stops, commanded, places_of)
     if matching.seats:
         nominal = compute_nominal_path(
             seat_targets(machine, matching.seats), run.commanded, nominal.first
@@ -84,6 +93,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         parts = _require_standstill(parts)
+        left_out += _list_points_without_stop(run, parts)
         return join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
     passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
@@ -102,11 +112,18 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
 def _list_lines_without_pass(
     nominal: NominalPath, passes: tuple[Pass, ...]
 ) -> list[LeftOut]:
-    """Return the lines on which the target moves and nothing was measured."""
+    """Return the lines on which nothing was measured although axes move."""
     seen = {each.row for each in passes}
-    rows = np.flatnonzero(nominal.length_mm >= MIN_MOTION_MM)
+    moves = (nominal.length_mm >= MIN_MOTION_MM) | (nominal.turn_deg > _TURN_DEG)
+    rows = np.flatnonzero(moves)
     missing = [int(row) for row in rows if row and int(row) not in seen]
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
+
+
+def _list_points_without_stop(run: Run, parts: Sequence[CellBlock]) -> list[LeftOut]:
+    seen = {part.row for part in parts}
+    missing = [row for row in range(len(run.commanded)) if row not in seen]
+    return [LeftOut("no-stop", row, np.nan, np.nan, 0, 0.0) for row in missing]
 
 
 def _require_standstill(parts: list[CellBlock]) -> list[CellBlock]:

@@ -16,7 +16,15 @@ from jaxtyping import Bool, Float64, Int64
 from drivers.interfaces.records import TrackerSamples
 
 Cause = Literal[
-    "spikes", "burst", "frozen", "off-line", "outliers", "cells", "line", "no-pass"
+    "spikes",
+    "burst",
+    "frozen",
+    "off-line",
+    "outliers",
+    "cells",
+    "line",
+    "no-pass",
+    "no-stop",
 ]
 _LONGEST_SPIKE = 3  # samples; more in a row are a burst
 _MOSTLY = 0.5  # of the samples repeat the one before: frozen
@@ -31,7 +39,7 @@ class LeftOut:
         and again), `off-line` (beside the commanded line), `outliers` (samples far from
         their neighbours), `cells` (stretches far from their neighbours, or from what
         the machine does on all other lines), `line` (all of a line), `no-pass` (a line
-        without a stretch at constant feed)
+        without a stretch at constant feed), `no-stop` (a point without a standstill)
     row : of the commanded path or points; −1 where it is no one's
     begin_s, end_s : on the tracker's clock; NaN where there is no data
     off_mm : how far off, at the most

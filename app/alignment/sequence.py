@@ -7,6 +7,7 @@ tells the correspondence without a first guess of the pose.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +20,7 @@ from app.numerics.rigid import RigidTransform
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
 TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
+_BESIDE_MM = 10.0  # of another target's place, the pose as good as it is
 _FEW = 3  # lost standstills of a target: by chance
 _ROUNDS = 3  # pose and seats of targets in turn
 
@@ -61,7 +63,8 @@ def match_stops(
         raise AlignmentError(
             f"the stream does not follow {ordered_by}: of {len(waypoint_mm)} commanded "
             f"standstills {len(stop)} were recognised among {len(places)} in the "
-            "stream; check that the recording belongs to this path and has its order"
+            "stream; check that the recording belongs to this path, has its order and "
+            "measures the targets that are named in it"
         )
     seated: Float64[np.ndarray, "w 3"] = waypoint_mm
     seats: Seats = {}
@@ -207,32 +210,72 @@ def _rematch(
 
 
 def require_targets(
-    seating: Seating, matching: Matching, stops: StopSequence, ordered_by: str
+    seating: Seating,
+    matching: Matching,
+    stops: StopSequence,
+    ordered_by: str,
+    places_of: Callable[[str], Float64[np.ndarray, "w 3"]],
 ) -> None:
     """Refuse a target that stood still, but not where it may sit.
 
     Hidden from the tracker, it shows no standstills; then nothing is refused.
+
+    places_of : nominal places of all waypoints if one target were measured at them
     """
-    remedy = f"check offset_mm in machine.json and the target column of {ordered_by}"
-    first, last = int(matching.waypoint[0]), int(matching.waypoint[-1])
-    among = np.arange(first, last + 1)
-    unknown = int(matching.stop[-1] - matching.stop[0]) + 1 - len(matching.stop)
+    order = np.searchsorted(matching.waypoint, np.arange(len(seating.target)))
     for number, name in enumerate(seating.names):
-        rows = among[seating.target[among] == number]
+        rows = np.flatnonzero(seating.target == number)
         reach = MOST_SIGMAS * float(seating.sigma_mm[number])
         off = float(np.abs(matching.seats.get(name, np.zeros(3))).max())
+        lost = rows if off > reach else np.setdiff1d(rows, matching.waypoint)
+        unknown = _list_unknown(matching, len(stops), np.unique(order[lost]))
         if off > reach:
-            raise AlignmentError(
-                f"target {name} sits {off:.1f} mm off its offset_mm, where {reach:g} "
-                f"mm may be: {remedy}"
+            unknown = matching.stop[np.isin(matching.waypoint, rows)]
+            said = f"sits {off:.1f} mm off its offset_mm, where {reach:g} mm may be"
+        elif 2 * len(lost) > len(rows) and len(lost) >= _FEW:
+            said = (
+                f"{len(lost)} of its {len(rows)} standstills are not where they should "
+                f"be, while {len(unknown)} in the stream are nowhere in {ordered_by}; "
+                f"it may sit {reach:g} mm off, no more"
             )
-        missing = len(rows) - int(np.isin(rows, matching.waypoint).sum())
-        if 2 * missing > len(rows) and 2 * unknown >= missing and missing >= _FEW:
-            raise AlignmentError(
-                f"target {name}: {missing} of its {len(rows)} standstills are not "
-                f"where they should be, while {unknown} in the stream are nowhere in "
-                f"{ordered_by}; it may sit {reach:g} mm off, no more: {remedy}"
+        else:
+            continue
+        if off > reach or 2 * len(unknown) >= len(lost):
+            shown = _find_measured(
+                [other for other in seating.names if other != name],
+                lambda other, lost=lost: matching.pose.apply(places_of(other)[lost]),
+                stops.position_mm[unknown],
             )
+            raise AlignmentError(
+                f"target {name} {said}: {shown}check offset_mm in machine.json and the "
+                f"target column of {ordered_by}"
+            )
+
+
+def _list_unknown(
+    matching: Matching, stops: int, gaps: Int64[np.ndarray, " g"]
+) -> Int64[np.ndarray, " u"]:
+    """Return the standstills of no waypoint that lie in some gaps.
+
+    gaps : how many of the matched standstills are before each
+    """
+    gap = np.searchsorted(matching.stop, np.arange(stops))
+    free = ~np.isin(np.arange(stops), matching.stop)
+    return np.flatnonzero(free & np.isin(gap, gaps))
+
+
+def _find_measured(
+    names: list[str],
+    expect: Callable[[str], Float64[np.ndarray, "l 3"]],
+    places: Float64[np.ndarray, "u 3"],
+) -> str:
+    """Return words on the target that was measured instead; none where it is none."""
+    for name in names:
+        expected = expect(name)
+        found, _ = _rematch(places, expected, _BESIDE_MM)
+        if 2 * len(found) > min(len(places), len(expected)):
+            return f"the tracker measured {name} instead; "
+    return ""
 
 
 def _require_spread(waypoints: Float64[np.ndarray, "w 3"], ordered_by: str) -> None:

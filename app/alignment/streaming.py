@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from app.alignment.cell_blocks import (
     CellBlock,
@@ -22,7 +22,7 @@ from app.alignment.cell_blocks import (
 from app.alignment.cleaning import find_valid_samples
 from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
-from app.alignment.seating import Seats, find_seating, seat_targets
+from app.alignment.seating import Seating, Seats, find_seating, seat_targets
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import (
     SKIP,
@@ -44,6 +44,7 @@ _CONTEXT, _HELD = 3, 2  # samples on either side that cleaning wants to see
 _WIDE = 0.1  # of the volume: standstills that spread so far across tell the pose
 _TRIES = 30  # standstills among which the first matching is sought
 _MOST_KEPT_S = 600.0  # of one line
+_SETTLED = 6  # standstills of a target: then it is known where it sits
 
 
 class StreamingAlignment:
@@ -55,6 +56,7 @@ class StreamingAlignment:
     def __init__(self, machine: Machine, commanded: Path | Configurations) -> None:
         self._run = Run("live", machine, commanded, TrackerSamples.empty())
         self._seats: Seats = {}
+        self._settled: frozenset[str] = frozenset()  # targets whose seats are known
         self._matched: list[tuple[int, int]] = []  # standstill and its waypoint
         self._know_rows()
         self._raw = TrackerSamples.empty()
@@ -62,7 +64,13 @@ class StreamingAlignment:
         self._known = 0  # standstills that have been looked at
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
+        self._is_over = False
         self.pose: RigidTransform | None = None
+
+    @property
+    def seats(self) -> Seats:
+        """Targets that sit far off their places, and by how much, as known so far."""
+        return self._seats
 
     @property
     def samples_kept(self) -> int:
@@ -99,6 +107,7 @@ class StreamingAlignment:
         valid = find_valid_samples(self._raw)
         found = self._add_valid(self._raw, held[valid[held]])
         self._stream.end()
+        self._is_over = True
         found += self._recognise()
         return found + self._last_standstill()
 
@@ -129,7 +138,10 @@ class StreamingAlignment:
                 self._match_by_place(index)
         found: list[CellBlock] = []
         while self._delivered + 1 < len(self._matched):
-            found += self._between(*self._matched[self._delivered :][:2])
+            here, there = self._matched[self._delivered :][:2]
+            if not self._is_settled(there[1]):
+                break
+            found += self._between(here, there)
             self._delivered += 1
         return found
 
@@ -173,13 +185,18 @@ class StreamingAlignment:
             self._refine_pose()
 
     def _find_reach_mm(self, places: slice) -> Float64[np.ndarray, " n"] | float:
-        """Return how far off targets may be that have not been seen yet."""
+        """Return how far off targets may be whose seats are not known yet."""
         if self._seating is None:
             return 0.0
-        target = self._seating.target
-        seen = target[[waypoint for _, waypoint in self._matched]]
-        new = ~np.isin(target[places], seen)
+        ahead = range(*places.indices(len(self._place_mm)))
+        new = np.array([not self._is_settled(waypoint) for waypoint in ahead])
         return new * self._seating.reach_mm[places]
+
+    def _is_settled(self, waypoint: int) -> bool:
+        """Tell whether it is known where the target at a waypoint sits."""
+        if self._seating is None or self._is_over:
+            return True
+        return self._seating.names[self._seating.target[waypoint]] in self._settled
 
     def _refine_pose(self) -> None:
         waypoints = np.array([w for _, w in self._matched])
@@ -189,11 +206,29 @@ class StreamingAlignment:
             self._seated_mm, found = seat_places(
                 places, self._place_mm, waypoints, self._seating
             )
-            if not found.keys() <= self._seats.keys():
-                # Each as it is first known: the estimate is linear in the rest.
-                self._seats = {**found, **self._seats}
+            settled = self._list_settled(self._seating, waypoints)
+            if settled != self._settled:
+                # All anew with each target: the estimate is linear in the rest.
+                self._settled = settled
+                self._seats = {n: found[n] for n in found if n in settled}
                 self._seat_path()
         self.pose = fit_rigid(self._seated_mm[waypoints], places)
+
+    @staticmethod
+    def _list_settled(
+        seating: Seating, waypoints: Int64[np.ndarray, " k"]
+    ) -> frozenset[str]:
+        """Return the targets that have been seen often enough, or for the last time."""
+        count = len(seating.names)
+        seen = np.bincount(seating.target[waypoints], minlength=count)
+        of_all = np.bincount(seating.target, minlength=count)
+        last = (
+            len(seating.target)
+            - 1
+            - np.array([np.argmax(seating.target[::-1] == k) for k in range(count)])
+        )
+        enough = (seen >= np.minimum(_SETTLED, of_all)) | (last < waypoints[-1])
+        return frozenset(n for n, e in zip(seating.names, enough, strict=True) if e)
 
     def _seat_path(self) -> None:
         if self._seats:
@@ -236,7 +271,7 @@ class StreamingAlignment:
         """Forget samples that nothing will ask for again."""
         stops = self._stream.stops
         if self.pose is not None:
-            self._stream.forget_before(stops[self._matched[-1][0]].first)
+            self._stream.forget_before(stops[self._matched[self._delivered][0]].first)
         most = int(_MOST_KEPT_S * self._run.machine.tracker.rate_hz)
         if self._stream.kept > most:
             self._stream.forget_before(len(self._stream) - most // 2)

@@ -117,6 +117,7 @@ class LiveEstimator:
         self._model = told.with_confounded(list_confounded_effects(machine, offsets))
         self._gram = compute_volumetric_gram(self._model)
         self._prior: BendingPrior = guess_prior(told)
+        self._seats = self._alignment.seats  # that the sums are about
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
         self._looked = 0  # stretches that pose and noise were last looked at with
@@ -187,7 +188,8 @@ class LiveEstimator:
         if not parts:
             return False
         self._parts += parts
-        if self._sums is None or len(self._parts) >= max(2 * self._looked, _FIRST_LOOK):
+        due = len(self._parts) >= max(2 * self._looked, _FIRST_LOOK)
+        if self._sums is None or due or self._seats is not self._alignment.seats:
             self._look_again()
         else:
             self._sums = self._sums.add(self._observations(parts))
@@ -210,6 +212,7 @@ class LiveEstimator:
 
         thoroughly : judge the noise as the batch does, which takes its time
         """
+        self._seats = self._alignment.seats
         observations = self._observations(self._parts)
         noise = guess_noise(observations, perpendicular_only=self._perpendicular_only)
         pose = observations.pose

@@ -43,6 +43,11 @@ SENTENCES: Mapping[str, Sentence] = {
         "measured, too short, or disturbed.",
         "Look at what happened on these lines; measure them again.",
     ),
+    "points-without-data": Sentence(
+        "No standstill was recognised at points {points}: the tracker did not see the "
+        "target, or it was not where it should be.",
+        "Look at what happened at these points; measure them again.",
+    ),
     "much-left-out": Sentence(
         "{left_out_percent} of the samples are left out; up to {usual_percent} is "
         "usual.",

@@ -25,6 +25,7 @@ _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
 _WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
+_WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
 _LINES = 0.1, 0.5  # of the lines without data
 
 
@@ -61,7 +62,8 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
 def _judge_left_out(
     left_out: Sequence[LeftOut], runs: Sequence[RunEstimate]
 ) -> Iterator[Reason]:
-    lost = [each for each in left_out if each.cause not in ("spikes", "no-pass")]
+    silent = ("spikes", *_WITHOUT_DATA)
+    lost = [each for each in left_out if each.cause not in silent]
     worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
     for each in sorted(worst, key=lambda each: each.begin_s):
         values: dict[str, Value] = {
@@ -80,13 +82,14 @@ def _judge_left_out(
             "distance_um": UM_PER_MM * max(each.off_mm for each in few),
         }
         yield Reason("spikes-left-out", "usable", values)
-    rows = [each.row for each in left_out if each.cause == "no-pass"]
-    if rows:
-        lines = sum(run.lines for run in runs) + len(rows)
-        state = _grade(len(rows) / lines, _LINES)
-        shown = ", ".join(map(str, rows[:_SENTENCES]))
-        more = ", …" if len(rows) > _SENTENCES else ""
-        yield Reason("lines-without-data", state, {"lines": shown + more})
+    for cause, kind in _WITHOUT_DATA.items():
+        rows = [each.row for each in left_out if each.cause == cause]
+        if rows:
+            lines = sum(run.lines for run in runs) + len(rows)
+            state = _grade(len(rows) / lines, _LINES)
+            shown = ", ".join(map(str, rows[:_SENTENCES]))
+            more = ", …" if len(rows) > _SENTENCES else ""
+            yield Reason(kind, state, {kind.split("-")[0]: shown + more})
     share = sum(each.samples for each in left_out)
     share /= max(share + sum(run.used_samples for run in runs), 1)
     if share > _LEFT_OUT[0]:

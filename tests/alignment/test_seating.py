@@ -29,14 +29,19 @@ def move_targets(machine: Machine, off: dict[str, tuple[float, ...]]) -> Machine
     return replace(machine, targets=tuple(targets))
 
 
-def measure(mode: str) -> Run:
+def measure(mode: str, shown: dict[str, str] | None = None) -> Run:
+    """Return a Run.
+
+    shown : targets that the tracker is on where others should be measured
+    """
     content = load_machine("head-table")
     machine = parse_machine(content)
     if mode == "standstill":
         program = turning_paths.turning_points(machine, 4, 90, dwell_s=0.4)
     else:
         program = turning_paths.turning_path(machine, 4, 30, 6000.0)
-    made = synthetic.record(content, program, 4, mode)
+    seen = tuple((shown or {}).get(name, name) for name in program.target)
+    made = synthetic.record(content, replace(program, target=seen), 4, mode)
     samples = TrackerSamples(
         np.arange(len(made)), made.time_s, made.position_mm, made.status
     )
@@ -80,7 +85,7 @@ def test_targets_where_they_are_stated_have_no_shift(run: Run) -> None:
 
 
 def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run: Run) -> None:
-    off = replace(run, machine=move_targets(run.machine, {"W2": OFF["W2"]}))
+    off = replace(run, machine=move_targets(run.machine, OFF))
     live = StreamingAlignment(off.machine, off.commanded)
     parts = []
     for begin in range(0, len(off.tracker), 50):
@@ -95,6 +100,38 @@ def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run: Run) -> 
             )
         )
     assert set(live.observations(parts + live.finish()).row) == set(align(off).row)
+
+
+@pytest.mark.parametrize(
+    ("mode", "shown"),
+    [
+        ("standstill", {"T1": "T2", "T2": "T1"}),
+        ("standstill", {"W3": "W2"}),
+        ("otf", {"W3": "W2"}),
+    ],
+)
+def test_a_target_that_the_tracker_was_not_on_is_refused_by_name(
+    mode: str, shown: dict[str, str]
+) -> None:
+    wrong, other = next(iter(shown.items()))
+    with pytest.raises(AlignmentError, match=rf"target {wrong}.*measured {other} ins"):
+        align(measure(mode, shown))
+
+
+def test_rows_of_a_target_that_the_tracker_did_not_see_are_said(run: Run) -> None:
+    names = np.array(run.commanded.target)
+    rows = np.flatnonzero(names == "W2")
+    clean = align(run)
+    time_s = clean.at.time_s[np.isin(clean.row, rows)]
+    samples = run.tracker
+    hidden = (samples.device_time_s > time_s[0] - 1.0) & (
+        samples.device_time_s < time_s[-1] + 1.0
+    )
+    status = np.where(hidden, 1, samples.status)
+    seen = align(replace(run, tracker=replace(samples, status=status)))
+    lost = {each.row for each in seen.left_out if each.cause in ("no-pass", "no-stop")}
+    assert lost >= set(rows[1:-1].tolist())
+    assert not lost & set(seen.row.tolist())
 
 
 def test_a_target_at_another_place_than_stated_is_refused_by_name(run: Run) -> None:

@@ -81,11 +81,12 @@ class TimingLaw(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the direction of travel, and the same times the time from mid line."""
         columns = np.zeros((len(at), 3, 2 * len(self.lines)))
-        speed = np.linalg.norm(at.velocity_mm_s, axis=1)
-        moving = np.flatnonzero(speed)
+        # On an arc the target's own speed changes along the line; a ramp has no speed.
+        usual = at.line_speed_mm_s
+        if usual is None:
+            usual = np.linalg.norm(at.velocity_mm_s, axis=1)
+        moving = np.flatnonzero(usual)
         column = np.searchsorted(np.array(self.lines), at.line[moving])
-        # On an arc the target's own speed changes along the line.
-        usual = speed if at.line_speed_mm_s is None else at.line_speed_mm_s
         direction = at.velocity_mm_s[moving] / usual[moving, None]
         columns[moving, :, 2 * column] = direction
         columns[moving, :, 2 * column + 1] = direction * at.line_time_s[moving, None]
