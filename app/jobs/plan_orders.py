@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from app.planning.plan import PlanOrder
 
 _PLAIN = ("mode", "minutes", "target_um", "dwell_s")
-_PLAIN += ("perpendicular_only", "corner_path", "seed")
+_PLAIN += ("perpendicular_only", "corner_path", "seed", "turns")
 _FIRST_LINES, _FIRST_POINTS = 5, 4  # of the longest: two or three times as many
 _STANDS_S = 1.0  # at the end of each
 _POINTS = JobKind.MEASURE_STANDSTILL
@@ -106,7 +106,8 @@ def read_plan_order(order: Json) -> PlanOrder:
 def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
     """Return what is asked of the first part of an adaptive measurement.
 
-    So many lines or points that the live estimate finds pose and noise.
+    So many lines or points that the live estimate finds pose and noise; on lines the
+    rotary axes stand.
     """
     usual = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min)
     feed_mm_s = min(order.get("feeds_mm_min") or [usual]) / 60.0
@@ -114,7 +115,8 @@ def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
     leg_s = length_mm / feed_mm_s + _STANDS_S
     count = _FIRST_LINES if order.get("mode") != "standstill" else _FIRST_POINTS
     minutes = count * leg_s / 60.0
-    return {**order, "minutes": min(minutes, order.get("minutes") or minutes)}
+    minutes = min(minutes, order.get("minutes") or minutes)
+    return {**order, "minutes": minutes, "turns": False}
 
 
 def refuse_several_targets(machine: Machine, order: Json) -> None:

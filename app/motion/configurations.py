@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
@@ -50,6 +51,13 @@ def select_rows(commanded: Commanded, rows: slice) -> Commanded:
     if isinstance(chosen, Path):
         return replace(chosen, feed_mm_min=chosen.feed_mm_min[rows])
     return chosen
+
+
+def split_by_target(commanded: Commanded) -> list[Commanded]:
+    """Return the stretches of rows that measure one target each."""
+    name = np.array(commanded.target or ("",) * len(commanded))
+    bounds = [0, *(np.flatnonzero(name[1:] != name[:-1]) + 1).tolist(), len(commanded)]
+    return [select_rows(commanded, slice(*pair)) for pair in pairwise(bounds)]
 
 
 def join_rows(blocks: Sequence[Commanded]) -> Commanded:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.machine import Machine, MotionLimits
 from app.motion.configurations import Commanded
@@ -14,6 +14,8 @@ from drivers.interfaces.records import Path
 
 DEFAULT_FEED_MM_MIN = 6000.0
 USUAL_MOTION = MotionLimits()
+FASTEST_DEG_MIN = 1800.0  # of a rotary axis on a line
+_SHORTEST_MM = 100.0  # way of a target on a line while rotary axes turn
 # What alignment leaves out at either end beside ramp and settling.
 _SETTLE_S = 0.02
 _LEAST_S = 1e-9  # a gain beyond rounding
@@ -90,6 +92,18 @@ class Drive:
     def of_machine(cls, machine: Machine, dwell_s: float) -> Drive:
         """Return the drive of a machine."""
         return cls.of(machine.axis_names, dwell_s, machine.motion)
+
+    @classmethod
+    def of_lines(cls, machine: Machine, dwell_s: float) -> Drive:
+        """Return the drive of a machine along lines, on which rotary axes may turn."""
+        drive = cls.of_machine(machine, dwell_s)
+        if not machine.rotary_axes:
+            return drive
+        return replace(drive, least_mm=_SHORTEST_MM, fastest_deg_min=FASTEST_DEG_MIN)
+
+    def turns(self, legs: Legs) -> Bool[np.ndarray, " n"]:
+        """Tell on which legs a rotary axis turns."""
+        return legs.step[:, ~np.asarray(self.linear)].any(axis=1)
 
     def length(self, legs: Legs) -> Float64[np.ndarray, " n"]:
         """Return the length of legs, mm; deg where rotary axes turn alone."""

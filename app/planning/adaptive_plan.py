@@ -54,6 +54,8 @@ class AdaptivePlanner:
         self, machine: Machine, commanded: Commanded, order: PlanOrder
     ) -> None:
         self.commanded = commanded
+        # On the fly only the first target is measured, while the rotary axes stand.
+        order = replace(order, turns=False)
         self._machine, self._order = machine, order
         self._moving, self._drive = order.moving(machine), order.drive(machine)
         self._assumed, self._feeds = order.assume(machine), order.feeds(machine)

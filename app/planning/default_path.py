@@ -23,16 +23,19 @@ from app.motion.workspace import Workspace, moving_targets
 from app.planning.design_state import LineDesignState
 from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import SearchEffort
-from app.planning.planner import Planner, PlanShare, plan_in_turn
+from app.planning.planner import (
+    Planner,
+    PlanShare,
+    plan_in_turn,
+    wait_for_tracker,
+)
+from app.planning.target_shares import expect_legs
 from drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
 LINES_WITH_ROTARY_AXES = 72
-FASTEST_DEG_MIN = 1800.0  # of a rotary axis
 _DWELL_S = 0.35
 _LONG = 0.55  # of the diagonal of the travel: no line is shorter
-_SHORTEST_MM = 100.0  # way of a target on a line while rotary axes turn
-_CHANGE_S = 5.0  # for the tracker to turn to another target
 
 
 def default_path(
@@ -67,35 +70,27 @@ def default_path(
     effort = SearchEffort(40, 0) if machine.rotary_axes else SearchEffort(rounds=1)
     counts = np.diff(np.arange(len(targets) + 1) * lines // len(targets)).tolist()
     shares = [
-        PlanShare(_make_planner(machine, target, feed_mm_min), legs=count)
+        _share_legs(_make_planner(machine, target, feed_mm_min), count, seed)
         for target, count in zip(targets, counts, strict=True)
         if count
     ]
     blocks = plan_in_turn(shares, seed=seed, effort=effort)
-    for block in blocks[1:]:
-        block.dwell_s[0] = _CHANGE_S
-    names = tuple(
-        share.planner.design.target.name
-        for share, block in zip(shares, blocks, strict=True)
-        for _ in range(len(block))
-    )
+    wait_for_tracker(blocks)
     path = join_rows(blocks)
     assert isinstance(path, Path)  # noqa: S101 (lines make a path)
-    return replace(
-        path,
-        feed_mm_min=np.round(path.feed_mm_min, 1),
-        target=names if machine.rotary_axes and any(names) else (),
-    )
+    return replace(path, feed_mm_min=np.round(path.feed_mm_min, 1))
+
+
+def _share_legs(planner: Planner, legs: int, seed: int) -> PlanShare:
+    precision, _ = expect_legs(planner, seed)
+    return PlanShare(planner, legs=legs, expected=legs * precision)
 
 
 def _make_planner(machine: Machine, target: Target, feed_mm_min: float) -> Planner:
-    low, high = inner_travel(machine)
-    long_mm = _LONG * float(np.linalg.norm(high - low))
-    drive = replace(
-        Drive.of_machine(machine, _DWELL_S),
-        least_mm=_SHORTEST_MM if machine.rotary_axes else long_mm,
-        fastest_deg_min=FASTEST_DEG_MIN,
-    )
+    drive = Drive.of_lines(machine, _DWELL_S)
+    if not machine.rotary_axes:
+        low, high = inner_travel(machine)
+        drive = replace(drive, least_mm=_LONG * float(np.linalg.norm(high - low)))
     workspace = Workspace()
     design = start_design(
         LineDesignState,

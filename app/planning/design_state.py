@@ -103,6 +103,10 @@ class DesignState(ABC):
         """
         return np.empty((0, len(here)))
 
+    def _name_target(self, rows: int) -> tuple[str, ...]:
+        """Return the target of each row; none where it has no name."""
+        return (self.target.name,) * rows if self.target.name else ()
+
     @property
     def integrated_variance(self) -> float:
         """J, mm² (brunn-hanebeck-2005, eq. 34)."""
@@ -181,7 +185,7 @@ class PointDesignState(DesignState):
         """Return the stops as points."""
         position = add_resting_axes(machine, stops.position)
         dwell_s = np.full(len(stops), self.drive.dwell_s)
-        names = (self.target.name,) * len(stops) if self.target.name else ()
+        names = self._name_target(len(stops))
         return Configurations(machine.axis_names, position, dwell_s, names)
 
     def better_places(
@@ -249,6 +253,7 @@ class LineDesignState(DesignState):
         """Return the time that each place stands for."""
         moving_s = self.drive.times_s(legs) - self.drive.dwell_s
         ramp_s = np.maximum(0.5 * (moving_s - steady_s) - RAMP_SETTLE_S, 0.0)
+        ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp tells nothing
         dwell_s = max(self.drive.dwell_s - 2.0 * STANDSTILL_SETTLE_S, 0.0)
         counts = [_STEADY, 2 * len(_ON_RAMP), 1]
         each = [steady_s / _STEADY, ramp_s / len(_ON_RAMP), np.full(len(legs), dwell_s)]
@@ -294,7 +299,10 @@ class LineDesignState(DesignState):
         position = add_resting_axes(machine, stops.position)
         feed = np.append(stops.feed_mm_min[:1], self.drive.driven_feed(stops.legs))
         dwell_s = np.full(len(stops), self.drive.dwell_s)
-        return Path(machine.axis_names, position, feed, dwell_s)
+        names = ()
+        if self.model.machine.rotary_axes:
+            names = self._name_target(len(stops))
+        return Path(machine.axis_names, position, feed, dwell_s, names)
 
     def _record(self, at: Conditions, legs: Legs) -> RecordedState:
         """Return how fast each axis moves, for effects that depend on it.

@@ -6,7 +6,9 @@ unknown, by the model, prior and noise that the estimate will be made with.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from app.errors import PlanningError
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
 from app.kinematics.machine import Machine, remove_rotary_axes
-from app.motion.configurations import Commanded, join_rows
+from app.motion.configurations import Commanded, join_rows, split_by_target
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import Drive, row_times_s
 from app.motion.travel import inner_travel
@@ -33,9 +35,18 @@ from app.planning.initial_design import (
     start_design,
 )
 from app.planning.leg_choice import SearchEffort
-from app.planning.planner import Planner, PlanShare, plan_in_turn
+from app.planning.planner import (
+    CHANGE_S,
+    Planner,
+    PlanShare,
+    inform,
+    judge_feeds,
+    plan_in_turn,
+    wait_for_tracker,
+)
 from app.planning.station_choice import StationAdvice, StationChoice, choose_place
 from app.planning.station_information import StationJudge, Survey
+from app.planning.target_shares import share_among_targets
 from app.progress import Progress, ignore_progress
 from drivers.interfaces.records import Path
 
@@ -46,6 +57,8 @@ _FIRST_TRY_S = 60.0
 _TRIES = 5
 _SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
 _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
+# Where stops were moved all axes would go on every line.
+_TURNING_EFFORT = SearchEffort(candidates=40, rounds=0)
 _CLOSE = 0.93  # a plan that would be shorter by less is not tried
 _FEEDS = (1.0, 0.63, 0.4, 0.25)  # of the highest: among these a line has its own
 
@@ -60,6 +73,7 @@ class PlanOrder:
         those at which lines tell most a second
     corner_path : the path of the 2023 paper instead, to compare with
     model : whose effects are to be told apart from the error motions and each other
+    turns : rotary axes turn on the lines as well
     """
 
     mode: str = "otf"
@@ -72,6 +86,7 @@ class PlanOrder:
     workspace: Workspace = field(default_factory=Workspace)
     seed: int = 0
     model: PriorModel | None = None
+    turns: bool = True
 
     @property
     def is_on_the_fly(self) -> bool:
@@ -98,13 +113,16 @@ class PlanOrder:
         return Assumptions(self.select_effects(machine), self.perpendicular_only)
 
     def moving(self, machine: Machine) -> Machine:
-        """Return the machine without its rotary axes on the fly: there they stand."""
-        return remove_rotary_axes(machine) if self.is_on_the_fly else machine
+        """Return the machine without its rotary axes where they stand."""
+        stands = self.is_on_the_fly and (self.corner_path or not self.turns)
+        return remove_rotary_axes(machine) if stands else machine
 
     def drive(self, machine: Machine) -> Drive:
         """Return how the machine moves."""
-        usual_s = LINE_DWELL_S if self.is_on_the_fly else POINT_DWELL_S
-        return Drive.of_machine(self.moving(machine), self.dwell_s or usual_s)
+        moving = self.moving(machine)
+        if self.is_on_the_fly:
+            return Drive.of_lines(moving, self.dwell_s or LINE_DWELL_S)
+        return Drive.of_machine(moving, self.dwell_s or POINT_DWELL_S)
 
     def feeds(self, machine: Machine) -> tuple[float, ...]:
         """Return the feeds as asked for, else those that lines choose from.
@@ -118,9 +136,10 @@ class PlanOrder:
         if not self.is_on_the_fly:
             return (highest,)
         feeds = tuple(float(round(share * highest)) for share in _FEEDS)
-        low, high = inner_travel(self.moving(machine))
+        low, high = inner_travel(remove_rotary_axes(machine))
         longest_mm = float(np.linalg.norm(high - low))
-        least_mm = self.drive(machine).shortest_mm(np.array(feeds))
+        drive = replace(self.drive(machine), least_mm=0.0)
+        least_mm = drive.shortest_mm(np.array(feeds))
         held = [f for f, mm in zip(feeds, least_mm, strict=True) if mm <= longest_mm]
         return tuple(held) or feeds[-1:]
 
@@ -292,31 +311,37 @@ class _PlanAttempt:
         """Return a few lines or points of the whole travel, chosen in no time."""
         if self.order.corner_path:
             return self._corners()
-        return self._choose(np.inf, True)
+        count = _SURVEY_LINES if self.order.is_on_the_fly else _SURVEY_POINTS
+        legs = -(-count // len(self._planners))
+        shares = [PlanShare(planner, legs=legs) for planner in self._planners]
+        return self._plan_in_turn(shares, _SURVEY_EFFORT)
 
     def _corners(self) -> Path:
         dwell_s = self.order.drive(self.machine).dwell_s
         return corner_path(self.machine, self.order.feeds(self.machine)[0], dwell_s)
 
-    def _choose(self, budget_s: float, survey: bool = False) -> Commanded:
-        choose = self._lines if self.order.is_on_the_fly else self._points
-        return choose(budget_s, survey)
-
-    def _lines(self, budget_s: float, survey: bool) -> Commanded:
-        moving = self.order.moving(self.machine)
-        if not moves_where_seen(moving, self.machine.target()):
-            raise PlanningError(
-                f"the first target of {self.machine.name} does not move while the "
-                "rotary axes stand; state one on the tool first, or use mode standstill"
-            )
-        legs, effort = (_SURVEY_LINES, _SURVEY_EFFORT) if survey else (None, None)
-        return self._line_planner().plan(
-            budget_s, legs=legs, seed=self.order.seed, effort=effort
+    def _choose(self, budget_s: float) -> Commanded:
+        """Return a block for each target that is worth it, one after another."""
+        change_s = CHANGE_S if self.order.is_on_the_fly else 0.0
+        shares = share_among_targets(
+            self._planners, budget_s, change_s, self.order.seed
         )
+        effort = _TURNING_EFFORT if self._turns else None
+        return self._plan_in_turn(shares, effort)
 
-    def _line_planner(self) -> Planner:
-        feeds = self.order.feeds(self.machine)
-        return self._make_planner(feeds, dynamic=self._tells_lags)
+    @property
+    def _turns(self) -> bool:
+        """Whether rotary axes turn on lines."""
+        order = self.order
+        return order.is_on_the_fly and bool(order.moving(self.machine).rotary_axes)
+
+    def _plan_in_turn(
+        self, shares: Sequence[PlanShare], effort: SearchEffort | None = None
+    ) -> Commanded:
+        blocks = plan_in_turn(shares, seed=self.order.seed, effort=effort)
+        if self.order.is_on_the_fly:
+            wait_for_tracker(blocks)
+        return join_rows(blocks)
 
     @property
     def _tells_lags(self) -> bool:
@@ -324,34 +349,45 @@ class _PlanAttempt:
         known = self.assumed.known.effects
         return len(self.order.feeds_mm_min) > 1 or any(e.lag_axis for e in known)
 
-    def _points(self, budget_s: float, survey: bool) -> Commanded:
-        """Return a block of points for each target that moves, one after another."""
-        targets = moving_targets(self.machine)
-        feeds = self.order.feeds(self.machine)[:1]
-        planners = [self._make_planner(feeds, target=t.name) for t in targets]
-        legs, effort = (_SURVEY_POINTS, _SURVEY_EFFORT) if survey else (None, None)
-        shares = [PlanShare(one, budget_s / len(targets), legs) for one in planners]
-        return join_rows(plan_in_turn(shares, seed=self.order.seed, effort=effort))
+    @cached_property
+    def _planners(self) -> tuple[Planner, ...]:
+        """One for each target that may be measured."""
+        machine, order = self.machine, self.order
+        if order.is_on_the_fly and not self._turns:
+            return (self._make_planner(None),)
+        first, *others = moving_targets(machine)
+        planner = self._make_planner(first.name)
+        return (
+            planner,
+            *(
+                replace(planner, design=replace(planner.design, target=target))
+                for target in others
+            ),
+        )
 
-    def _make_planner(
-        self,
-        feeds: tuple[float, ...],
-        *,
-        target: str | None = None,
-        dynamic: bool = False,
-    ) -> Planner:
-        order = self.order
+    def _make_planner(self, target: str | None) -> Planner:
+        """Return the planner of a target; None: the first, the rotary axes at rest."""
+        order, machine = self.order, self.machine
+        if target is None and not moves_where_seen(
+            remove_rotary_axes(machine), machine.target()
+        ):
+            raise PlanningError(
+                f"the first target of {machine.name} does not move while the "
+                "rotary axes stand; state one on the tool first, or use mode standstill"
+            )
+        feeds = order.feeds(machine)
         design = start_design(
             order.design_kind,
-            self.machine,
+            machine,
             self.station_mm,
-            order.drive(self.machine),
+            order.drive(machine),
             self.assumed,
             target=target,
-            dynamic=dynamic,
+            dynamic=order.is_on_the_fly and self._tells_lags,
         )
         is_free = order.is_on_the_fly and not order.feeds_mm_min
-        return Planner(self.machine, design, order.workspace, feeds, is_free)
+        feeds = feeds if order.is_on_the_fly else feeds[:1]
+        return Planner(machine, design, order.workspace, feeds, is_free)
 
     def _evaluate(self, commanded: Commanded) -> Plan:
         order = self.order
@@ -365,11 +401,16 @@ class _PlanAttempt:
         time_s = np.cumsum(row_times_s(commanded, order.feeds(self.machine)[0], limits))
         lags: dict[str, float] = {}
         worth: dict[float, float] = {}
-        if order.is_on_the_fly and self._tells_lags:
-            lags = predict_lag_sigmas_s(self._line_planner().update(commanded).design)
-        is_given = order.feeds_mm_min or order.corner_path
-        if isinstance(commanded, Path) and not is_given:
-            worth = self._line_planner().judge_feeds(commanded)
+        if isinstance(commanded, Path):
+            known = {one.design.target.name: one for one in self._planners}
+            parts = [p for p in split_by_target(commanded) if isinstance(p, Path)]
+            each = [
+                known[p.target[0]] if p.target else self._planners[0] for p in parts
+            ]
+            if self._tells_lags:
+                lags = predict_lag_sigmas_s(each[0].design.add(inform(each, parts)))
+            if not (order.feeds_mm_min or order.corner_path):
+                worth = judge_feeds(each, parts)
         return Plan(
             self.machine,
             order,

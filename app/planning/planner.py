@@ -24,6 +24,7 @@ from app.planning.design_state import DesignState
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from drivers.interfaces.records import Path
 
+CHANGE_S = 5.0  # for the tracker to turn to another target
 _STARTS = 400  # places that are tried where no corner is allowed
 
 
@@ -88,32 +89,22 @@ class Planner:
 
         done : rows of a plan that follow each other, from where the first leg began
         """
+        return replace(self, design=self.design.add(self.inform(done)))
+
+    def inform(self, done: Commanded) -> Float64[np.ndarray, "p p"]:
+        """Return the precision that legs bring, as for `update`."""
+        return self.design.information(self._find_legs(done))
+
+    def duration_s(self, done: Commanded) -> float:
+        """Return how long legs take with their dwells."""
+        return float(self.design.drive.times_s(self._find_legs(done)).sum())
+
+    def _find_legs(self, done: Commanded) -> Legs:
         feed = np.full(len(done), self.feeds_mm_min[0])
         if isinstance(done, Path):
             feed = done.feed_mm_min
         columns = len(self.design.model.machine.axes)
-        legs = Stops(done.position[:, :columns], feed).legs
-        known = self.design.add(self.design.information(legs))
-        return replace(self, design=known)
-
-    def judge_feeds(self, path: Path) -> dict[float, float]:
-        """Return what a second tells at each feed, relative to the path's own feeds.
-
-        All its lines are driven at that feed, as far as the feed is reached.
-        """
-        columns = len(self.design.model.machine.axes)
-        stops = Stops(path.position[:, :columns], path.feed_mm_min)
-
-        def worth(stops: Stops) -> float:
-            known = self.design.add(self.design.information(stops.legs))
-            time_s = float(self.design.drive.times_s(stops.legs).sum())
-            return 1.0 / (known.integrated_variance * time_s)
-
-        own = worth(stops)
-        return {
-            feed: worth(Stops(stops.position, np.full(len(stops), feed))) / own
-            for feed in self.feeds_mm_min
-        }
+        return Stops(done.position[:, :columns], feed).legs
 
     def check(self, plan: Commanded) -> None:
         """Raise PlanningError if a plan leaves the travel or breaks the workspace."""
@@ -168,11 +159,15 @@ class Planner:
 
 @dataclass(frozen=True, slots=True)
 class PlanShare:
-    """What one of several planners has: a time, or a number of legs."""
+    """What one of several planners has: a time, or a number of legs.
+
+    expected : precision that its legs are expected to bring
+    """
 
     planner: Planner
     budget_s: float = np.inf
     legs: int | None = None
+    expected: float | Float64[np.ndarray, "p p"] = 0.0
 
 
 def plan_in_turn(
@@ -180,19 +175,59 @@ def plan_in_turn(
 ) -> list[Commanded]:
     """Return the plans of planners of one model, each from where the last one ends.
 
-    Each knows what those before it measure.
+    Each knows what those before it measure, and expects what those after it bring.
     """
     blocks: list[Commanded] = []
-    precision = start = None
-    for share in shares:
-        planner = share.planner
-        if precision is not None:
-            known = replace(planner.design, precision=precision)
-            planner = replace(planner, design=known)
+    measured, start = 0.0, None
+    for number, share in enumerate(shares):
+        before = share.planner.design.precision
+        expected = sum(one.expected for one in shares[number + 1 :])
+        known = replace(share.planner.design, precision=before + measured + expected)
+        planner = replace(share.planner, design=known)
         block = planner.plan(
             share.budget_s, legs=share.legs, start=start, seed=seed, effort=effort
         )
-        precision = planner.update(block).design.precision
+        measured = measured + planner.inform(block)
         start = block.position[-1]
         blocks.append(block)
     return blocks
+
+
+def inform(
+    planners: Sequence[Planner], blocks: Sequence[Commanded]
+) -> Float64[np.ndarray, "p p"]:
+    """Return the precision that blocks bring, each of its own planner's target."""
+    pairs = zip(planners, blocks, strict=True)
+    return np.sum([planner.inform(block) for planner, block in pairs], axis=0)
+
+
+def judge_feeds(
+    planners: Sequence[Planner], blocks: Sequence[Path]
+) -> dict[float, float]:
+    """Return what a second tells at each feed, relative to the paths' own feeds.
+
+    All lines are driven at that feed, as far as the feed is reached.
+
+    planners : of one model; blocks : what each of them planned
+    """
+
+    def worth(driven: Sequence[Path]) -> float:
+        known = planners[0].design.add(inform(planners, driven))
+        pairs = zip(planners, driven, strict=True)
+        time_s = sum(planner.duration_s(path) for planner, path in pairs)
+        return 1.0 / (known.integrated_variance * time_s)
+
+    def drive_at(feed_mm_min: float) -> list[Path]:
+        return [
+            replace(path, feed_mm_min=np.full(len(path), feed_mm_min))
+            for path in blocks
+        ]
+
+    own = worth(blocks)
+    return {f: worth(drive_at(f)) / own for f in planners[0].feeds_mm_min}
+
+
+def wait_for_tracker(blocks: Sequence[Commanded]) -> None:
+    """Let the machine stand where the tracker has to turn to another target."""
+    for block in blocks[1:]:
+        block.dwell_s[0] = CHANGE_S

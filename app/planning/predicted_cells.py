@@ -98,13 +98,16 @@ def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
     legs = Stops(path.position, path.feed_mm_min).legs
     length, speed = np.maximum(drive.length(legs), 1e-9), drive.peak_mm_s(legs)
     ramp_s, (lost, steady_s) = drive.ramp_s(speed), drive.steady(legs)
+    turns = drive.turns(legs)
     cell = np.maximum(cell_mm, length.sum() / _MOST_CELLS)
     yield from _dwell(0, path.dwell_s[0], end_s[0])
     for k in range(len(legs)):
         row, begin_s = k + 1, end_s[k]
         moving_s = row_s[row] - path.dwell_s[row]
         span_s = 0.5 * (moving_s - steady_s[k])
-        ramp = _ramp(row, lost[k], span_s, ramp_s[k], cell / length[k])
+        ramp = None  # on a curve it tells nothing
+        if not turns[k]:
+            ramp = _ramp(row, lost[k], span_s, ramp_s[k], cell / length[k])
         if ramp is not None:
             yield replace(ramp, time_s=begin_s + ramp.time_s)
         if steady_s[k] > 0.0:

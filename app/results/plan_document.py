@@ -107,9 +107,11 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
         }
         for feed, worth in planned.feeds_worth.items()
     ]
-    driven = ", ".join(
-        f"{f['lines']} at {f['feed_mm_min']:g}" for f in feeds if f["lines"]
-    )
+    counted = [f"{f['lines']} at {f['feed_mm_min']:g}" for f in feeds if f["lines"]]
+    slower = len(path) - 1 - sum(int(f["lines"]) for f in feeds)
+    if slower:
+        counted.append(f"{slower} slower, where rotary axes turn or the target changes")
+    driven = ", ".join(counted)
     alone = ", ".join(
         f"{f['relative_information_per_s']:.2f} at {f['feed_mm_min']:g}" for f in feeds
     )
@@ -125,9 +127,11 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
 def _list_unobservable(planned: Plan) -> list[str]:
     """Return what the plan cannot tell, in words."""
     said = list(planned.forecast.unobservable)
-    turning = [axis.name for axis in planned.machine.rotary_axes]
-    if planned.order.mode == "otf" and turning:
-        axes = ", ".join(turning)
+    resting = planned.machine.rotary_axes
+    if planned.order.moving(planned.machine).rotary_axes:
+        resting = ()
+    if resting:
+        axes = ", ".join(axis.name for axis in resting)
         said.append(
             f"{axes}: rotary axes stand still on this path; their errors show between "
             "standstills (--mode standstill)"

@@ -149,13 +149,16 @@ def test_a_workspace_keeps_the_path_out_of_its_boxes(machine_file, tmp_path, sum
     assert not inside.all(axis=-1).any()
 
 
-def test_on_the_fly_a_target_on_a_table_that_stands_is_refused(tmp_path, capsys):
+def test_a_target_on_the_axis_that_turns_it_is_refused(tmp_path, capsys):
     content = load_machine("trunnion")
-    content["targets"] = {"W": {"on": "workpiece", "offset_mm": [90, 0, 0]}}
+    content["kinematic_chain"] = "w-C-b-X-Y-Z-t"
+    del content["axes"]["A"]
+    place = [*content["axes"]["C"]["origin_mm"][:2], 0.0]
+    content["targets"] = {"W": {"on": "workpiece", "offset_mm": place}}
     file = tmp_path / "machine.json"
     file.write_text(json.dumps(content))
     assert run(["plan", str(file), "-o", str(tmp_path / "out")]) == 2
-    assert "does not move while the rotary axes stand" in capsys.readouterr().err
+    assert "W hardly moves where the tracker stands" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

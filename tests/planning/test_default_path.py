@@ -16,9 +16,9 @@ from app.kinematics.machine import (
     Target,
     TrackerNoise,
 )
-from app.motion.motion_times import Drive, Legs, travel_time_s
+from app.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
 from app.motion.travel import check_travel
-from app.planning.default_path import FASTEST_DEG_MIN, default_path
+from app.planning.default_path import default_path
 from app.planning.design_state import LineDesignState, inverse
 from app.planning.initial_design import start_design
 from drivers.interfaces.records import Path
@@ -182,7 +182,7 @@ def test_lines_go_straight_turn_and_do_both(path: Path) -> None:
     straight, turn = steps(path)
     assert ((straight > 0) & (turn == 0)).sum() > 8
     assert ((straight == 0) & (turn > 0)).sum() > 8
-    assert ((straight > 0) & (turn > 0)).sum() > 8
+    assert ((straight > 0) & (turn > 0)).sum() > 5
 
 
 def test_every_target_is_measured_and_the_machine_waits_while_it_changes(
@@ -239,7 +239,7 @@ def test_planned_lines_tell_more_than_random_ones_in_the_same_time(
     rng: np.random.Generator,
 ) -> None:
     mill = trunnion(SIX_TARGETS)
-    path = default_path(mill, lines=48)
+    path = default_path(mill, lines=36)
     low = np.array([axis.low for axis in mill.axes])
     high = np.array([axis.high for axis in mill.axes])
     position = rng.uniform(low, high, path.position.shape)

@@ -1,0 +1,78 @@
+"""How the time of a plan is shared among targets: by what each tells a second.
+
+Some legs of each target, drawn at random, show what a second of it tells. The time is
+then shared so that all together leave the least integrated variance, which is convex in
+the shares (the multiplicative algorithm of Silvey, Titterington and Torsney, 1978). A
+target whose share is not worth turning the tracker to is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from app.motion.motion_times import Legs
+from app.planning.design_state import inverse
+from app.planning.planner import Planner, PlanShare
+
+_LEGS = 60  # of each target, before those are left out that cannot be measured
+_LEAST_S = 10.0  # of a target: a few legs
+_ROUNDS = 30
+
+
+def share_among_targets(
+    planners: Sequence[Planner], budget_s: float, change_s: float, seed: int
+) -> list[PlanShare]:
+    """Return the time of each target that is worth it.
+
+    planners : of one model, each of one target; change_s : from a target to the next
+    """
+    if len(planners) == 1:
+        return [PlanShare(planners[0], budget_s)]
+    expected = [expect_legs(planner, seed) for planner in planners]
+    rates = [precision / leg_s for precision, leg_s in expected]
+    kept = list(range(len(planners)))
+    while True:
+        time_s = max(budget_s - change_s * (len(kept) - 1), 0.0)
+        share = _share(planners[0], [rates[k] for k in kept], time_s)
+        least = int(np.argmin(share))
+        if len(kept) == 1 or share[least] * time_s >= _LEAST_S:
+            break
+        del kept[least]
+    return [
+        PlanShare(planners[k], part * time_s, expected=part * time_s * rates[k])
+        for k, part in zip(kept, share.tolist(), strict=True)
+    ]
+
+
+def expect_legs(
+    planner: Planner, seed: int
+) -> tuple[Float64[np.ndarray, "p p"], float]:
+    """Return the precision that a leg anywhere brings, and how long it takes."""
+    rng, region, design = np.random.default_rng(seed), planner.region(), planner.design
+    begin, end = rng.uniform(region.low, region.high, (2, _LEGS, len(region.low)))
+    end = design.hold(end, begin)
+    legs = Legs(begin, end, np.full(_LEGS, planner.feeds_mm_min[0]))
+    ok = region.allows(legs)
+    if not ok.any():
+        return np.zeros_like(design.precision), 1.0
+    legs = Legs(begin[ok], end[ok], legs.feed_mm_min[ok])
+    time_s = float(design.drive.times_s(legs).mean())
+    return design.information(legs) / len(legs), time_s
+
+
+def _share(
+    planner: Planner, rates: Sequence[Float64[np.ndarray, "p p"]], time_s: float
+) -> Float64[np.ndarray, " t"]:
+    """Return the shares of a time, which sum to 1, that leave least."""
+    design = planner.design
+    share = np.full(len(rates), 1.0 / len(rates))
+    for _ in range(_ROUNDS):
+        told = np.tensordot(share, np.array(rates), axes=1)
+        C = inverse(design.precision + time_s * told)
+        falls = C @ design.gram @ C
+        share *= np.sqrt([np.sum(falls * rate) for rate in rates])
+        share /= max(float(share.sum()), 1e-300)
+    return share
