@@ -143,6 +143,20 @@ class Machine:
         """The rotary axes, in column order."""
         return tuple(a for a in self.axes if isinstance(a, RotaryAxis))
 
+    def axis(self, name: str) -> Axis:
+        """Return the axis called `name`."""
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
+    def rotary(self, name: str) -> RotaryAxis:
+        """Return the rotary axis called `name`."""
+        for axis in self.rotary_axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
     def linear(self, name: str) -> LinearAxis:
         """Return the straight axis called `name`."""
         for axis in self.linear_axes:

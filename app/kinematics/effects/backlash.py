@@ -36,7 +36,7 @@ from app.kinematics.effects.error_motion import (
     find_arm,
     find_usual_size,
 )
-from app.kinematics.effects.keys import AXIS, MOTION
+from app.kinematics.effects.keys import ANY_AXIS, AXIS, MOTION
 from app.kinematics.machine import Axis, LinearAxis, Machine
 from app.kinematics.splines import CubicSpline, natural_spline
 from app.kinematics.symbols import is_positioning, is_turn, list_error_motions
@@ -95,16 +95,16 @@ def _few_knots(axis: Axis) -> CubicSpline:
     return natural_spline(np.linspace(axis.low, axis.high, _INTERVALS + 1))
 
 
-def _lost_positioning(axis: LinearAxis) -> Backlash:
+def _lost_positioning(axis: Axis) -> Backlash:
     return make_half_width(f"E{axis.name}{axis.name}", axis)
 
 
 class BacklashFamily(Family):
-    """One candidate an axis."""
+    """One candidate an axis, straight or rotary."""
 
     name = "backlash"
     makes = _lost_positioning
-    keys = {"axis": AXIS}
+    keys = {"axis": ANY_AXIS}
     # Coming from below, the axis stops short by half the width.
     stated = {"width_um": -2e3}
     words = read_words("""
@@ -126,8 +126,19 @@ class BacklashFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis."""
-        axes = at.machine.linear_axes
-        return [self.offer(_lost_positioning(a), [0.5 * USUAL_MM]) for a in axes]
+        effects = [_lost_positioning(axis) for axis in at.machine.axes]
+        usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
+        return [self.offer(e, [usual[is_turn(e.symbol)]]) for e in effects]
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return the width; of a rotary axis without a sign.
+
+        There it depends on the side that carries the axis.
+        """
+        if not is_turn(f"E{2 * found.candidate.keys['axis']}"):
+            return super().state(found)
+        (half,) = found.parameters
+        return {"width_urad": Quantity(abs(half.value), half.uncertainty).scale(2e6)}
 
 
 @dataclass(frozen=True)

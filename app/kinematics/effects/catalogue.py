@@ -21,7 +21,7 @@ from jaxtyping import Float64
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.keys import Key
-from app.kinematics.machine import LinearAxis, Machine
+from app.kinematics.machine import Axis, Machine
 from app.numerics.value_equality import ValueEquality
 from app.plugins import installed, load
 
@@ -187,7 +187,7 @@ class Family(ABC):
     def offer(self, effect: Effect, usual: Iterable[float]) -> Candidate:
         """Return a candidate whose keys and value are fields of the effect."""
         keys = {key: getattr(effect, key) for key in self.keys}
-        keys = {k: v.name if isinstance(v, LinearAxis) else v for k, v in keys.items()}
+        keys = {k: v.name if isinstance(v, Axis) else v for k, v in keys.items()}
         value = getattr(effect, self.value_name, None) if self.value_name else None
         sigma = np.array([*usual], np.float64)
         return Candidate(self.name, keys, effect, sigma, value)

@@ -26,7 +26,14 @@ from app.kinematics.effects.catalogue import (
     CandidateEstimate,
     Family,
 )
-from app.kinematics.machine import LinearAxis, Machine, Target, TrackerNoise
+from app.kinematics.machine import (
+    Axis,
+    LinearAxis,
+    Machine,
+    RotaryAxis,
+    Target,
+    TrackerNoise,
+)
 
 UNITS = ("mm", "rad", "s", "mm/s", "1/K", "1")
 _STEP = 1e-3
@@ -44,18 +51,20 @@ def require(kept: bool, otherwise: str) -> None:
 
 
 def example_conditions(count: int = 400) -> Conditions:
-    """Return cells of a machine of three straight axes that moves, turns and warms."""
-    axes = tuple(LinearAxis(name, 0.0, 500.0) for name in "XYZ")
+    """Return cells of a machine of four axes that moves, turns and warms."""
+    axes: tuple[Axis, ...] = tuple(LinearAxis(name, 0.0, 500.0) for name in "XYZ")
+    axes += (RotaryAxis("C", 0.0, 500.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),)
     target = Target("T", "tool", (20.0, 30.0, -100.0))
-    machine = Machine("example", (), ("X", "Y", "Z"), axes, (target,), TrackerNoise())
+    chain = ("X", "Y", "Z", "C")
+    machine = Machine("example", (), chain, axes, (target,), TrackerNoise())
     rng = np.random.default_rng(1)
-    still = make_standstill(machine, rng.uniform(0.0, 500.0, (count, 3)))
-    rate = rng.uniform(-100.0, 100.0, (count, 3))
+    still = make_standstill(machine, rng.uniform(0.0, 500.0, (count, 4)))
+    rate = rng.uniform(-100.0, 100.0, (count, 4))
     recorded = RecordedState(
         rate,
         np.full(count, 0.05),
-        rng.uniform(0.0, 200.0, (count, 3)),
-        still.position_mm + np.array([1500.0, -800.0, 300.0]),
+        rng.uniform(0.0, 200.0, (count, 4)),
+        still.position_mm[:, :3] + np.array([1500.0, -800.0, 300.0]),
         np.eye(3),
         ("X", "Y", "Z"),
         20.0 + np.linspace(0.0, 3.0, count)[:, None] * np.ones(3),
@@ -64,7 +73,7 @@ def example_conditions(count: int = 400) -> Conditions:
         still,
         time_s=np.linspace(0.0, 120.0, count),
         line=np.arange(count) // 20,
-        velocity_mm_s=rate,
+        velocity_mm_s=rate[:, :3],
         approach=np.sign(rate),
         recorded=recorded,
     )

@@ -5,6 +5,9 @@ rests on it: that share grows with the other axis' position. In one direction th
 displacement is −amplitude · 4u(1 − u) · v, with u along the guide and v along the
 carriage's travel, both from 0 to 1. A heavy carriage makes the deflection under itself
 that of a travelling load, (4u(1 − u))².
+
+A swivel that carries its weight off its axis loads a guide by sine and cosine of its
+angle.
 """
 
 from __future__ import annotations
@@ -18,9 +21,18 @@ from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, columns_along
-from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Family, read_words
-from app.kinematics.effects.keys import AXIS, DIRECTION
-from app.kinematics.machine import LinearAxis
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    CandidateEstimate,
+    Family,
+    Quantity,
+    read_words,
+)
+from app.kinematics.effects.error_motion import find_arm
+from app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
+from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
+from app.kinematics.machine import LinearAxis, RotaryAxis
 from app.kinematics.symbols import LINEAR
 
 _UNDER = replace(AXIS, phrase="under {}")
@@ -47,7 +59,35 @@ class ElasticSag(Effect):
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
         """Return the direction times the product."""
         u, v = (_share(axis, at) for axis in (self.axis, self.by))
-        return columns_along(self.direction, -4.0 * u * (1.0 - u) * v)
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        return columns_along(arm, -4.0 * u * (1.0 - u) * v)
+
+
+@dataclass(frozen=True)
+class SwivelSag(Effect):
+    """Displacement of a guide in one direction by the weight that a swivel carries.
+
+    Its centre of gravity is off the swivel's axis, so that what rests on the guide goes
+    as sine and cosine of the angle. θ : both at mid guide
+    """
+
+    kind = "swivel-sag"
+    units = {"sin": "mm", "cos": "mm"}
+    axis: LinearAxis
+    by: RotaryAxis
+    direction: str
+
+    @property
+    def axis_pair(self) -> tuple[str, str]:
+        """Guide and swivel."""
+        return self.axis.name, self.by.name
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
+        """Return the direction times the product."""
+        u, angle = _share(self.axis, at), np.radians(at.axis_mm(self.by.name))
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        bent = -4.0 * u * (1.0 - u)
+        return columns_along(arm, bent[:, None] * sine_and_cosine(angle))
 
 
 def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
@@ -87,3 +127,47 @@ class ElasticSagFamily(Family):
             for axis, by in permutations(at.machine.linear_axes, 2)
             for direction in LINEAR
         ]
+
+
+class SwivelSagFamily(Family):
+    """Every guide under every rotary axis, and direction."""
+
+    name = "swivel-sag"
+    makes = SwivelSag
+    keys = {
+        "axis": AXIS,
+        "by": replace(ROTARY_AXIS, phrase="under {}"),
+        "direction": DIRECTION,
+    }
+    words = read_words("""
+        [en]
+        title = Sag of a guide that depends on a swivel
+        cause = A head or table that swivels carries its weight off its axis, and the
+            guide below bends as it turns.
+        looks_like = The straightness or positioning of a straight axis depends on the
+            angle of a rotary one, by its sine and cosine.
+        remedy = Check counterweight and guide; compensate straightness for the angles
+            that are worked at.
+        [de]
+        title = Durchbiegung einer Führung, die von einer Schwenkachse abhängt
+        cause = Ein Kopf oder Tisch, der schwenkt, trägt sein Gewicht außerhalb seiner
+            Achse, und die Führung darunter biegt sich beim Drehen.
+        looks_like = Geradheit oder Positionierung einer Linearachse hängt vom Winkel
+            einer Drehachse ab, als deren Sinus und Kosinus.
+        remedy = Gegengewicht und Führung prüfen; die Geradheit für die Winkel
+            kompensieren, bei denen gearbeitet wird.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one for each pair and direction."""
+        return [
+            self.offer(SwivelSag(axis, by, direction), [2.0 * USUAL_MM] * 2)
+            for axis in at.machine.linear_axes
+            for by in at.machine.rotary_axes
+            for direction in LINEAR
+        ]
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return the sag in mid guide, and its phase."""
+        amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
+        return {"amplitude_um": amplitude.scale(1e3), "phase_rad": phase}

@@ -57,6 +57,8 @@ def _read_motion(machine: Machine, text: str) -> str:
 
 
 AXIS = Key("of {}", Machine.linear)
+ROTARY_AXIS = Key("of {}", Machine.rotary)
+ANY_AXIS = Key("of {}", Machine.axis)
 DIRECTION = choose_from("along {}", LINEAR)
 MOTION = Key("in {}", _read_motion, _with_meaning)
 SYMBOL = replace(choose_from("{}", SQUARENESS), explain=_with_meaning)

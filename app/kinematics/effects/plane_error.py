@@ -25,6 +25,7 @@ from app.kinematics.effects.catalogue import (
     Quantity,
     read_words,
 )
+from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import DIRECTION, PLANE
 from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import LINEAR
@@ -58,7 +59,8 @@ class PlaneError(Effect):
         """Return the direction times the products."""
         one, two = (_legendre(axis, at) for axis in (self.first, self.second))
         products = np.stack([one[:, i] * two[:, j] for i, j in _PAIRS], axis=1)
-        return columns_along(self.direction, products)
+        arm = find_arm(f"E{self.direction}{self.first.name}", at)
+        return columns_along(arm, products)
 
 
 def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:

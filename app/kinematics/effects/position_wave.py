@@ -1,4 +1,4 @@
-"""Periodic errors along an axis: of screw or scale, and across it without a cause."""
+"""Periodic errors along an axis: of screw, gear or scale, and across it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,27 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Role, columns_along
-from app.kinematics.effects.catalogue import USUAL_MM, Candidate, Wave, read_words
+from app.kinematics.effects.base import Role
+from app.kinematics.effects.catalogue import (
+    USUAL_MM,
+    Candidate,
+    CandidateEstimate,
+    Quantity,
+    Wave,
+    read_words,
+)
 from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION
-from app.kinematics.effects.sinusoid import Sinusoid, SinusoidFamily
-from app.kinematics.machine import LinearAxis
+from app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
+from app.kinematics.effects.sinusoid import (
+    Sinusoid,
+    SinusoidFamily,
+    find_amplitude_and_phase,
+)
+from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
 from app.kinematics.symbols import LINEAR
 
 _SECOND = 0.2  # usual share of the second harmonic
+_USUAL_RAD = 2e-5
 _FEWEST_PLACES = 12  # of fewer, a wave makes whatever is wanted
 
 
@@ -44,6 +56,23 @@ class ScrewCyclic(Sinusoid):
 
 
 @dataclass(frozen=True)
+class GearCyclic(Sinusoid):
+    """Positioning of a rotary axis as sine and cosine of its angle over a period."""
+
+    kind = "gear-cyclic"
+    units = dict.fromkeys(("sin", "cos"), "rad")
+    period_name = "period_deg"
+    axis: RotaryAxis
+    period_deg: float
+
+    def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+        """Return the wave of the axis' angle."""
+        name = self.axis.name
+        arm = find_arm(f"E{name}{name}", at)
+        return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
+
+
+@dataclass(frozen=True)
 class PositionWave(Sinusoid):
     """Sine and cosine of an axis' position, across the axis."""
 
@@ -57,30 +86,30 @@ class PositionWave(Sinusoid):
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
         """Return the wave of the axis' position."""
         name = self.axis.name
-        arm = columns_along(self.direction, np.ones(len(at)))[:, :, 0]
+        arm = find_arm(f"E{self.direction}{name}", at)
         return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
 
 
 class _FamilyOfAxes(SinusoidFamily):
-    """Waves of the position of a straight axis, between two periods."""
+    """Waves of the position of an axis, between two periods in mm or deg."""
 
-    shortest_mm: ClassVar[float]
-    longest_mm: ClassVar[float]
+    shortest: ClassVar[float]
+    longest: ClassVar[float]
 
-    def is_resolved(self, axis: LinearAxis, at: Conditions) -> bool:
+    def is_resolved(self, axis: Axis, at: Conditions) -> bool:
         """Tell whether positions tell waves apart: travel enough, and places in it."""
         places = np.unique(np.round(at.axis_mm(axis.name)))
         travel = float(np.ptp(places))
-        return len(places) >= _FEWEST_PLACES and travel > 2.0 * self.longest_mm
+        return len(places) >= _FEWEST_PLACES and travel > 2.0 * self.longest
 
     def list_waves(
         self, candidate: Candidate, at: Conditions
     ) -> Float64[np.ndarray, " v"]:
-        """Return waves a millimetre, four steps to one wave over the travel."""
+        """Return waves a mm or deg, four steps to one wave over the travel."""
         # In a further Run the axis may stand.
         travel = float(np.ptp(at.axis_mm(candidate.keys["axis"])))
-        step = 0.25 / max(travel, self.longest_mm)
-        return np.arange(1.0 / self.longest_mm, 1.0 / self.shortest_mm, step)
+        step = 0.25 / max(travel, self.longest)
+        return np.arange(1.0 / self.longest, 1.0 / self.shortest, step)
 
 
 class ScrewCyclicFamily(_FamilyOfAxes):
@@ -89,7 +118,7 @@ class ScrewCyclicFamily(_FamilyOfAxes):
     name = "screw-cyclic"
     value_name = "lead_mm"
     numbers = ("lead_mm",)
-    shortest_mm, longest_mm = 2.5, 45.0
+    shortest, longest = 2.5, 45.0
     makes = ScrewCyclic
     keys = {"axis": AXIS}
     words = read_words("""
@@ -117,6 +146,53 @@ class ScrewCyclicFamily(_FamilyOfAxes):
         return [self.offer(ScrewCyclic(axis, 10.0), usual) for axis in axes]
 
 
+class GearCyclicFamily(_FamilyOfAxes):
+    """Candidates of every rotary axis, the period scanned.
+
+    What repeats once a turn, as an eccentric ring scale does, or a few times, is part
+    of the axis' positioning in every model.
+    """
+
+    name = "gear-cyclic"
+    value_name = "period_deg"
+    numbers = ("period_deg",)
+    shortest, longest = 3.0, 30.0
+    makes = GearCyclic
+    keys = {"axis": ROTARY_AXIS}
+    words = read_words("""
+        [en]
+        title = Cyclic error of gear or ring scale
+        cause = A worm or pinion that errs alike every turn, or a ring scale that errs
+            within its pitch.
+        looks_like = A wave in the angle of a rotary axis, the same at every speed, with
+            the angle of one worm turn or tooth as its period.
+        remedy = Enter a cyclic compensation for the axis; look at the worm's bearing
+            and mesh, or at the scale's head.
+        [de]
+        title = Zyklischer Fehler von Getriebe oder Ringmaßstab
+        cause = Eine Schnecke oder ein Ritzel, das bei jeder Umdrehung gleich irrt, oder
+            ein Ringmaßstab, der innerhalb seiner Teilung irrt.
+        looks_like = Eine Welle im Winkel einer Drehachse, bei jeder Drehzahl gleich,
+            mit dem Winkel einer Schneckenumdrehung oder eines Zahns als Periode.
+        remedy = Für die Achse eine zyklische Kompensation eintragen; Lager und Eingriff
+            der Schnecke oder den Abtastkopf ansehen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return one a rotary axis."""
+        axes = [a for a in at.machine.rotary_axes if self.is_resolved(a, at)]
+        return [self.offer(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2) for axis in axes]
+
+    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
+        """Return period, amplitude and phase."""
+        amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
+        return {
+            self.value_name: found.value,
+            "amplitude_urad": amplitude.scale(1e6),
+            "phase_rad": phase,
+        }
+
+
 class PositionWaveFamily(_FamilyOfAxes):
     """Every axis and direction across it, the period scanned."""
 
@@ -124,7 +200,7 @@ class PositionWaveFamily(_FamilyOfAxes):
     role = Role.STRUCTURE
     value_name = "period_mm"
     numbers = ("period_mm",)
-    shortest_mm, longest_mm = 4.0, 60.0
+    shortest, longest = 4.0, 60.0
     makes = PositionWave
     keys = {"axis": replace(AXIS, phrase="({})"), "direction": DIRECTION}
     covariates = ("{axis}",)
