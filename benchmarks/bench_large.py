@@ -1,8 +1,9 @@
 """Large machines: time and memory as samples and travel grow.
 
-A gantry of 6 × 2.5 × 1.2 m at 24 m/min with more and more lines, then machines twice as
-long each: all of it, from reading to what is stated. The last column is how often the
-cost doubles where the samples do: 1 is linear.
+A gantry of 6 × 2.5 × 1.2 m at 24 m/min with more and more lines, then machines of the
+same proportions from 0.5 to 30 m with 60 lines each: all of it, from reading to what is
+stated. The last column is how often the processor's time doubles where the samples do:
+1 is linear.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from simulators.scenario import load_machine
 
 SEED, FEED_MM_MIN = 4, 24_000.0
 GANTRY = (6000.0, 2500.0, 1200.0)
-MORE_LINES = (30, 60, 120, 240)
-LONGER = (1.0, 2.0, 4.0)  # times the gantry
+MORE_LINES = (30, 60, 120, 240, 460)
+LENGTHS_MM = (500.0, 1500.0, 6000.0, 30_000.0)
 LINES = 60
 
 
@@ -38,7 +39,7 @@ def main() -> None:
     """Measure both rows and print them."""
     print(f"{'lines':>12s} {'samples':>9s} {'parameters':>10s}{'':42s}growth")
     _measure_row([(GANTRY, lines) for lines in MORE_LINES])
-    sizes = [tuple(factor * length for length in GANTRY) for factor in LONGER]
+    sizes = [tuple(x / GANTRY[0] * side for side in GANTRY) for x in LENGTHS_MM]
     _measure_row([(size, LINES) for size in sizes])
 
 
@@ -51,7 +52,7 @@ def _measure_row(worlds: list[tuple[tuple[float, ...], int]]) -> None:
             cost = measure(read_and_analyse, folder)
         samples, parameters = cost.value
         growth = "" if before is None else f"{_exponent(before, cost):6.2f}"
-        size = f"{travel_mm[0] / 1e3:.0f} m, {lines}"
+        size = f"{travel_mm[0] / 1e3:.3g} m, {lines}"
         print(f"{size:>12s} {samples:9d} {parameters:10d} {cost} {growth}", flush=True)
         before = cost
 

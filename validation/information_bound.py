@@ -44,15 +44,21 @@ class Ideal:
 def ideal(
     within: Volume, seen: Observations, found: Estimate, recording: Recording, air: Air
 ) -> Ideal:
-    """Return the ideal estimate from the observations of an estimate."""
-    about = linearise(seen, found.model, found.runs[0].pose, true_noise(air))
+    """Return the ideal estimate from the observations of an estimate.
+
+    What the target does not tell merges with what it does.
+    """
+    whole = found.model
+    told = [e for e in whole.effects if e.name not in whole.confounded]
+    model = MachineModel(whole.machine, tuple(told))
+    about = linearise(seen, model, found.runs[0].pose, true_noise(air))
     data = compute_information(seen, about)
-    truth = true_parameters(found.model, recording.truth)
-    precision = true_precision(found.model, truth, len(data.vector))
+    truth = true_parameters(model, recording.truth)
+    precision = true_precision(model, truth, len(data.vector))
     best = compute_posterior(data, precision)
-    size = found.model.size
+    size = model.size
     covariance = best.covariance[:size, :size]
-    error, sigma = map_mm(within, found.model, best.theta[:size], covariance)
+    error, sigma = map_mm(within, model, best.theta[:size], covariance)
     return Ideal(within.rms_length(sigma), error, sigma, best.theta[:size])
 
 

@@ -19,10 +19,11 @@ from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, middle_of
 from app.estimation.information import Information, Posterior, compute_posterior
+from app.estimation.knots import can_refine, find_intervals, refine_motions
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.prior import guess_prior
-from app.estimation.runs import RunInput
+from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import LONGEST_NOISE_S, add_effects
 from app.kinematics.effects.base import Effect
@@ -107,13 +108,26 @@ def fit_baseline(
 
     Raises Unidentifiable if the lines do not determine the noise.
     """
+    guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]
+    runs = _fit_noise(noise_model, guessed)
     if reference is None:
+        model = _refine_knots(model, runs)
         theta, prior = np.zeros(model.size), guess_prior(model)
     else:
         theta, prior = reference.theta, KnownMachine(reference.covariance)
-    guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]
-    runs = _fit_noise(noise_model, guessed)
     return Baseline(model, theta, prior, runs, noise_model)
+
+
+def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel:
+    """Return the model with knots as close as its error motions need."""
+    while any(map(can_refine, model.error_motions)):
+        data = combine_runs(collect_information(runs, model))
+        prior, result = guess_prior(model).fit(data)
+        intervals = find_intervals(model, prior.precision, result)
+        if not intervals:
+            break
+        model = refine_motions(model, intervals)
+    return model
 
 
 def refit_noise(baseline: Baseline, effects: Sequence[Effect]) -> Baseline:

@@ -198,7 +198,7 @@ def estimate(
     measured = find_measured_ranges(*observed)
     chances = known.compute_chances(fit.model, fit.result)
     result = widen_by_unknown_precision(fit.prior, fit.result)
-    result = add_hidden_variance(result, fit)
+    result = add_hidden_variance(result, fit.model, fit.prior.precision)
     found = Estimate(
         fit.model,
         result.theta,
@@ -228,7 +228,7 @@ def _fit(
     seen : of each Run, in the shortest cells
     """
     fit = select_fit(inputs, nested, known)
-    while intervals := find_intervals(fit):
+    while intervals := find_intervals(fit.model, fit.prior.precision, fit.result):
         nested = replace(nested, alone=refine_motions(nested.alone, intervals))
         inputs = [
             replace(run, observations=cells)

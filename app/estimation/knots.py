@@ -22,7 +22,6 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.alignment.reduction import CELL_MM
-from app.estimation.direction import Fit
 from app.estimation.information import Posterior
 from app.kinematics.effects.error_motion import ErrorMotion
 from app.kinematics.identifiable import KNOT_SPACING_MM
@@ -59,18 +58,22 @@ def _find_cell_mm(model: MachineModel) -> dict[str, float]:
     return cells
 
 
-def find_intervals(fit: Fit) -> dict[str, int]:
+def find_intervals(
+    model: MachineModel, precision: Mapping[str, float], result: Posterior
+) -> dict[str, int]:
     """Return how many intervals motions need whose knots are too far apart.
+
+    precision : of the prior, by motion; result : of the model
 
     Those that hide most first, as long as the problem does not grow too large.
     """
     share = {
-        m.name: compute_hidden_variance(m, fit.prior.precision[m.name])
-        / _mean_variance(m, fit)
-        for m in fit.model.error_motions
-        if _can_refine(m)
+        m.name: compute_hidden_variance(m, precision[m.name])
+        / _mean_variance(m, result.covariance, model.slices[m.name])
+        for m in model.error_motions
+        if can_refine(m)
     }
-    motions = {m.name: m for m in fit.model.error_motions}
+    motions = {m.name: m for m in model.error_motions}
     left = _MOST - sum(len(m.parameters) for m in motions.values())
     found: dict[str, int] = {}
     for name in sorted(share, key=lambda name: -share[name]):
@@ -85,21 +88,28 @@ def find_intervals(fit: Fit) -> dict[str, int]:
     return found
 
 
-def add_hidden_variance(result: Posterior, fit: Fit) -> Posterior:
-    """Return the posterior with what motions may do between knots that are far."""
-    hidden = np.diag(compute_hidden_variances(fit))
-    return replace(result, covariance=result.covariance + hidden)
+def add_hidden_variance(
+    result: Posterior, model: MachineModel, precision: Mapping[str, float]
+) -> Posterior:
+    """Return the posterior with what motions may do between knots that are far.
+
+    precision : of the prior, by motion
+    """
+    hidden = np.zeros(len(result.theta))
+    hidden[: model.size] = compute_hidden_variances(model, precision)
+    return replace(result, covariance=result.covariance + np.diag(hidden))
 
 
-def compute_hidden_variances(fit: Fit) -> Float64[np.ndarray, " p"]:
+def compute_hidden_variances(
+    model: MachineModel, precision: Mapping[str, float]
+) -> Float64[np.ndarray, " p"]:
     """Return of every parameter the variance between knots that are far."""
-    hidden = np.zeros(fit.model.size)
-    for motion in fit.model.identifiable_motions:
-        if _can_refine(motion):
-            precision = fit.prior.precision[motion.name]
+    hidden = np.zeros(model.size)
+    for motion in model.identifiable_motions:
+        if can_refine(motion):
             # Of every control value: their shapes are orthonormal.
-            own = fit.model.slices[motion.name]
-            hidden[own] = compute_hidden_variance(motion, precision)
+            own = model.slices[motion.name]
+            hidden[own] = compute_hidden_variance(motion, precision[motion.name])
     return hidden
 
 
@@ -108,7 +118,8 @@ def compute_hidden_variance(motion: ErrorMotion, precision: float) -> float:
     return _spacing(motion) ** 3 / (3.0 * np.pi**4 * precision)
 
 
-def _can_refine(motion: ErrorMotion) -> bool:
+def can_refine(motion: ErrorMotion) -> bool:
+    """Tell whether a motion of a linear axis may get closer knots."""
     is_linear = not isinstance(motion.axis, RotaryAxis)
     return is_linear and _spacing(motion) > _CLOSEST_MM
 
@@ -117,10 +128,11 @@ def _spacing(motion: ErrorMotion) -> float:
     return float(np.diff(motion.spline.knots).mean())
 
 
-def _mean_variance(motion: ErrorMotion, fit: Fit) -> float:
-    own = fit.model.slices[motion.name]
+def _mean_variance(
+    motion: ErrorMotion, covariance: Float64[np.ndarray, "m m"], own: slice
+) -> float:
     rows = motion.rows(np.linspace(motion.axis.low, motion.axis.high, _GRID))
-    spread: Float64[np.ndarray, "p p"] = fit.result.covariance[own, own]
+    spread = covariance[own, own]
     return float(np.einsum("np,np->n", rows @ spread, rows).mean())
 
 

@@ -24,7 +24,7 @@ from app.errors import Unidentifiable
 from app.estimation.confounded_prior import add_confounded
 from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import Information, compute_posterior
-from app.estimation.knots import join_cells
+from app.estimation.knots import add_hidden_variance, join_cells
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import (
@@ -163,7 +163,8 @@ class LiveEstimator:
         prior = add_confounded(self._prior, result, self._model)
         result = compute_posterior(data, prior.precision_matrix(len(columns)))
         widened = widen_by_unknown_precision(prior, result)
-        covariance = widened.covariance[:size, :size]
+        hidden = add_hidden_variance(widened, self._model, prior.precision)
+        covariance = hidden.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))
         return LiveEstimate(
             self._model,

@@ -107,7 +107,7 @@ def prepare_trials(
         fit.result.theta,
         _split_prior(fit),
         outputs,
-        np.sqrt(compute_hidden_variances(fit)),
+        np.sqrt(compute_hidden_variances(fit.model, fit.prior.precision)),
         plan.seed,
         plan.interval,
     )

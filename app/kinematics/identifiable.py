@@ -39,7 +39,7 @@ from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 # time.
 KNOT_SPACING_MM = 22.0
 KNOT_SPACING_DEG = 15.0
-_MOST_INTERVALS = 48  # unless a motion needs more
+_MOST_INTERVALS = 32  # unless a motion needs more
 _CONFOUNDED_INTERVALS = 12  # what data do not show needs no fine shapes
 _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others at each
 _PROBE = 700  # configurations that stand for the whole volume
