@@ -31,6 +31,7 @@ from app.numerics.scaled_cholesky import ScaledCholesky
 
 _MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
 _DRIFTS = 36  # pose and strain, each with three polynomials of time
+_AT_ONCE = 64  # steps within a line
 _UNSEEN = 0.02  # of a column's information: the fit explains it all
 
 
@@ -185,45 +186,36 @@ class _Examination:
         end: Int64[np.ndarray, " l"],
     ) -> Step | None:
         after = np.cumsum(pose[::-1], axis=0)[::-1]
-        steps = [
-            Step(int(first), *drift.add(own))
-            for first, own in zip(begin[1:], after[1:], strict=True)
-        ]
+        steps = drift.add(begin[1:], after[1:])
         if not steps:
             return None
         best = max(range(len(steps)), key=lambda k: steps[k].gain)
         later = np.concatenate([after[1:], np.zeros_like(after[:1])])
         for line in (best, best + 1):
             inside = np.arange(int(begin[line]), int(end[line]))
-            steps += self._steps_within(inside, later[line], drift)
+            sums = self._sum_within(inside) + later[line]
+            steps += drift.add(inside[1:], sums)
         return max(steps, key=lambda step: step.gain)
 
-    def _steps_within(
-        self,
-        inside: Int64[np.ndarray, " n"],
-        later: Float64[np.ndarray, "q 6"],
-        drift: _Gain,
-    ) -> list[Step]:
-        """Return steps between the cells of one line.
+    def _sum_within(
+        self, inside: Int64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, "s q 6"]:
+        """Return the sums over a line for steps before its second cell and later.
 
-        inside : its cells; later : sums over the lines after it
+        inside : its cells
         """
         design = self.about.build(self.seen.select(inside))
         whitener, p = design.whiten(self.about.noise), self.about.size
         rest = design.residual - design.columns @ self.theta
         S = self._drift_columns(design)
         all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
-        flat = all_.reshape(-1, all_.shape[2])
-        steps: list[Step] = []
-        for k in range(1, len(inside)):
-            P = all_[:, :, self.machine : p].copy()
-            P[:k] = 0.0
-            sums = flat.T @ _weight(design, whitener, P).reshape(-1, 6)
-            sums[self.machine : p] = P.reshape(-1, 6).T @ _weight(
-                design, whitener, P
-            ).reshape(-1, 6)
-            steps.append(Step(int(inside[k]), *drift.add(later + sums)))
-        return steps
+        P = all_[:, :, self.machine : p]
+        # V⁻¹ is symmetric: weight what they are multiplied with, once for all steps.
+        weighted = _weight(design, whitener, all_)
+        each = np.swapaxes(weighted, 1, 2) @ P
+        sums = np.cumsum(each[::-1], axis=0)[::-1][1:]
+        sums[:, self.machine : p] = _square_tails(design, whitener, P)
+        return sums
 
 
 class _Gain:
@@ -240,11 +232,24 @@ class _Gain:
         self.size = self.inverse @ self.pulled
         self.gain = float(self.pulled @ self.size)
 
-    def add(self, sums: Float64[np.ndarray, "q 6"]) -> tuple[float, float, float]:
+    def add(
+        self, cells: Int64[np.ndarray, " s"], sums: Float64[np.ndarray, "s q 6"]
+    ) -> list[Step]:
+        """Return steps before some cells, beside the drift."""
+        p, count = self.fixed, len(cells)
+        columns = np.moveaxis(sums[:, :p], 0, 1).reshape(p, 6 * count)
+        solved = self.of.solve(columns).reshape(p, count, 6)
+        return [
+            Step(int(cell), *self._add(sums[k], solved[:, k]))
+            for k, cell in enumerate(cells)
+        ]
+
+    def _add(
+        self, sums: Float64[np.ndarray, "q 6"], solved: Float64[np.ndarray, "p 6"]
+    ) -> tuple[float, float, float]:
         """Return the gain of a step beside the drift, and alone, and its size in mm."""
         of, p = self.of, self.fixed
         columns, pulled = sums[:p], sums[p]
-        solved = of.solve(columns)
         F = sums[of.machine : p] - columns.T @ solved
         cross = sums[p + 1 :] - self.columns.T @ solved
         raw = np.diag(sums[of.machine : p])
@@ -294,6 +299,22 @@ def _weight(
     """Return V⁻¹ columns, the timing of the lines taken out."""
     timing, weighted = design.fit_timing(whitener, columns)
     return whitener.apply(columns) - weighted @ timing
+
+
+def _square_tails(
+    design: DesignMatrix, whitener: Whitener, P: Float64[np.ndarray, "n 3 6"]
+) -> Float64[np.ndarray, "s 6 6"]:
+    """Return PᵀV⁻¹P of the cells from the second on, from the third on, and so on."""
+    number = np.arange(len(P))
+    squares: list[Float64[np.ndarray, "c 6 6"]] = [np.zeros((0, 6, 6))]
+    for first in range(1, len(P), _AT_ONCE):
+        begin = number[first : first + _AT_ONCE]
+        after = number[:, None] >= begin
+        tails = np.where(after[:, None, :, None], P[:, :, None, :], 0.0)
+        flat = tails.reshape(len(P), 3, -1)
+        weighted = _weight(design, whitener, flat).reshape(tails.shape)
+        squares.append(np.einsum("nick,nicl->ckl", tails, weighted))
+    return np.concatenate(squares)
 
 
 def _time(

@@ -31,9 +31,8 @@ class ScaledCholesky:
         if not (diagonal > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal element is not positive")
         scale = 1.0 / np.sqrt(diagonal)
-        return ScaledCholesky(
-            scale, np.linalg.cholesky(matrix * scale[:, None] * scale)
-        )
+        factor = np.linalg.cholesky(matrix * scale[:, None] * scale)
+        return ScaledCholesky(scale, np.asfortranarray(factor))  # LAPACK's own order
 
     @property
     def log_determinant(self) -> float:
@@ -47,7 +46,7 @@ class ScaledCholesky:
     ) -> Float64[np.ndarray, "p ..."]:
         """Return M⁻¹ right."""
         scale = self.scale.reshape(-1, *[1] * (right.ndim - 1))
-        return scale * cho_solve((self.factor, True), scale * right)
+        return scale * cho_solve((self.factor, True), scale * right, check_finite=False)
 
     def solve_half(
         self, right: Float64[np.ndarray, "p ..."]
