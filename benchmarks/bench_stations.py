@@ -1,16 +1,18 @@
-"""The tracker's chosen place against random ones; one station against three.
+"""The place of the tracker that a plan chooses against random ones; one against three.
 
-Each place gets a plan of its own and the same time; simulated machines drive it and the
-recordings are estimated as any measurement is. What counts is the error left over the
-travel, root mean square over machines and noise that are the same for every place.
+Every plan is driven by simulated machines, which know nothing of the estimator, and
+every recording is estimated as any measurement is. What counts is the error left over
+the travel, root mean square over worlds: machines, noise and, where it has any, the
+tracker's own faults, drawn from its specification. All places see the same worlds.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
+import json
 import sys
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +20,21 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
 
-from document import table
+from document import table, write_section
 from judging import map_mm, true_map_mm, volume
-from recordings import machine_content, random_air, run_of
+from recordings import machine_content, random_air, random_content, run_of
+from target_seats import draw_machine, remove_rigid_motion
 
 from app.alignment.align import align_all
 from app.errors import PlanningError
 from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
+from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import build_run_models
+from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.tracker_error import TrackerSpecification
 from app.kinematics.machine import Machine
+from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.workspace import Box, StationAreas, Workspace
 from app.planning.plan import Plan, PlanOrder, make_plan
 from drivers.interfaces.records import Path as MachinePath
@@ -36,32 +42,34 @@ from simulators import synthetic
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.tracker_eccentricity import TrackerEccentricity
 from simulators.hidden.tracker_range_offset import TrackerRangeOffset
+from simulators.machine_file import parse_machine
 from simulators.recording import Recording
 from simulators.timeline import Program
 from simulators.tracker_head import TrackerPose
+from simulators.truth_machine import perfect
 
-DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "planning.md"
 PERFECT = TrackerSpecification(0.0, 0.0, 0.0, 0.0)
 USUAL = TrackerSpecification()
 MOVE_S = 180.0
+FIRST_WORLD = 1001
+_GRID = 300  # places of a travel with rotary axes
 
 
 @dataclass(frozen=True)
 class Site:
-    """A machine, where its tracker may stand, and how long it is measured."""
+    """A machine, where its tracker may stand, and how long it is measured.
+
+    aside_mm : nearest and farthest from the travel
+    """
 
     name: str
-    travel_mm: tuple[float, float, float]
+    content: dict[str, Any]
     aside_mm: tuple[float, float]
     minutes: float
     feed_mm_min: float
+    mode: str = "otf"
 
-    @property
-    def content(self) -> dict[str, Any]:
-        """The content of machine.json."""
-        return machine_content("w-b-X-Y-Z-t", self.travel_mm, (20.0, 30.0, -150.0))
-
-    @property
+    @cached_property
     def machine(self) -> Machine:
         """The machine."""
         return machine_from_json(self.content, file="machine.json")
@@ -69,7 +77,7 @@ class Site:
     @property
     def areas(self) -> tuple[Box, ...]:
         """The floor before the machine, behind it, and at its right."""
-        x, y, z = self.travel_mm
+        x, y, z = (axis.high for axis in self.machine.linear_axes)
         near, far = self.aside_mm
         low, high = -300.0, 0.6 * z
         return (
@@ -79,11 +87,40 @@ class Site:
         )
 
 
-SITES = {
-    "mill": Site("mill, 0.7 m", (700.0, 550.0, 450.0), (500.0, 1600.0), 2.0, 6e3),
-    "gantry": Site("gantry, 6.2 m", (6200.0, 2400.0, 1100.0), (700.0, 2200.0), 4, 2e4),
+def make_sites() -> dict[str, Site]:
+    """Return the sites; machines without a name of their own are drawn by a seed."""
+    gantry = machine_content("w-b-X-Y-Z-t", (6000.0, 2500.0, 1200.0), (0.0, 0.0, -250))
+    mills = {
+        f"mill-{seed}": Site(
+            f"mill {seed}, {random_content(seed)['kinematic_chain']}",
+            random_content(seed),
+            (500.0, 1600.0),
+            2.0,
+            6e3,
+        )
+        for seed in (1001, 1002)
+    }
+    five = draw_machine(1000)
+    return {
+        **mills,
+        "gantry": Site("gantry, 6 x 2.5 x 1.2 m", gantry, (700.0, 2200.0), 4.0, 2e4),
+        "five-axis": Site(
+            f"five axes, {five['kinematic_chain']}",
+            five,
+            (500.0, 1600.0),
+            6.0,
+            6e3,
+            "standstill",
+        ),
+    }
+
+
+_WORSE = {name: 5.0 * value for name, value in asdict(USUAL).items()}
+TRACKERS = {
+    "perfect": PERFECT,
+    "usual specification": USUAL,
+    "five times that": replace(USUAL, **_WORSE),
 }
-TRACKERS = {"perfect": PERFECT, "usual specification": USUAL}
 
 
 @dataclass(frozen=True)
@@ -147,8 +184,10 @@ def record(
     site: Site, plan: Plan, seed: int, number: int, faults: tuple[HiddenEffect, ...]
 ) -> Recording:
     """Drive a plan on the machine of a seed, the tracker set down at any turn."""
-    path = plan.commanded
-    assert isinstance(path, MachinePath)
+    rows = plan.commanded
+    feed = np.full(len(rows), site.feed_mm_min)
+    if isinstance(rows, MachinePath):
+        feed = rows.feed_mm_min
     turn = np.random.default_rng([seed, number, 78]).uniform(-np.pi, np.pi)
     sine, cosine = np.sin(turn), np.cos(turn)
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -159,24 +198,42 @@ def record(
         hidden=faults,
         sensors=False,
     )
-    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
-    return synthetic.record(site.content, program, 100 * seed + number, "otf", setting)
+    program = Program(rows.position, feed / 60.0, rows.dwell_s, rows.target)
+    return synthetic.record(
+        site.content, program, 100 * seed + number, site.mode, setting
+    )
 
 
 def measure(
-    site: Site, plans: list[Plan], seed: int, specification: TrackerSpecification
+    site: Site, plans: tuple[Plan, ...], seed: int, specification: TrackerSpecification
 ) -> tuple[float, float]:
     """Return the error left and the stated uncertainty of one estimate of all, mm."""
     faults = draw_faults(specification, seed)
     made = [record(site, plan, seed, k, faults) for k, plan in enumerate(plans)]
     runs = [run_of(one) for one in made]
     seen = align_all(runs, [f"station {k + 1}" for k in range(len(runs))])
-    models = build_run_models(seen[0].at.machine, [one.at.offset_mm for one in seen])
-    found = estimate(models, seen)
-    within = volume(runs[0].machine)
-    error, sigma = map_mm(within, found.model, found.theta, found.covariance)
-    truth = true_map_mm(within, made[0].truth)
-    return within.rms_length(truth - error), within.rms_length(sigma)
+    models = build_run_models(site.machine, [one.at.offset_mm for one in seen])
+    return judge(site, estimate(models, seen), made[0])
+
+
+def judge(site: Site, found: EstimatedModel, made: Recording) -> tuple[float, float]:
+    """Return the error left over the travel, and the stated uncertainty, mm."""
+    machine = site.machine
+    if not machine.rotary_axes:
+        within = volume(machine)
+        error, sigma = map_mm(within, found.model, found.theta, found.covariance)
+        left = true_map_mm(within, made.truth) - error
+        return within.rms_length(left), within.rms_length(sigma)
+    low, high = np.array([(axis.low, axis.high) for axis in machine.axes]).T
+    q = np.random.default_rng(7).uniform(low, high, (_GRID, len(low)))
+    nominal, name = perfect(parse_machine(site.content)), machine.targets[0].name
+    place = nominal.nominal_point_mm(q, nominal.machine.reflector(name))
+    actual = made.truth.point_mm(q, made.truth.machine.reflector(name))
+    still, maps = make_standstill(machine, q), build_volumetric_map(found.model)
+    told = maps.error_mm(still, found.theta)
+    left = remove_rigid_motion(place, actual - place - told)
+    sigma = maps.sigma_mm(still, found.covariance)
+    return rms(np.linalg.norm(left, axis=1)), rms(np.linalg.norm(sigma, axis=1))
 
 
 def plan_for(
@@ -184,21 +241,22 @@ def plan_for(
     place: tuple[float, float, float] | None,
     seconds: float,
     specification: TrackerSpecification,
-    number: int = 0,
+    stations: int = 1,
 ) -> Plan:
-    """Return the plan from a place, or from the one that it chooses."""
-    stations = StationAreas(site.areas, (), MOVE_S, specification)
-    workspace = Workspace((), place, 200.0, stations=None if place else stations)
+    """Return the plan from a place, or from those that it chooses."""
+    areas = StationAreas(site.areas, (), MOVE_S, specification)
+    workspace = Workspace((), place, 200.0, stations=None if place else areas)
     order = PlanOrder(
+        mode=site.mode,
         minutes=seconds / 60.0,
-        feeds_mm_min=(site.feed_mm_min,),
+        feeds_mm_min=(site.feed_mm_min,) if site.mode == "otf" else (),
         workspace=workspace,
-        seed=number,
+        stations=stations,
     )
     return make_plan(site.machine, order)
 
 
-def rms(values: list[float]) -> float:
+def rms(values: Any) -> float:
     """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -215,145 +273,140 @@ def draw_places(site: Site, count: int) -> list[tuple[float, float, float]]:
     return [(float(a), float(b), float(c)) for a, b, c in x]
 
 
-def judge_places(
-    site: Site, specification: TrackerSpecification, places: int, worlds: int
-) -> list[tuple[float, float]]:
-    """Return what the chosen place and random ones leave and state, mm."""
+def measure_worlds(
+    site: Site,
+    plans: tuple[Plan, ...],
+    specification: TrackerSpecification,
+    worlds: int,
+) -> tuple[float, float]:
+    """Return error left and stated uncertainty over worlds, µm."""
+    seeds = range(FIRST_WORLD, FIRST_WORLD + worlds)
+    each = 1e3 * np.array([measure(site, plans, s, specification) for s in seeds])
+    print(
+        site.name,
+        [p.station_mm.round().tolist() for p in plans],
+        each.round(3),
+        file=sys.stderr,
+        flush=True,
+    )
+    left, stated = each.T
+    return rms(left), rms(stated)
+
+
+def judge_places(site: Site, places: int, worlds: int) -> list[str]:
+    """Return the row of the chosen place against random ones, usual specification."""
     seconds = 60.0 * site.minutes
-    plans = [plan_for(site, None, seconds, specification)]
+    plans = [plan_for(site, None, seconds, USUAL)]
     for place in draw_places(site, places):
         try:
-            plans.append(plan_for(site, place, seconds, specification))
+            plans.append(plan_for(site, place, seconds, USUAL))
         except PlanningError as error:
             print(f"{place}: {error}", file=sys.stderr)
-    found: list[tuple[float, float]] = []
-    for plan in plans:
-        each = [measure(site, [plan], s, specification) for s in range(1, worlds + 1)]
-        found.append((rms([a for a, _ in each]), rms([b for _, b in each])))
-        print(
-            site.name,
-            np.round(plan.station_mm).tolist(),
-            *(f"{1e3 * v:.3f}" for v in found[-1]),
-            file=sys.stderr,
-            flush=True,
-        )
-    return found
-
-
-def places_table(sites: list[Site], places: int, worlds: int) -> str:
-    """Return the chosen place against random ones."""
-    rows = []
-    for site in sites:
-        for said, specification in TRACKERS.items():
-            found = np.array(judge_places(site, specification, places, worlds))
-            left, stated = 1e3 * found.T
-            rows.append(
-                [
-                    site.name,
-                    said,
-                    f"{left[0]:.2f}",
-                    f"{left[1:].min():.2f}",
-                    f"{np.median(left[1:]):.2f}",
-                    f"{left[1:].max():.2f}",
-                    f"**{left[0] / left[1:].min():.2f}**",
-                    f"{stated[0] / stated[1:].min():.2f}",
-                ]
-            )
-    head = [
-        f"error left, µm, of {worlds} worlds",
-        "tracker",
-        "chosen place",
-        f"best of {places}",
-        "median",
-        "worst",
-        "chosen / best",
-        "stated u, chosen / best",
+    found = [measure_worlds(site, (plan,), USUAL, worlds) for plan in plans]
+    left, stated = np.array(found).T
+    return [
+        site.name,
+        f"{worlds}",
+        f"{left[0]:.2f}",
+        f"{left[1:].min():.2f}",
+        f"{np.median(left[1:]):.2f}",
+        f"{left[1:].max():.2f}",
+        f"**{left[0] / left[1:].min():.2f}**",
+        f"{stated[0] / stated[1:].min():.2f}",
     ]
-    return table(head, rows)
 
 
-def stations_row(
-    site: Site, said: str, specification: TrackerSpecification, worlds: int
-) -> list[str]:
-    """Return what one place and three leave in the same time, and what was foretold."""
-    seconds = 60.0 * site.minutes
+PLACES_HEAD = [
+    "error left, µm",
+    "worlds",
+    "chosen place",
+    "best of 20",
+    "median",
+    "worst",
+    "chosen / best",
+    "stated u, chosen / best",
+]
+
+
+def compare_stations(site: Site, said: str, worlds: int) -> list[str]:
+    """Return what one place and three leave, and what was foretold of each."""
+    specification, seconds = TRACKERS[said], 60.0 * site.minutes
     one = plan_for(site, None, seconds, specification)
     assert one.stations is not None
-    three = one.stations.options[2]
-    long = plan_for(site, _place(one.station_mm), three.total_s, specification)
-    several = [
-        plan_for(site, _place(place), seconds / 3.0, specification, number)
-        for number, place in enumerate(three.place_mm)
-    ]
+    advised = len(one.stations.recommended.place_mm)
+    three = plan_for(site, None, seconds, specification, stations=3)
+    longer_s = one.duration_s + 2.0 * MOVE_S
+    long = plan_for(site, _place(one.station_mm), longer_s, specification)
     left = [
-        rms([measure(site, plans, s, specification)[0] for s in range(1, worlds + 1)])
-        for plans in ([one], several, [long])
+        measure_worlds(site, plans, specification, worlds)[0]
+        for plans in ((one,), three.at_stations, (long,))
     ]
-    foretold = (one.stations.options[0].left, three.left, three.stay)
+    systematic_mm = [o.left.systematic_mm for o in one.stations.options]
+    told = [
+        float(np.hypot(plan.uncertainty_um, 1e3 * systematic_mm[k]))
+        for plan, k in ((one, 0), (three, 2), (long, 0))
+    ]
     return [
         site.name,
         said,
-        *(
-            f"{1e3 * value:.2f} ({1e3 * told.sigma_mm:.2f})"
-            for value, told in zip(left, foretold, strict=True)
-        ),
-        f"{left[1] / left[0]:.2f}",
-        f"**{left[1] / left[2]:.2f}** ({three.ratio:.2f})",
+        f"{worlds}",
+        *(f"{a:.2f} ({b:.2f})" for a, b in zip(left, told, strict=True)),
+        f"{left[1] / left[0]:.2f} ({told[1] / told[0]:.2f})",
+        f"**{left[1] / left[2]:.2f}** ({told[1] / told[2]:.2f})",
+        f"{advised}",
     ]
 
 
-def stations_table(sites: list[Site], worlds: int) -> str:
-    """Return one station against three, without and with the tracker's own errors."""
-    worse = replace(USUAL, **{k: 5.0 * v for k, v in asdict(USUAL).items()})
-    rows = [
-        stations_row(site, said, specification, worlds)
-        for site in sites
-        for said, specification in {**TRACKERS, "five times that": worse}.items()
-    ]
-    head = [
-        f"error left (foretold), µm, of {worlds} worlds",
-        "tracker",
-        "one place",
-        "three, a third of the time each",
-        "one place, two moves of 3 min longer",
-        "three / one",
-        "three / one as long",
-    ]
-    return table(head, rows)
+STATIONS_HEAD = [
+    "error left (foretold), µm",
+    "tracker",
+    "worlds",
+    "one place",
+    "three, a third of the time each",
+    "one place, two moves of 3 min longer",
+    "three / one",
+    "three / one as long",
+    "advised",
+]
 
 
 def main() -> None:
-    """Print the tables; with --write put them into the document."""
+    """Judge, keep the rows, and write the tables of all rows kept."""
+    sites = make_sites()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--places", type=int, default=20)
-    parser.add_argument("--worlds", type=int, default=8)
-    parser.add_argument("--only", choices=["places", "stations"])
-    parser.add_argument("--site", choices=SITES, help="else all")
-    parser.add_argument("--write", action="store_true", help=f"into {DOCUMENT.name}")
+    parser.add_argument("--worlds", type=int, default=6)
+    parser.add_argument("--only", choices=["places", "stations", "nothing"])
+    parser.add_argument("--site", choices=sites, help="else all")
+    parser.add_argument("--tracker", choices=TRACKERS, help="of stations; else all")
+    parser.add_argument(
+        "--keep", type=Path, default=Path("stations.json"), help="rows of several calls"
+    )
     options = parser.parse_args()
-    sites = [SITES[options.site]] if options.site else list(SITES.values())
-    texts = {
-        "places": lambda: places_table(sites, options.places, options.worlds),
-        "stations": lambda: stations_table(sites, options.worlds),
-    }
-    for name, make in texts.items():
-        if options.only in (None, name):
-            text = make()
-            print(f"\n{text}\n", flush=True)
-            if options.write:
-                _write(name, text)
+    for name in [options.site] if options.site else sites:
+        if options.only in (None, "places"):
+            row = judge_places(sites[name], options.places, options.worlds)
+            _keep(options.keep, "places", row)
+        if options.only in (None, "stations"):
+            for said in [options.tracker] if options.tracker else TRACKERS:
+                row = compare_stations(sites[name], said, options.worlds)
+                _keep(options.keep, "stations", row)
+    kept = json.loads(options.keep.read_text(encoding="utf-8"))
+    for key, head in (("places", PLACES_HEAD), ("stations", STATIONS_HEAD)):
+        if kept.get(key):
+            write_section(f"station-{key}", table(head, sorted(kept[key])))
+
+
+def _keep(file: Path, key: str, row: list[str]) -> None:
+    """Add a row to those that are kept."""
+    kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    kept.setdefault(key, []).append(row)
+    file.write_text(json.dumps(kept), encoding="utf-8")
 
 
 def _place(place_mm: np.ndarray) -> tuple[float, float, float]:
     x, y, z = place_mm.tolist()
     return x, y, z
-
-
-def _write(name: str, text: str) -> None:
-    content = DOCUMENT.read_text(encoding="utf-8")
-    place = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
-    written = place.sub(lambda m: f"{m[1]}\n{text}\n\n{m[2]}", content)
-    DOCUMENT.write_text(written, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -146,6 +146,11 @@ class Bench:
         """Let a fault begin now, or as long after now as it says."""
         self._children[parse_fault(fault).device].tell(fault)
 
+    def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
+        """Set the tracker down at a place, turned and tilted anew by the number."""
+        place = [float(v) for v in place_mm]
+        self._children["tracker"].tell(json.dumps({"place": place, "number": number}))
+
     def truth_at(self, points_mm: np.ndarray) -> np.ndarray:
         """Return the true volumetric error in µm at axis positions, (n, 3)."""
         return 1e3 * self.truth.deviation_mm(np.asarray(points_mm, float))

@@ -1,7 +1,8 @@
 """`truepath simulate`: the simulated tracker and CNC as stand-alone processes.
 
 Prints where they listen, one line each (or one JSON object), and serves until SIGINT or
-SIGTERM. Lines on standard input, where there are any, are faults to inject.
+SIGTERM. Lines on standard input, where there are any, are faults to inject, or
+`move X,Y,Z`, which sets the tracker down elsewhere.
 """
 
 from __future__ import annotations
@@ -76,9 +77,20 @@ def _serve(bench: Bench, signalled: int) -> int:
 def _inject(bench: Bench, texts: list[str]) -> None:
     for text in texts:
         try:
-            bench.inject(text)
+            if text.startswith("move "):
+                _move(bench, text.removeprefix("move "))
+            else:
+                bench.inject(text)
         except SimulatorError as error:
             print(f"truepath simulate: {error}", file=sys.stderr)
+
+
+def _move(bench: Bench, place: str) -> None:
+    try:
+        x, y, z = map(float, place.split(","))
+    except ValueError as error:
+        raise SimulatorError(f"move {place}: expected X,Y,Z in mm") from error
+    bench.move_tracker((x, y, z))
 
 
 class _LineReader:

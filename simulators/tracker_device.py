@@ -6,7 +6,7 @@ seconds: a sped-up simulation shortens the measurement, not the patience of a li
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -144,6 +144,10 @@ class TrackerDevice:
         full = waiting_bytes > self._buffer_bytes
         frames = self._samples_due(self._stream, timeline, true_s, full=full)
         return frames + (b"" if full else self._status_due(true_s, wall_s))
+
+    def set_down(self, pose: TrackerPose) -> None:
+        """Stand elsewhere from now on."""
+        self._parts = replace(self._parts, pose=pose)
 
     def forget_host(self) -> None:
         """Stop streaming: the connection has gone."""

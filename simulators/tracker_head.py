@@ -5,6 +5,7 @@ Angles: azimuth from x towards y, elevation from the xy plane towards z.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,12 +98,21 @@ def random_pose(machine: MachineFile, seed: int) -> TrackerPose:
     bearing = rng.uniform(0.0, 2.0 * np.pi)
     beside = away * np.array([np.cos(bearing), np.sin(bearing), 0.0])
     beside[2] = rng.uniform(-200.0, 200.0)
+    return TrackerPose(middle + beside, _draw_rotation(rng))
+
+
+def place_anew(place_mm: Sequence[float], seed: int) -> TrackerPose:
+    """Stand the tracker at a place, turned and slightly tilted by a seed."""
+    rotation = _draw_rotation(generator(seed, "tracker: pose"))
+    return TrackerPose(np.array(place_mm, float), rotation)
+
+
+def _draw_rotation(rng: np.random.Generator) -> np.ndarray:
     tilt = rng.normal(0.0, 0.05, 2)
     turn = rng.uniform(-np.pi, np.pi)
-    rotation = rotation_matrices(
+    return rotation_matrices(
         np.array([tilt[0]]), np.array([tilt[1]]), np.array([turn])
     )[0]
-    return TrackerPose(middle + beside, rotation)
 
 
 def _reach(machine: MachineFile) -> tuple[np.ndarray, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import select
 import time
 from pathlib import Path
@@ -50,7 +51,12 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
     wake_s = time.monotonic()
     while not life.ended:
         for line in life.lines():
-            faults.add(parse_fault(line), clock.now_s())
+            if line.startswith("{"):
+                move = json.loads(line)
+                seed = orders["seed"] + 1000 * move["number"]
+                device.set_down(tracker_head.place_anew(move["place"], seed))
+            else:
+                faults.add(parse_fault(line), clock.now_s())
         now_s, wall_s = clock.now_s(), time.monotonic()
         timeline = board.timeline()
         if faults.strikes("disconnect", now_s):

@@ -91,12 +91,15 @@ def duration_s(recording: Recording) -> float:
 def _commanded(recording: Recording, machine: Machine) -> Path | Configurations:
     program = recording.program
     if recording.mode == "standstill":
-        return Configurations(machine.axis_names, program.position, program.dwell_s)
+        return Configurations(
+            machine.axis_names, program.position, program.dwell_s, program.target
+        )
     return Path(
         machine.axis_names,
         program.position,
         program.feed_mm_s * 60.0,
         program.dwell_s,
+        program.target,
     )
 
 

@@ -97,6 +97,37 @@ class MonteCarloOut(BaseModel):
     interval: str = Field(examples=["symmetric"])
 
 
+class StationCheckOut(BaseModel):
+    """How a station agrees with the one before, by the known points."""
+
+    station: int
+    place_mm: list[float] | None = Field(
+        description="Where the tracker was found, in the frame that it stands on."
+    )
+    moved_mm: float | None
+    residual_um: float | None = Field(
+        description="Root mean square distance of the known points from where the "
+        "last station saw them."
+    )
+    allowed_um: float | None
+    problem: str = Field(
+        examples=["not-moved"],
+        description="not-seen, not-moved or residual; empty if the station is good.",
+    )
+    text: str
+
+
+class StationOut(BaseModel):
+    """The station that is measured, or asked for, of several."""
+
+    number: int = Field(examples=[2])
+    total: int = Field(examples=[3])
+    position_mm: list[float] = Field(
+        description="Where the tracker is to stand, in the frame that it stands on."
+    )
+    checks: list[StationCheckOut]
+
+
 class JobOut(BaseModel):
     """A job. `version` counts its changes of state; send it as If-Match."""
 
@@ -119,6 +150,10 @@ class JobOut(BaseModel):
     verdict: VerdictState | None = Field(
         description="What the result says of itself; the reasons are in it. Null "
         "where there is none."
+    )
+    station: StationOut | None = Field(
+        description="Of a plan of several stations. In the state awaiting-move the "
+        "tracker is to be set down at position_mm; then arm the job again."
     )
     created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
     started: str | None
@@ -231,7 +266,7 @@ def get_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
 def arm_job(
     job_id: str, version: Version, response: Response, service: ServiceDep
 ) -> JobOut:
-    """Let a ready job move the machine. From here on it moves."""
+    """Let a job move the machine that is ready, or has had its tracker moved."""
     return _describe(service.dispatcher.arm(job_id, version), response)
 
 

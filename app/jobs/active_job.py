@@ -77,7 +77,7 @@ class ActiveJob:
         return self._change(change, version)
 
     def arm(self) -> None:
-        """Let a ready job begin to move."""
+        """Let a job that waits for it move the machine."""
         with self._changed:
             self._armed = True
             self._changed.notify_all()
@@ -104,6 +104,7 @@ class ActiveJob:
         with self._changed:
             while not self._armed and not self.is_cancelled:
                 self._changed.wait()
+            self._armed = False
         self.checkpoint()
 
     def compute(self, computation: Computation) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 
 import structlog
@@ -51,7 +51,10 @@ _INSPECT_MACHINE = (
 
 
 class CellMeasurement:
-    """One measurement, whose events the job's thread handles in order."""
+    """One measurement, whose events the job's thread handles in order.
+
+    gives_up : codes of faults that end it, in place of waiting for a person
+    """
 
     def __init__(
         self,
@@ -60,6 +63,7 @@ class CellMeasurement:
         *,
         confirm_s: Mapping[State, float],
         steering: LiveSteering | None,
+        gives_up: Collection[str] = (),
     ) -> None:
         self._job, self._cell, self._steering = job, cell, steering
         self._confirm_s = confirm_s
@@ -68,7 +72,8 @@ class CellMeasurement:
         self._outcome: CellState | None = None
         self._close_by = float("inf")
         self._repeat_at = time.monotonic() + REPEAT_S
-        self._is_killed = False
+        self._is_killed = self._is_given_up = False
+        self._gives_up = gives_up
 
     def run(self, order: MeasurementOrder) -> None:
         """Measure until the Run is closed; what was recorded is on disk in any case.
@@ -152,6 +157,11 @@ class CellMeasurement:
         """Show a fault. Only the state of the cell says whether it ends the job."""
         log.error("fault", job_id=self._job.job_id, **asdict(fault))
         self._fault = fault
+        if fault.code in self._gives_up:
+            self._is_given_up = True
+            self._close_by = min(self._close_by, time.monotonic() + CLOSE_RUN_S)
+            self._cell.send(CellVerb.ABORT)
+            return
         self._job.show_failure(
             Failure("MachineFault", fault.text, fault.code, fault.action)
         )
@@ -181,7 +191,7 @@ class CellMeasurement:
         if self._outcome or now < self._repeat_at:
             return
         self._repeat_at = now + REPEAT_S
-        if self._job.is_cancelled:
+        if self._job.is_cancelled or self._is_given_up:
             self._cell.send(CellVerb.ABORT)
         elif self._job.state is State.PAUSING and self._job.wants_pause:
             self._cell.send(CellVerb.PAUSE)
@@ -215,6 +225,8 @@ class CellMeasurement:
         match self._outcome:
             case CellState.FINISHED:
                 return
+            case CellState.ABORTED if self._is_given_up:
+                raise MeasurementEnded(code, text, action)
             case CellState.ABORTED:
                 raise Aborted("aborted at the machine")
             case CellState.FAILED:

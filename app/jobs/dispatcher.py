@@ -17,6 +17,7 @@ from app.jobs.errors import CellDown, Interrupted, QueueFull
 from app.jobs.event_bus import EventBus
 from app.jobs.job import Failure, Job, Stage
 from app.jobs.requested_job import RequestedJob, check_requested_job
+from app.jobs.station_steps import list_run_ids
 from app.jobs.store import IdempotencyKey
 from app.jobs.transitions import PAUSE_STATES, State, Verb, apply_verb
 from app.jobs.workflow import run_job
@@ -155,11 +156,18 @@ class Dispatcher:
     def _interrupt(self, job: Job) -> None:
         runs = self._context.runs
         record = runs.add_measured(job.id) if job.kind.measures else None
+        further = job.further_run_ids
+        plan = self._context.store.read_plan(job.id) or {}
+        if job.kind.measures and "stations" in plan:
+            for run_id in (*list_run_ids(plan), *list_run_ids(plan, "points_id")):
+                runs.add_measured(run_id)
+            further = tuple(runs.find(list_run_ids(plan))[1:])
         text = f"the service ended while the job was {job.state}"
         after = replace(
             job,
             state=State.INTERRUPTED,
             run_id=record.id if record is not None else job.run_id,
+            further_run_ids=further,
             failure=Failure(Interrupted.__name__, text),
         )
         self._context.store.change(job.id, lambda _: after, version=job.version)

@@ -6,7 +6,7 @@ import os
 import time
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
@@ -86,6 +86,42 @@ class Health:
 
 
 @dataclass(frozen=True, slots=True)
+class StationCheck:
+    """How a station agrees with the one before, by the known points.
+
+    problem : `not-seen`, `not-moved` or `residual` where it does not, else empty
+    text : that in words
+    """
+
+    station: int
+    place_mm: tuple[float, ...] | None = None
+    moved_mm: float | None = None
+    residual_um: float | None = None
+    allowed_um: float | None = None
+    problem: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StationProgress:
+    """Where the tracker stands, or is to be set down, of several stations.
+
+    number : of the station, from 1; position_mm : its place
+    checks : of the stations so far, the newest of each
+    """
+
+    number: int
+    total: int
+    position_mm: tuple[float, ...]
+    checks: tuple[StationCheck, ...] = ()
+
+    def add_check(self, check: StationCheck) -> StationProgress:
+        """Return it with a newer check of a station."""
+        others = [one for one in self.checks if one.station != check.station]
+        return replace(self, checks=(*others, check))
+
+
+@dataclass(frozen=True, slots=True)
 class EarlyEnd:
     """The target uncertainty was reached and the rest of the plan left out.
 
@@ -118,11 +154,12 @@ class Job:
 
     seq, id, desired_state, created : given by the store
     run_id : the Run that it made, or the first that it analyses
-    further_run_ids : those that are analysed together with it; of extra lines, those
-        of the discovery that asks for them
+    further_run_ids : those that are analysed together with it: of other stations, or
+        named; of extra lines, those of the discovery that asks for them
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
     monte_carlo : the trials that an analysis holds its uncertainty against
     verdict : state of its result, once that stands: usable, doubtful or not-usable
+    station : of a measurement from several places of the tracker
     """
 
     kind: JobKind
@@ -142,6 +179,7 @@ class Job:
     target_um: float | None = None
     early_end: EarlyEnd | None = None
     verdict: VerdictState | None = None
+    station: StationProgress | None = None
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None

@@ -2,7 +2,7 @@
 
     {"mode": "otf", "minutes": 5, "target_um": 1.0, "feeds_mm_min": [6000],
      "dwell_s": 0.4, "perpendicular_only": false, "corner_path": false, "seed": 0,
-     "workspace": {…}, "model_id": "…", "model_file": "…"}
+     "stations": 1, "workspace": {…}, "model_id": "…", "model_file": "…"}
 
 Without `mode` it is the default path at the first of the feeds that is asked for;
 with it all other keys may be left out. `target_um` is a standard uncertainty (k = 1),
@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,7 @@ from app.files.workspace_file import workspace_from_json
 from app.jobs.job import JobKind, Json
 from app.kinematics.machine import Machine
 from app.motion.commanded_rows import MAX_ROWS, Row, command_rows
+from app.motion.configurations import Commanded
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, row_times_s
 from app.motion.travel import check_travel
 from app.motion.workspace import moves_where_seen
@@ -35,10 +37,11 @@ from app.results.model_history import DISCOVERY, find_model_file
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.planning.plan import PlanOrder
+    from app.planning.plan import Plan, PlanOrder
 
 _PLAIN = ("mode", "minutes", "target_um", "dwell_s")
-_PLAIN += ("perpendicular_only", "corner_path", "seed", "turns")
+_PLAIN += ("perpendicular_only", "corner_path", "seed", "turns", "stations")
+STATION_KEYS = ("stations", "known_points", "specification")
 _FIRST_LINES, _FIRST_POINTS = 5, 4  # of the longest: two or three times as many
 _STANDS_S = 1.0  # at the end of each
 _POINTS = JobKind.MEASURE_STANDSTILL
@@ -61,10 +64,10 @@ def plan_measurement(
         feed_mm_min, *_ = order.get("feeds_mm_min") or [None]
         return encode_commanded_json(_default_path(machine, feed_mm_min))
     planned = make_plan(machine, read_plan_order(order), on_progress=on_progress)
-    if len(planned.commanded) > MAX_ROWS:
+    rows = max(len(plan.commanded) for plan in planned.at_stations)
+    if rows > MAX_ROWS:
         raise PlanningError(
-            f"the plan has {len(planned.commanded)} rows; a controller takes "
-            f"{MAX_ROWS}; give less time"
+            f"the plan has {rows} rows; a controller takes {MAX_ROWS}; give less time"
         )
     grade = grade_set_up(
         machine,
@@ -76,6 +79,31 @@ def plan_measurement(
         **encode_commanded_json(planned.commanded),
         "predicted_um": planned.uncertainty_um,
         "document": plan_document(planned) | {"grade": grade},
+        **_encode_stations(planned),
+    }
+
+
+def _encode_stations(planned: Plan) -> dict[str, Any]:
+    """Return rows and place of each of several stations, and the known points."""
+    workspace = planned.order.workspace
+    if not planned.further or workspace.stations is None:
+        return {}
+    from app.planning.known_points import choose_known_points
+
+    plans = planned.at_stations
+    places_mm = [plan.station_mm for plan in plans]
+    points = choose_known_points(planned.machine, workspace, places_mm)
+    return {
+        "stations": [
+            {
+                "position_mm": plan.station_mm.round(1).tolist(),
+                "duration_s": round(plan.duration_s, 3),
+                **encode_commanded_json(plan.commanded),
+            }
+            for plan in plans
+        ],
+        "known_points": encode_commanded_json(points),
+        "specification": asdict(workspace.stations.specification),
     }
 
 
@@ -159,8 +187,15 @@ def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str
         raise PlanningError(
             "the machine file has changed since this plan was made; plan again"
         )
-    check_travel(machine, commanded)
-    return {**encode_commanded_json(commanded), "predicted_um": plan["predicted_um"]}
+    for rows in (commanded, *list_station_rows(plan)):
+        check_travel(machine, rows)
+    kept = {"predicted_um", *STATION_KEYS} & set(plan)
+    return {**encode_commanded_json(commanded), **{k: plan[k] for k in sorted(kept)}}
+
+
+def list_station_rows(plan: Json) -> list[Commanded]:
+    """Return what each of several stations of a plan commands, in order."""
+    return [decode_commanded_json(station) for station in plan.get("stations", ())]
 
 
 def plan_extra_lines(machine: Machine, folder: FilePath, job_id: str) -> dict[str, Any]:

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.errors import IllegalTransition, NotFound
+from app.errors import IllegalTransition, NotFound, PlanningError
 from app.files.commanded_file import encode_commanded_json
 from app.jobs.context import JobContext
 from app.jobs.job import Job, JobKind, Json
 from app.jobs.plan_orders import (
     check_plan_to_drive,
+    list_station_rows,
     plan_extra_lines,
     refuse_several_targets,
 )
+from app.jobs.station_steps import count_measured
 from app.motion.commanded_rows import Row, command_rows
 from app.motion.default_points import default_points
+from app.motion.travel import check_travel
 from app.numerics.adaptive_trials import TrialPlan
 from app.results.model_history import find_model_file
 
@@ -31,6 +34,7 @@ class RequestedJob:
     model_id : of the job whose model or result Runs are held against, analysed with,
         or planned for
     discovery_id : of the job whose discovery asks for the extra lines to drive
+    continues : job whose stations are measured that it has left out
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it
     """
@@ -45,6 +49,7 @@ class RequestedJob:
     plan_id: str | None = None
     model_id: str | None = None
     discovery_id: str | None = None
+    continues: str | None = None
     plan_request: Json | None = None
 
 
@@ -56,6 +61,8 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
     kind, only = request.kind, request.perpendicular_only
     if kind is JobKind.MEASURE_EXTRA:
         return _make_extra_job(request, context)
+    if request.continues is not None:
+        return _continue_job(request.continues, request, context)
     if kind.measures or kind is JobKind.PLAN:
         job = Job(kind, perpendicular_only=only, target_um=request.target_um)
         order = _make_plan_order(request, context)
@@ -97,7 +104,38 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
         raise IllegalTransition(
             f"plan {request.plan_id} is {job.state}; it has no rows"
         )
+    if plan.get("stations") and request.target_um is not None:
+        raise PlanningError(
+            "a plan of several stations is driven to its end; leave target_um out"
+        )
     return check_plan_to_drive(machine, kind, plan)
+
+
+def _continue_job(
+    job_id: str, request: RequestedJob, context: JobContext
+) -> tuple[Job, Json]:
+    """Return the job that measures from the stations that another has left out."""
+    machine = context.require_machine()
+    context.require_cell()
+    job = context.store.get(job_id)
+    plan = context.store.read_plan(job.id) or {}
+    stations = plan.get("stations", ())
+    if job.kind is not request.kind or not stations:
+        raise NotFound(f"job {job.id} ({job.kind}) is no {request.kind} from stations")
+    if not job.is_final:
+        raise IllegalTransition(f"job {job.id} is {job.state}; it goes on by itself")
+    if count_measured(plan) == len(stations):
+        raise IllegalTransition(
+            f"all stations of job {job.id} are measured; analyse its Runs together"
+        )
+    for rows in list_station_rows(plan):
+        check_travel(machine, rows)
+    run_id, *further = [s["run_id"] for s in stations if s.get("measured")] or [None]
+    only = request.perpendicular_only
+    new = Job(
+        job.kind, run_id=run_id, further_run_ids=tuple(further), perpendicular_only=only
+    )
+    return new, plan
 
 
 def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,6 +112,13 @@ class RunCatalogue:
         if row is None:
             raise NotFound(f"there is no run {run_id}")
         return RunRecord(**row)
+
+    def find(self, run_ids: Sequence[str]) -> list[str]:
+        """Return those that are in the catalogue, in the same order."""
+        query = select(runs.c.id).where(runs.c.id.in_(run_ids))
+        with self._database.read() as connection:
+            known = set(connection.execute(query).scalars())
+        return [i for i in run_ids if i in known]
 
     def list_page(
         self, limit: int, *, before_seq: int | None = None

@@ -7,9 +7,13 @@ import shutil
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
+from app.errors import AlignmentError
+from app.files.units import UM_PER_MM
 from app.files.verdict import State
 from app.files.whole_files import sync_to_disk
+from app.jobs.job import Json
 from app.jobs.runs import open_recorded
 from app.jobs.workers import Workers, open_workers
 from app.numerics.adaptive_trials import TrialPlan
@@ -79,6 +83,45 @@ def discover_recorded(
     runs = read_runs(run_files, open_recorded)
     found = discover_runs(runs, model, on_progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))
+
+
+def check_station(
+    file: str,
+    before: str | None,
+    asked_mm: float,
+    specification: Json,
+    *,
+    on_progress: Progress,
+) -> dict[str, Any]:
+    """Return how a station agrees with the one before, as fields of `StationCheck`.
+
+    file, before : of the Runs of the known points from here, and from the last station
+    asked_mm : how far the tracker was to go; specification : what it may be off by
+    """
+    # Imported where it computes: the service itself carries no science.
+    from app.alignment.known_points import compare_stations, measure_points
+    from app.kinematics.effects.tracker_error import TrackerSpecification
+
+    within = TrackerSpecification(**specification)
+    try:
+        now = measure_points(open_recorded(Path(file)), within)
+    except AlignmentError as error:
+        return {"problem": "not-seen", "text": str(error)}
+    finally:
+        on_progress(1.0, "aligning")
+    place_mm = tuple(now.place_mm.round(1).tolist())
+    if before is None:
+        return {"place_mm": place_mm}
+    last = measure_points(open_recorded(Path(before)), within)
+    found = compare_stations(last, now, asked_mm)
+    return {
+        "place_mm": place_mm,
+        "moved_mm": found.moved_mm,
+        "residual_um": UM_PER_MM * found.residual_mm,
+        "allowed_um": UM_PER_MM * found.allowed_mm,
+        "problem": found.problem,
+        "text": found.text,
+    }
 
 
 def prepare() -> None:

@@ -14,6 +14,7 @@ class State(StrEnum):
     PREPARING = "preparing"  # devices are connected, the plan is checked
     READY = "ready"  # waits to be armed; nothing has moved
     RUNNING = "running"
+    AWAITING_MOVE = "awaiting-move"  # of the tracker; nothing moves until armed again
     PAUSING = "pausing"  # feed hold asked for, not yet confirmed
     PAUSED = "paused"
     RESUMING = "resuming"
@@ -36,7 +37,7 @@ class Verb(StrEnum):
 
 _Q, _P, _R = State.QUEUED, State.PREPARING, State.READY
 _RUN, _PSG, _PSD, _RES = State.RUNNING, State.PAUSING, State.PAUSED, State.RESUMING
-_ABG = State.ABORTING
+_ABG, _AWAIT = State.ABORTING, State.AWAITING_MOVE
 
 _ENDS_BADLY = frozenset({State.FAILED, State.FAULTED, State.INTERRUPTED})
 FINAL = _ENDS_BADLY | {State.ABORTED, State.SUCCEEDED}
@@ -46,11 +47,13 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     _P: frozenset({_R, _ABG}) | _ENDS_BADLY,
     _R: frozenset({_RUN, _ABG}) | _ENDS_BADLY,
     # A hold or a cycle start at the machine's own panel skips pausing and resuming.
-    _RUN: frozenset({_PSG, _PSD, _ABG, State.SUCCEEDED}) | _ENDS_BADLY,
+    _RUN: frozenset({_PSG, _PSD, _AWAIT, _ABG, State.SUCCEEDED}) | _ENDS_BADLY,
+    _AWAIT: frozenset({_RUN, _ABG}) | _ENDS_BADLY,
     # The path may end while the hold is on its way.
-    _PSG: frozenset({_PSD, _RUN, _ABG}) | _ENDS_BADLY,
-    _PSD: frozenset({_RES, _RUN, _ABG}) | _ENDS_BADLY,
-    _RES: frozenset({_RUN, _PSG, _PSD, _ABG}) | _ENDS_BADLY,
+    _PSG: frozenset({_PSD, _RUN, _AWAIT, _ABG}) | _ENDS_BADLY,
+    # A measurement that is given up ends while it is held.
+    _PSD: frozenset({_RES, _RUN, _AWAIT, _ABG}) | _ENDS_BADLY,
+    _RES: frozenset({_RUN, _PSG, _PSD, _AWAIT, _ABG}) | _ENDS_BADLY,
     # An abort nobody confirms is a fault; one that loses its process is one as well.
     _ABG: frozenset({State.ABORTED, State.FAULTED, State.INTERRUPTED}),
     **dict.fromkeys(FINAL, frozenset[State]()),
@@ -62,7 +65,7 @@ PAUSE_STATES = frozenset({_PSG, _PSD})
 # verb -> states it acts in -> the state it leads to. In the states of `VERB_SATISFIED`
 # it has been obeyed already and changes nothing.
 VERB_TRANSITIONS: dict[Verb, dict[State, State]] = {
-    Verb.ARM: {_R: _RUN},
+    Verb.ARM: {_R: _RUN, _AWAIT: _RUN},
     Verb.PAUSE: {_RUN: _PSG, _RES: _PSG},
     Verb.RESUME: {_PSD: _RES},
     Verb.ABORT: {

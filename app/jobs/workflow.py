@@ -31,6 +31,7 @@ from app.jobs.job import EarlyEnd, Failure, Job, JobKind, Json, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, LiveSteering
 from app.jobs.live_process import LiveEstimateOrder
 from app.jobs.plan_orders import order_first_part
+from app.jobs.station_steps import StationSteps, begin_at_station
 from app.jobs.transitions import State, Verb
 from app.measurement.messages import MeasurementOrder
 from app.motion.configurations import Commanded
@@ -109,8 +110,8 @@ class _JobSteps:
         if chooses and context.store.read_plan(job.id) is None:
             self._plan()
         if job.kind.measures:
-            self._measure(self._wait_until_armed())
-            run_ids = (*run_ids, job.id)
+            made = self._measure_all(self._wait_until_armed())
+            run_ids = tuple(dict.fromkeys((*run_ids, *made)))
         if job.kind.analyses:
             how = job.perpendicular_only, job.monte_carlo, context.workers
             verdict = self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
@@ -136,9 +137,18 @@ class _JobSteps:
         check_travel(self.context.require_machine(), commanded)
         self.context.require_cell().connect()
         self.active.checkpoint()
+        begin_at_station(self.active, self.context.store)
         self.active.enter(State.READY, Stage.MEASURING)
         self.active.wait_until_armed()
         return commanded
+
+    def _measure_all(self, commanded: Commanded) -> tuple[str, ...]:
+        """Measure, from every station of the plan; return the Runs made."""
+        if "stations" in (self.context.store.read_plan(self.job.id) or {}):
+            steps = StationSteps(self.job, self.active, self.context, self._compute)
+            return steps.run()
+        self._measure(commanded)
+        return (self.job.id,)
 
     def _measure(self, commanded: Commanded) -> None:
         """Drive the machine; what was recorded is in the catalogue in any case."""

@@ -23,7 +23,7 @@ from app.estimation.noise import NoiseModel
 from app.estimation.normal_equations import RecursiveEstimator
 from app.estimation.observability import assess_observability, usual_precision_matrix
 from app.estimation.prior import diagonal_precision, guess_prior
-from app.estimation.runs import RunInput
+from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.files.model_file import EstimatedModel
 from app.kinematics.identifiable import (
     build_identifiable_model,
@@ -92,6 +92,7 @@ class Forecast:
         of the volumetric error vector, its rigid motion left out
     row, sigma_mm : (k,) the same once the plan's row is reached, in its order
     unobservable : what the plan cannot show, in words
+    stations : what is measured from each place of the tracker
     """
 
     model: MachineModel
@@ -101,6 +102,7 @@ class Forecast:
     row: tuple[int, ...]
     sigma_mm: tuple[float, ...]
     unobservable: tuple[str, ...]
+    stations: tuple[RunInput, ...]
 
     def motion_sigmas(self) -> dict[str, float]:
         """Return the standard uncertainty of each error, mm or rad, by its symbol.
@@ -128,18 +130,25 @@ def forecast(
     commanded: Commanded,
     station_mm: Float64[np.ndarray, "3"],
     assumed: Assumptions | None = None,
+    before: Forecast | None = None,
 ) -> Forecast:
     """Return what is to be expected of a plan, the tracker standing at a place.
 
     station_mm : in the frame that the tracker stands on
+    before : what the plans of other stations leave, which are measured first
     """
     cells = predict_cells(machine, commanded, station_mm)
     assumed = assumed or Assumptions()
     known, noise = assumed.known, assumed.used_noise
-    model, _ = build_identifiable_model(machine, cells.at.offset_mm)
-    confounded = list_confounded_effects(machine, cells.at.offset_mm)
+    earlier = before.stations if before else ()
+    stations = (*earlier, RunInput(cells, cells.pose, noise))
+    offset_mm = np.vstack([run.observations.at.offset_mm for run in stations])
+    model, _ = build_identifiable_model(machine, offset_mm)
+    confounded = list_confounded_effects(machine, offset_mm)
     model = model.with_effects(*known.effects).with_confounded(confounded)
     prior = assumed.make_prior(model)
+    if earlier:
+        prior += combine_runs(collect_information(earlier, model)).matrix
     gram = compute_volumetric_gram(model)
     about = linearise(cells, model, cells.pose, noise)
     sums = RecursiveEstimator.start(about)
@@ -154,10 +163,8 @@ def forecast(
         mean_square = float(np.sum(gram * covariance))
         rows.append(int(cells.row[last - 1]))
         sigmas.append(max(mean_square, 0.0) ** 0.5)
-    observed = assess_observability(
-        build_shape_model(machine, cells.at.offset_mm),
-        [RunInput(cells, cells.pose, noise)],
-    )
+    shapes = build_shape_model(machine, offset_mm)
+    observed = assess_observability(shapes, stations)
     return Forecast(
         model,
         known,
@@ -166,6 +173,7 @@ def forecast(
         tuple(rows),
         tuple(sigmas),
         observed.unobservable,
+        stations,
     )
 
 

@@ -7,10 +7,13 @@ direction of approach, so that backlash is planned for as well.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from app.estimation.information import Information, OwnParameters
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.prior import diagonal_precision
@@ -106,6 +109,19 @@ def start_design(
         noise=_expect_noise(assumed.used_noise, machine.tracker.rate_hz),
         drive=drive,
     )
+
+
+def add_station(design: DesignState, before: DesignState) -> DesignState:
+    """Return a design that knows of the machine what stations before it tell.
+
+    design : of the new station, whose pose nobody knows; before : after the last one
+    """
+    pose = _pose_of(design.model.machine)
+    known = design.model.size - len(pose.parameters)
+    told = OwnParameters.of(Information.of_matrix(before.precision), known)
+    precision = design.precision.copy()
+    precision[:known, :known] = told.eliminate().matrix
+    return replace(design, precision=precision)
 
 
 def _motion_gram(model: MachineModel, known: KnownEffects) -> NDArray[np.float64]:

@@ -30,6 +30,7 @@ from app.motion.workspace import (
 from app.planning.design_state import DesignState, LineDesignState, PointDesignState
 from app.planning.forecast import Assumptions, Forecast, forecast
 from app.planning.initial_design import (
+    add_station,
     choose_station,
     predict_lag_sigmas_s,
     start_design,
@@ -44,7 +45,12 @@ from app.planning.planner import (
     plan_in_turn,
     wait_for_tracker,
 )
-from app.planning.station_choice import StationAdvice, StationChoice, choose_place
+from app.planning.station_choice import (
+    MOST_STATIONS,
+    StationAdvice,
+    StationChoice,
+    choose_place,
+)
 from app.planning.station_information import StationJudge, Survey
 from app.planning.target_shares import share_among_targets
 from app.progress import Progress, ignore_progress
@@ -74,6 +80,7 @@ class PlanOrder:
     corner_path : the path of the 2023 paper instead, to compare with
     model : whose effects are to be told apart from the error motions and each other
     turns : rotary axes turn on the lines as well
+    stations : places of the tracker, which share the minutes
     """
 
     mode: str = "otf"
@@ -87,6 +94,7 @@ class PlanOrder:
     seed: int = 0
     model: PriorModel | None = None
     turns: bool = True
+    stations: int = 1
 
     @property
     def is_on_the_fly(self) -> bool:
@@ -166,6 +174,23 @@ class PlanOrder:
             )
         if self.corner_path and self.mode != "otf":
             raise PlanningError("a corner path is driven on the fly; use mode otf")
+        if self.stations > 1:
+            self._refuse_stations()
+
+    def _refuse_stations(self) -> None:
+        if self.workspace.stations is None:
+            raise PlanningError(
+                f"stations is {self.stations}, but the workspace states no areas for "
+                "the tracker; add tracker.areas"
+            )
+        if self.target_um is not None or self.corner_path:
+            raise PlanningError(
+                "several stations share a time; leave target and corner path out"
+            )
+        if self.stations > MOST_STATIONS:
+            raise PlanningError(
+                f"stations is {self.stations}; at most {MOST_STATIONS} are planned"
+            )
 
 
 @dataclass(frozen=True)
@@ -177,6 +202,8 @@ class Plan:
     stations : what is said of the tracker's place, where areas for it are known
     feeds_worth : what a second would tell, of what it does, with all lines at one feed;
         nothing where the feeds were given
+    further : plans from further stations, in their order; each knows what those before
+        it will tell, and so does its forecast
     """
 
     machine: Machine
@@ -188,16 +215,27 @@ class Plan:
     lag_sigma_s: dict[str, float]
     stations: StationAdvice | None = None
     feeds_worth: dict[float, float] = field(default_factory=dict[float, float])
+    further: tuple[Plan, ...] = ()
 
     @property
     def duration_s(self) -> float:
-        """From the first row on, dwells included."""
+        """From the first row on, dwells included, at one station."""
         return float(self.time_s[-1])
+
+    @property
+    def at_stations(self) -> tuple[Plan, ...]:
+        """The plan of each station."""
+        return (replace(self, further=()), *self.further)
+
+    @property
+    def outcome(self) -> Forecast:
+        """What to expect after the last station."""
+        return self.at_stations[-1].forecast
 
     @property
     def uncertainty_um(self) -> float:
         """Predicted volumetric uncertainty, k = 1."""
-        return 1e3 * self.forecast.volumetric_sigma_mm
+        return 1e3 * self.outcome.volumetric_sigma_mm
 
     @property
     def reached(self) -> bool | None:
@@ -224,9 +262,30 @@ def make_plan(
     if order.workspace.stations is None:
         return _plan_as_ordered(attempt, on_progress)
     choice = attempt.choose_place(order.workspace.stations)
-    plan = _plan_as_ordered(attempt.place_tracker(choice.first.place_mm), on_progress)
-    advice = choice.advise(plan.duration_s, plan.forecast.volumetric_sigma_mm)
-    return replace(plan, stations=advice)
+    if order.stations > 1:
+        plan = _plan_stations(attempt, choice, on_progress)
+    else:
+        first = attempt.place_tracker(choice.first.place_mm)
+        plan = _plan_as_ordered(first, on_progress)
+    time_s = sum(one.duration_s for one in plan.at_stations)
+    sigma_mm = plan.outcome.volumetric_sigma_mm
+    scale = choice.compare(order.stations, time_s, sigma_mm)
+    return replace(plan, stations=choice.advise(time_s, scale))
+
+
+def _plan_stations(
+    attempt: _PlanAttempt, choice: StationChoice, on_progress: Progress
+) -> Plan:
+    """Return the plan from the first place, with those from further places."""
+    order, plans = attempt.order, list[Plan]()
+    share_s = order.budget_s / order.stations
+    for number, station in enumerate(choice.choose_stations(order.stations)):
+        on_progress(number / order.stations, f"station {number + 1}")
+        attempt = attempt.place_tracker(station.place_mm)
+        plan = attempt.plan_within(share_s)
+        attempt = attempt.tell(plan)
+        plans.append(plan)
+    return replace(plans[0], further=tuple(plans[1:]))
 
 
 def _plan_as_ordered(attempt: _PlanAttempt, on_progress: Progress) -> Plan:
@@ -273,10 +332,17 @@ def _plan_for_target(
 
 @dataclass(frozen=True)
 class _PlanAttempt:
+    """A plan from one place.
+
+    told : forecast after the stations before it; design : the planner's state then
+    """
+
     machine: Machine
     order: PlanOrder
     assumed: Assumptions
     station_mm: NDArray[np.float64]
+    told: Forecast | None = None
+    design: DesignState | None = None
 
     def plan_within(self, budget_s: float) -> Plan:
         return self._evaluate(self._choose(budget_s))
@@ -291,6 +357,11 @@ class _PlanAttempt:
         workspace = self.order.workspace.place_tracker(place_mm)
         order = replace(self.order, workspace=workspace)
         return replace(self, order=order, station_mm=place_mm)
+
+    def tell(self, plan: Plan) -> _PlanAttempt:
+        """Return the attempt that knows what a plan from here will tell."""
+        known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
+        return replace(self, told=plan.forecast, design=known)
 
     def choose_place(self, areas: StationAreas) -> StationChoice:
         """Judge places by lines or points that do not regard what each place sees."""
@@ -385,9 +456,18 @@ class _PlanAttempt:
             target=target,
             dynamic=order.is_on_the_fly and self._tells_lags,
         )
+        if self.design is not None:
+            design = add_station(design, self.design)
         is_free = order.is_on_the_fly and not order.feeds_mm_min
         feeds = feeds if order.is_on_the_fly else feeds[:1]
         return Planner(machine, design, order.workspace, feeds, is_free)
+
+    def _share(self, commanded: Commanded) -> tuple[list[Planner], list[Commanded]]:
+        """Return the stretches of rows of one target each, and who plans for these."""
+        known = {one.design.target.name: one for one in self._planners}
+        blocks = split_by_target(commanded)
+        first = self._planners[0]
+        return [known[b.target[0]] if b.target else first for b in blocks], blocks
 
     def _evaluate(self, commanded: Commanded) -> Plan:
         order = self.order
@@ -396,17 +476,15 @@ class _PlanAttempt:
             commanded,
             self.station_mm,
             self.assumed,
+            self.told,
         )
         limits = self.machine.motion
         time_s = np.cumsum(row_times_s(commanded, order.feeds(self.machine)[0], limits))
         lags: dict[str, float] = {}
         worth: dict[float, float] = {}
         if isinstance(commanded, Path):
-            known = {one.design.target.name: one for one in self._planners}
-            parts = [p for p in split_by_target(commanded) if isinstance(p, Path)]
-            each = [
-                known[p.target[0]] if p.target else self._planners[0] for p in parts
-            ]
+            each, blocks = self._share(commanded)
+            parts = [block for block in blocks if isinstance(block, Path)]
             if self._tells_lags:
                 lags = predict_lag_sigmas_s(each[0].design.add(inform(each, parts)))
             if not (order.feeds_mm_min or order.corner_path):

@@ -85,7 +85,7 @@ def predict_cells(
         (),
         int(count.sum()),
         int(count.sum()),
-        np.concatenate([np.full(len(p.share), p.is_ramp) for p in parts]),
+        ramp=np.concatenate([np.full(len(p.share), p.is_ramp) for p in parts]),
     )
     return add_surroundings(seen, commanded)
 

@@ -28,8 +28,9 @@ from app.planning.station_information import (
 _PLACES = 64  # judged first; those that climb are judged beside
 _WIDER = 1.2  # than the areas: so much of it comes to lie on their borders
 _CLIMBERS, _HALVINGS = 2, 3
-_MOST_STATIONS = 3
-_WORTH = 0.95  # of what one place leaves, or below: further stations pay
+MOST_STATIONS = 3
+_WORTH = 0.9  # of what one place leaves, or below: further stations pay
+_APART_MM = 300.0  # of stations: nearer ones see much the same
 _UNSEEN = 0.02  # share of the travel that is worth a station
 
 
@@ -98,25 +99,43 @@ class StationChoice:
     """Places as judged, the best first.
 
     stated : the place that was given; it stays, whatever others would leave
+    time_s : of measuring, for which places were judged
     """
 
     judge: StationJudge
     judged: tuple[StationInformation, ...]
     stated: StationInformation | None
     move_s: float
+    time_s: float
 
     @property
     def first(self) -> StationInformation:
         """Where the tracker stands."""
         return self.stated or self.judged[0]
 
-    def advise(self, time_s: float, sigma_mm: float) -> StationAdvice:
+    def choose_stations(self, count: int) -> list[StationInformation]:
+        """Return so many stations, the first first.
+
+        Raises PlanningError if the areas have not so many apart from each other.
+        """
+        chosen = [self.first]
+        while len(chosen) < count:
+            chosen = self._add(chosen)
+        return chosen
+
+    def compare(self, count: int, time_s: float, sigma_mm: float) -> float:
+        """Return what a plan leaves over what the survey says of the same time.
+
+        count : of its stations; sigma_mm : what it leaves by its forecast
+        """
+        same = self.judge.evaluate(self.choose_stations(count), time_s)
+        return sigma_mm / same.random_mm
+
+    def advise(self, time_s: float, scale: float) -> StationAdvice:
         """Return what to say of stations that measure for a time in all.
 
-        sigma_mm : what a plan leaves by its forecast from the first place; by that the
-            uncertainty of the survey is corrected
+        scale : by which the uncertainty of the survey is corrected
         """
-        scale = sigma_mm / self.judge.evaluate([self.first], time_s).random_mm
 
         def left(
             stations: Sequence[StationInformation], seconds: float
@@ -124,9 +143,11 @@ class StationChoice:
             return self.judge.evaluate(stations, seconds).scale_random(scale)
 
         chosen, options = [self.first], list[StationOption]()
-        for count in range(1, _MOST_STATIONS + 1):
+        for count in range(1, MOST_STATIONS + 1):
+            if count > 1 and not self._beside(chosen):
+                break
             if count > 1:
-                chosen = self._add(chosen, time_s)
+                chosen = self._add(chosen)
             total_s = time_s + (count - 1) * self.move_s
             several, one = left(chosen, time_s), left([self.first], total_s)
             weakest = self._find_weakest(one, several)
@@ -148,23 +169,33 @@ class StationChoice:
         before, after = map(self.judge.motion_sigmas_mm, (one, several))
         return max(before, key=lambda name: before[name] ** 2 - after[name] ** 2)
 
-    def _add(
-        self, chosen: Sequence[StationInformation], time_s: float
-    ) -> list[StationInformation]:
+    def _add(self, chosen: Sequence[StationInformation]) -> list[StationInformation]:
         """Return one station more; the first stays, the others may change places."""
-        found = [*chosen, self._best_beside(chosen, time_s)]
+        found = [*chosen, self._best_beside(chosen)]
         for k in range(1, len(found)):
-            others = [*found[:k], *found[k + 1 :]]
-            found[k] = self._best_beside(others, time_s)
+            found[k] = self._best_beside([*found[:k], *found[k + 1 :]])
         return found
 
-    def _best_beside(
-        self, others: Sequence[StationInformation], time_s: float
-    ) -> StationInformation:
+    def _best_beside(self, others: Sequence[StationInformation]) -> StationInformation:
         def left_mm(one: StationInformation) -> float:
-            return self.judge.evaluate([*others, one], time_s).sigma_mm
+            return self.judge.evaluate([*others, one], self.time_s).sigma_mm
 
-        return min(self.judged, key=left_mm)
+        free = self._beside(others)
+        if not free:
+            raise PlanningError(
+                f"the tracker's areas have no {len(others) + 1} places that are "
+                f"{_APART_MM:g} mm apart; widen them, or plan fewer stations"
+            )
+        return min(free, key=left_mm)
+
+    def _beside(self, others: Sequence[StationInformation]) -> list[StationInformation]:
+        """Return the places that are apart from others."""
+        taken = np.stack([one.place_mm for one in others])
+        return [
+            one
+            for one in self.judged
+            if np.linalg.norm(taken - one.place_mm, axis=1).min() >= _APART_MM
+        ]
 
 
 def choose_place(
@@ -194,7 +225,7 @@ def choose_place(
             "where the tracker stands no line is in range and in sight; correct the "
             "workspace"
         )
-    return StationChoice(judge, tuple(judged), stated, areas.move_s)
+    return StationChoice(judge, tuple(judged), stated, areas.move_s, time_s)
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def describe_machine(findings: Findings) -> View:
             "text": in_words(grade),
             "sample_sigma_um": format_number(UM_PER_MM * grade.sample_sigma_mm, 1),
         },
-        "runs": [_describe_measurement(run) for run in findings.runs],
+        "runs": [_describe_measurement(findings, run) for run in findings.runs],
     }
 
 
@@ -138,9 +138,10 @@ def _state_quantity(q: TrialQuantity) -> tuple[str, ...]:
     )
 
 
-def _describe_measurement(run: RunFindings) -> View:
+def _describe_measurement(findings: Findings, run: RunFindings) -> View:
     """Return how a Run was measured."""
     summary, estimate = run.summary, run.estimate
+    brought, without_um = findings.contributions, findings.find_without_um(run)
     return {
         "summary": summary,
         "estimate": estimate,
@@ -156,6 +157,12 @@ def _describe_measurement(run: RunFindings) -> View:
             for sensor, (low, high) in summary.temperature_degc.items()
         ),
         "seats": [_describe_seat(seat) for seat in estimate.seats],
+        "brought": None
+        if brought is None or without_um is None
+        else {
+            "with_um": f"{_K * UM_PER_MM * brought.sigma_mm:.2f}",
+            "without_um": f"{_K * without_um:.2f}",
+        },
     }
 
 

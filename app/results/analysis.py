@@ -13,6 +13,7 @@ from importlib.metadata import version
 
 from app.alignment.align import align_all
 from app.errors import BundleError
+from app.estimation.contributions import find_contributions
 from app.estimation.disturbances import estimate_checked
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
@@ -88,8 +89,10 @@ def analyse(
         datetime.now(UTC),
         model,
     )
+    brought = find_contributions(estimated, checked.given)
     checked = replace(checked, estimate=replace(estimated, fit=None))
-    return state_checked_findings(checked, provenance, trials, grade)
+    found = state_checked_findings(checked, provenance, trials, grade)
+    return replace(found, contributions=brought)
 
 
 def number_names(names: Sequence[str]) -> list[str]:

@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.left_out import LeftOut
 from app.estimation.batch import Estimate, RunEstimate
+from app.estimation.contributions import Contributions
 from app.estimation.disturbances import CheckedEstimate, Knock
 from app.estimation.prior_model import PriorModel
 from app.files.run import RunSummary
@@ -99,6 +100,7 @@ class Findings:
     grade : what the set-up was worth before the measurement, if it was asked
     verdict : whether the result may be used
     left_out : of each Run given, what was not used; knocks : at which Runs were split
+    contributions : what each Run given brought, if it was asked
     """
 
     estimate: Estimate
@@ -111,11 +113,20 @@ class Findings:
     verdict: Verdict = field(default_factory=Verdict)
     left_out: tuple[tuple[LeftOut, ...], ...] = ()
     knocks: tuple[Knock, ...] = ()
+    contributions: Contributions | None = None
 
     @property
     def main(self) -> RunFindings:
         """The Run that most used samples come from."""
         return self.runs[self.estimate.main]
+
+    def find_without_um(self, run: RunFindings) -> float | None:
+        """Return what the other Runs would leave; None where they tell too little."""
+        if self.contributions is None or not self.contributions.without_mm:
+            return None
+        number = [one.digest for one in self.provenance.runs].index(run.summary.digest)
+        without_mm = self.contributions.without_mm[number]
+        return UM_PER_MM * without_mm if np.isfinite(without_mm) else None
 
 
 def state_checked_findings(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 from app.files.machine_file import machine_to_json
@@ -19,14 +20,14 @@ SCHEMA = "plan/1"
 
 def plan_document(planned: Plan) -> dict[str, Any]:
     """Return the content of `plan.json`: µm, µrad and s, k = 1 where unsaid."""
-    order, found = planned.order, planned.forecast
+    order, found = planned.order, planned.outcome
     target_um, model = order.target_um, order.model
     return {
         "schema": SCHEMA,
         "machine": machine_to_json(planned.machine),
         "mode": order.mode,
-        "rows": len(planned.commanded),
-        "duration_s": round(planned.duration_s, 3),
+        "rows": sum(len(plan.commanded) for plan in planned.at_stations),
+        "duration_s": round(sum(p.duration_s for p in planned.at_stations), 3),
         "corner_path": order.corner_path,
         "perpendicular_only": order.perpendicular_only,
         "feeds_mm_min": _list_feeds(planned),
@@ -39,6 +40,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
             "chosen": planned.stations is not None and planned.stations.chosen,
         },
         "stations": planned.stations and stations_json(planned.stations),
+        "at_stations": _list_stations(planned) if planned.further else None,
         "predicted": {
             **_state_both(planned.uncertainty_um),
             "errors": _errors(planned),
@@ -53,14 +55,38 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         else {**_state_both(target_um), "reached": planned.reached},
         "curve": [
             {
-                "row": row + 1,
-                "time_s": round(float(planned.time_s[row]), 3),
+                "row": first_row + row + 1,
+                "time_s": round(begin_s + float(plan.time_s[row]), 3),
                 **_state_both(1e3 * sigma),
             }
-            for row, sigma in zip(found.row, found.sigma_mm, strict=True)
+            for first_row, begin_s, plan in _in_turn(planned)
+            for row, sigma in zip(
+                plan.forecast.row, plan.forecast.sigma_mm, strict=True
+            )
         ],
         "unobservable": _list_unobservable(planned),
     }
+
+
+def _in_turn(planned: Plan) -> Iterator[tuple[int, float, Plan]]:
+    """Yield the plan of each station, with the rows and the time before it."""
+    rows, time_s = 0, 0.0
+    for plan in planned.at_stations:
+        yield rows, time_s, plan
+        rows, time_s = rows + len(plan.commanded), time_s + plan.duration_s
+
+
+def _list_stations(planned: Plan) -> list[dict[str, Any]]:
+    """Return place and share of each station, and what is left after it."""
+    return [
+        {
+            "position_mm": [round(float(v), 3) for v in plan.station_mm],
+            "rows": len(plan.commanded),
+            "duration_s": round(plan.duration_s, 3),
+            **_state_both(plan.uncertainty_um),
+        }
+        for plan in planned.at_stations
+    ]
 
 
 def _list_feeds(planned: Plan) -> list[float]:

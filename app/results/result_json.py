@@ -59,6 +59,8 @@ def result_json(found: Findings) -> dict[str, Any]:
         "monte_carlo": None if found.trials is None else trials_json(found.trials),
         "holds_for": _holds_for(found.tables),
         "volumetric_error": _volumetric_json(found),
+        "volumetric_uncertainty_um": found.contributions
+        and UM_PER_MM * found.contributions.sigma_mm,
         "alignment": _alignment_json(found, found.main),
         "residuals": _residuals_json(
             np.concatenate([r.estimate.residuals.residual_mm for r in found.runs]),
@@ -181,6 +183,8 @@ def _run_json(found: Findings, run: RunFindings) -> dict[str, Any]:
         "feed_mm_min": list(summary.feed_mm_min) if summary.feed_mm_min else None,
         "input_sha256": summary.digest,
         "source": summary.source,
+        "tracker_mm": run.estimate.pose.invert().translation_mm.round(3).tolist(),
+        "without_it_um": found.find_without_um(run),
         "alignment": _alignment_json(found, run),
         "residuals": _residuals_json(
             residuals.residual_mm,

@@ -47,6 +47,16 @@ def test_each_run_has_alignment_residuals_noise_and_origin(analysis, runs):
         assert len(stated["input_sha256"]) == 64
 
 
+def test_each_run_says_where_the_tracker_stood_and_what_it_brought(analysis):
+    left = analysis.result["volumetric_uncertainty_um"]
+    for run in analysis.result["runs"]:
+        pose = run["alignment"]["pose"]
+        stood = -np.array(pose["rotation"]).T @ pose["shift_mm"]
+        assert run["tracker_mm"] == pytest.approx(stood, abs=1e-3)
+        assert run["without_it_um"] > left > 0.0
+    assert analysis.report_html.count("without this Run it would be") == 2
+
+
 def test_residuals_at_the_top_are_those_of_all_cells(analysis):
     residuals = analysis.result["residuals"]
     lines = residuals["by_line"]

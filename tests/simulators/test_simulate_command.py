@@ -11,6 +11,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 
@@ -79,6 +80,25 @@ def test_a_line_on_standard_input_is_a_fault(
         deadline_s = time.monotonic() + 5.0
         while not tracker.read(0.1).status.any():
             assert time.monotonic() < deadline_s
+
+
+def test_a_line_on_standard_input_moves_the_tracker(
+    simulate: Callable[..., Command],
+) -> None:
+    process, where = simulate("--tracker", "tcp")
+    assert process.stdin is not None
+    with StreamingTracker(**where["tracker"]) as tracker:
+        tracker.start(500.0)
+        before_mm = np.linalg.norm(tracker.read(2.0).position_mm[0])
+        process.stdin.write("move here\nmove 3000,200,0\n")
+        process.stdin.flush()
+        deadline_s = time.monotonic() + 5.0
+        while True:
+            now_mm = np.linalg.norm(tracker.read(0.5).position_mm[-1])
+            if abs(now_mm - before_mm) > 500.0:
+                break
+            assert time.monotonic() < deadline_s
+    assert now_mm == pytest.approx(3000.0, abs=400.0)
 
 
 def test_killed_it_takes_its_simulators_along(

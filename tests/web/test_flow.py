@@ -268,6 +268,49 @@ def test_a_failed_job_says_why_and_leads_back_to_the_plan(panel, service):
     expect(page.locator(NEXT)).to_have_text("Plan a new run")
 
 
+@pytest.mark.parametrize(
+    ("language", "title", "button"),
+    [
+        ("en", "Station 2 of 2: set up the tracker", "Hold to start motion"),
+        ("de", "Standort 2 von 2: Tracker aufstellen", "Zum Starten halten"),
+    ],
+)
+def test_the_page_asks_for_the_tracker_and_motion_goes_on_once_armed(
+    panel, service, language, title, button
+):
+    service.connected = True
+    rows = {key: service.plan[key] for key in ("position", "feed_mm_min", "dwell_s")}
+    places = ([1200, 300, -80], [-650, 200, 40])
+    service.plan["stations"] = [{"position_mm": p, **rows} for p in places]
+    station = {"number": 1, "total": 2, "position_mm": places[0], "checks": []}
+    kind = {"kind": "measure-otf", "stage": "measuring", "station": station}
+    job = service.new_job(**kind, state="running")["id"]
+    page = panel.open(language=language)
+    page.wait_for_url(f"**/#/run/{job}")
+    text = "the tracker has not been moved"
+    check = {"station": 2, "problem": "not-moved", "text": text}
+    station = {"number": 2, "total": 2, "position_mm": places[1], "checks": [check]}
+    service.change(job, state="awaiting-move", stage="waiting", station=station)
+    page.wait_for_url(f"**/#/check/{job}")
+    notices = page.locator(".notice")
+    expect(notices.filter(has_text=title)).to_contain_text("X −650 mm, Y 200 mm")
+    expect(notices.filter(has_text=text)).to_be_visible()
+    with held(page, page.locator(NEXT, has_text=button)):
+        page.wait_for_url(f"**/#/run/{job}")
+
+
+def test_stations_that_are_left_can_still_be_measured(panel, service):
+    service.connected = True
+    station = {"number": 2, "total": 2, "position_mm": [1, 2, 3], "checks": []}
+    kind = {"kind": "measure-otf", "station": station}
+    job = service.new_job(**kind, state="interrupted", ended="2026-03-14T08:30:00Z")
+    page = panel.open(f"#/run/{job['id']}")
+    page.locator("#back button", has_text="Measure the stations that are left").click()
+    page.wait_for_url("**/#/check/job-2")
+    sent = [body for _, path, body in service.requests if path.endswith("/jobs")]
+    assert sent[-1] == {"kind": "measure-otf", "continues": job["id"]}
+
+
 def test_a_discarded_check_leads_back_to_the_plan(panel, service):
     service.connected = True
     job = ready(service)

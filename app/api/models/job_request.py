@@ -22,9 +22,10 @@ from app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
+_MEASURED = {"plan_id", "target_um", "model_id", "continues"}
 _ALLOWED = {
-    "measure-otf": {"path", "plan_id", "feed_mm_min", "target_um", "model_id"},
-    "measure-standstill": {"points", "plan_id", "target_um", "model_id"},
+    "measure-otf": {"path", "feed_mm_min", *_MEASURED},
+    "measure-standstill": {"points", *_MEASURED},
     "measure-adaptive": {"planning", "target_um", "model_id"},
     "measure-extra": {"discovery_id"},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
@@ -112,7 +113,14 @@ class JobRequest(RequestBody):
         "discovery goes on in its Runs and the new one.",
     )
     plan_id: Identifier | None = Field(
-        None, description="A plan whose rows are driven, in place of rows sent in."
+        None,
+        description="A plan whose rows are driven, in place of rows sent in; one of "
+        "several stations asks for the tracker to be moved between them.",
+    )
+    continues: Identifier | None = Field(
+        None,
+        description="Job that has ended before all its stations were measured: the "
+        "rest is measured, and all analysed together.",
     )
     planning: PlanRequest | None = Field(
         None,
@@ -151,9 +159,15 @@ class JobRequest(RequestBody):
         planning = self.planning
         if planning and (planning.corner_path or planning.target_um is not None):
             raise ValueError("planning has no target and no corner path; see target_um")
+        if planning and planning.stations is not None:
+            raise ValueError("an adaptive measurement has one station")
         if planning and planning.model_id is not None:
             raise ValueError("planning has no model_id; it stands beside planning")
         beside = [self.path, self.points, self.feed_mm_min]
+        if self.continues is not None and any(
+            x is not None for x in (*beside, self.plan_id, self.target_um)
+        ):
+            raise ValueError("continues stands beside a plan; the job has its own")
         if self.plan_id is not None and any(x is not None for x in beside):
             raise ValueError("plan_id stands beside rows or a feed; the plan has them")
         if len(set(runs)) < len(runs):
@@ -169,7 +183,7 @@ class JobRequest(RequestBody):
             order = {"minutes": ADAPTIVE_MINUTES, **asked}
             order["perpendicular_only"] = self.perpendicular_only
         same = ("feed_mm_min", "perpendicular_only", "target_um")
-        same += ("plan_id", "model_id", "discovery_id")
+        same += ("plan_id", "model_id", "discovery_id", "continues")
         return RequestedJob(
             kind=JobKind(self.kind),
             run_ids=self.run_ids or [i for i in (self.run_id,) if i],

@@ -23,6 +23,7 @@ from app.files.workspace_file import workspace_from_json
 from app.motion.commanded_rows import MAX_ROWS
 
 MOST_MINUTES = 60.0
+MOST_STATIONS = 3
 _MOST_BOXES = 100
 _EXAMPLE = {
     "mode": "otf",
@@ -58,6 +59,18 @@ class Waypoint(Point):
     feed_mm_min: Feed | None = None
 
 
+class StationRows(BaseModel):
+    """What is commanded from one of several stations."""
+
+    position_mm: list[float] = Field(description="Where the tracker is to stand.")
+    duration_s: float
+    position: list[list[float]]
+    feed_mm_min: list[float]
+    dwell_s: list[float]
+    target: list[str]
+    run_id: str | None = Field(None, description="Of its Run, once that has begun.")
+
+
 class PlanOut(BaseModel):
     """What is or was commanded, a row of `position` for each waypoint or point."""
 
@@ -81,6 +94,11 @@ class PlanOut(BaseModel):
         None,
         description="Where it was planned: the predicted volumetric uncertainty "
         "(k = 1).",
+    )
+    stations: list[StationRows] | None = Field(
+        None,
+        description="Of a plan of several stations: the rows from each; those above "
+        "are the first's.",
     )
     discovery_id: str | None = Field(
         None, description="Of extra lines: the job whose discovery asks for them."
@@ -200,6 +218,13 @@ class PlanRequest(RequestBody):
         False, description="The path of the 2023 paper instead, to compare with."
     )
     workspace: WorkspaceIn | None = None
+    stations: int | None = Field(
+        None,
+        ge=1,
+        le=MOST_STATIONS,
+        description="Places of the tracker, chosen in the areas of the workspace, "
+        "which share the minutes; one without it.",
+    )
     seed: int = Field(0, ge=0, le=2**31 - 1)
     model_id: Identifier | None = Field(
         None,

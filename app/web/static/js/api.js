@@ -57,7 +57,10 @@ export const createJob = (order) => call("POST", "/jobs", { json: order, key: ne
 /** Ask for a plan; follow it with `planned`. */
 export const createPlan = (request) => call("POST", "/plans", { json: request, key: newKey() });
 export const planned = (id) => call("GET", `/plans/${id}`);
-export const plan = (id) => call("GET", `/jobs/${id}/plan`);
+export const plan = async (id) => withStations(await call("GET", `/jobs/${id}/plan`));
+/** The rows of each of several stations as a plan of its own. */
+const withStations = (whole) => (whole.stations
+  ? { ...whole, stations: whole.stations.map((rows) => ({ ...whole, ...rows, stations: null })) } : whole);
 export const grade = (id) => call("GET", `/jobs/${id}/plan/grade`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
 export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);

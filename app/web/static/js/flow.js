@@ -1,7 +1,8 @@
 /* The steps, where a job belongs among them, and which can be reached. */
 export const STEPS = ["connect", "plan", "check", "run", "result", "discover"];
 
-const BEFORE_MOTION = new Set(["queued", "preparing", "ready"]);
+const WAITS_FOR_ARMING = new Set(["ready", "awaiting-move"]);
+const BEFORE_MOTION = new Set(["queued", "preparing", ...WAITS_FOR_ARMING]);
 const ENDED = new Set(["succeeded", "aborted", "failed", "faulted", "interrupted"]);
 const COMPUTING = new Set(["aligning", "estimating", "validating", "discovering", "reporting"]);
 
@@ -13,7 +14,12 @@ export const isActive = (job) => Boolean(job) && !hasEnded(job);
 export const isComputing = (job) => COMPUTING.has(job.stage);
 export const isMoving = (job) =>
   isActive(job) && isMeasuring(job) && !BEFORE_MOTION.has(job.state) && !isComputing(job);
+export const waitsForArming = (job) => WAITS_FOR_ARMING.has(job.state);
 export const isConnected = (machine) => Boolean(machine?.connected);
+
+/** The rows of the station that is measured or asked for; of one station all rows. */
+export const rowsNow = (plan, job) =>
+  plan?.stations?.[(job?.station?.number ?? 1) - 1] ?? plan;
 
 /** The step that shows a job as it is now. */
 export function stepOf(job) {

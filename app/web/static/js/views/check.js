@@ -1,6 +1,6 @@
 /* Step 3: what will move, and the hold that starts it. */
 import { h, icon } from "../dom.js";
-import { addressOf, hasEnded, isExtra, stepOf } from "../flow.js";
+import { addressOf, hasEnded, isExtra, rowsNow, stepOf, waitsForArming } from "../flow.js";
 import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
@@ -8,6 +8,7 @@ import { quantity } from "../units.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
 import { programCard } from "./program-card.js";
+import { stationNotices } from "./station-notice.js";
 import { again } from "./run.js";
 
 /** Button that leads on: held, because the machine moves. */
@@ -25,7 +26,7 @@ export function lead({ job, plan, link, asked }, { actions, go }) {
 
 function refusal(job, link, asked) {
   if (asked) return t("check.asked");
-  if (job.state !== "ready") return t("check.preparing");
+  if (!waitsForArming(job)) return t("check.preparing");
   return link.stale ? t("check.stale") : "";
 }
 
@@ -50,16 +51,17 @@ export function mount(root) {
   );
   let described = "";
   return {
-    update({ job, plan, machine }) {
+    update({ job, plan: whole, machine }) {
+      const plan = rowsNow(whole, job);
       path.update(plan, machine);
       if (!isExtra(job)) grade.update(job, plan);
       program.update(job, plan);
-      const key = [job?.id, job?.state, Boolean(plan), Boolean(machine)].join();
+      const key = [job?.id, job?.version, Boolean(plan), Boolean(machine)].join();
       if (key === described || !job) return;
       described = key;
       facts.replaceChildren(pairs(describe(job, plan, machine)));
       reach.replaceChildren(...(plan ? rows(plan, machine) : [h("p", { class: "empty" }, t("path.waiting"))]));
-      failure.replaceChildren(...[errorNotice(job)].filter(Boolean));
+      failure.replaceChildren(...[errorNotice(job), ...stationNotices(job)].filter(Boolean));
     },
     close: path.close,
   };

@@ -1,7 +1,7 @@
 /* Step 4: the machine moves; path, tables, numbers, pause and resume. Or: a Run is analysed. */
 import { h, icon, mark, write } from "../dom.js";
 import {
-  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving,
+  addressOf, hasEnded, isActive, isComputing, isDiscovery, isExtra, isMeasuring, isMoving, rowsNow,
 } from "../flow.js";
 import { holdToConfirm } from "../hold.js";
 import { card, earlyEndNotice, errorNotice, head, kindOf, notice, segments, tile, wordOf } from "../parts.js";
@@ -30,13 +30,17 @@ export function lead({ job, plan, link }, { actions, go }) {
     return { next: { key: "result", label: nextOf(job), run: () => go(addressOf(job)) } };
   }
   if (hasEnded(job)) {
-    return { next: again(job, plan, go) };
+    return { next: again(job, plan, go), back: goOn(job, actions) };
   }
   const cancel = isMeasuring(job) ? null : { label: t("run.cancel"), run: actions.abort };
   const wait = t(isMeasuring(job) ? "run.wait" : "run.wait_analysis");
   return { back: cancel, reason: link.stale ? t("run.stale") : wait,
     next: { key: "result", label: nextOf(job), disabled: true } };
 }
+
+/** Stations that are left can still be measured; nothing that is recorded is lost. */
+const goOn = (job, actions) => (job.station ? { label: t("station.continue"),
+  run: () => actions.prepare({ kind: job.kind, continues: job.id }) } : null);
 
 /** Extra lines go back to the discovery that asks for them. */
 export const again = (job, plan, go) => (isExtra(job) && plan?.discovery_id
@@ -85,15 +89,16 @@ function mountMeasuring(root, { store, actions }, extra) {
 
   return {
     update(state) {
-      const { job, plan, machine, link } = state;
+      const { job, machine, link } = state;
       if (!job) return;
+      const plan = rowsNow(state.plan, job);
       if (looksAt === "path") path.update(plan, machine);
       estimate.update(state);
       progress.update(state);
       position.update(state);
       health.update(state);
       buttons.update(state);
-      if (looksAt === "path") path.progress(reached(state), positionOf(state));
+      if (looksAt === "path") path.progress(reached({ job, plan }), positionOf(state));
       const stale = isActive(job) && link.stale;
       for (const { element } of [progress, position, health, path, estimate]) {
         element.classList.toggle("is-stale-data", stale);

@@ -1,0 +1,203 @@
+"""Measuring from several places of the tracker, one Run each.
+
+From every station the known points come first: they show that the tracker was moved,
+sees what it has to see, and agrees with the station before. Between stations the job
+waits, nothing moves, and a person moves the tracker and arms the job again. A station
+that the known points contradict is asked for again, with the reason. What each station
+has recorded is in the catalogue, and with the plan, before the next one is asked for:
+a job that ended early is continued from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from app.files.commanded_file import decode_commanded_json
+from app.jobs.active_job import ActiveJob
+from app.jobs.cell_measurement import CellMeasurement
+from app.jobs.context import JobContext
+from app.jobs.errors import MachineFault, MeasurementEnded
+from app.jobs.job import (
+    Job,
+    Json,
+    Stage,
+    StationCheck,
+    StationProgress,
+    make_id,
+)
+from app.jobs.store import Store
+from app.jobs.transitions import State
+from app.measurement.messages import MeasurementOrder
+from app.motion.configurations import Commanded
+
+_UNSEEN = frozenset({"beam-lost", "not-resumed"})
+
+log = structlog.get_logger(__name__)
+
+
+def begin_at_station(active: ActiveJob, store: Store) -> None:
+    """Show the first station that is still to be measured, if there are several."""
+    plan = store.read_plan(active.job_id) or {}
+    stations = plan.get("stations", ())
+    for number, station in enumerate(stations, start=1):
+        if not station.get("measured"):
+            active.store_values(station=_show(stations, number))
+            return
+
+
+def list_run_ids(plan: Json, key: str = "run_id") -> list[str]:
+    """Return the Runs of stations of a plan, made or about to be made.
+
+    key : `points_id` for those of the known points
+    """
+    return [s[key] for s in plan.get("stations", ()) if s.get(key)]
+
+
+def count_measured(plan: Json) -> int:
+    """Return how many stations of a plan are measured."""
+    return sum(bool(s.get("measured")) for s in plan.get("stations", ()))
+
+
+def _show(stations: list[Json], number: int) -> StationProgress:
+    place_mm = tuple(stations[number - 1]["position_mm"])
+    return StationProgress(number, len(stations), place_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class StationSteps:
+    """The stations of one job, armed once for the first that is to be measured.
+
+    compute : lets the executor compute a task
+    """
+
+    job: Job
+    active: ActiveJob
+    context: JobContext
+    compute: Callable[..., Any]
+
+    def run(self) -> tuple[str, ...]:
+        """Measure from every station that is left; return the Runs of all."""
+        plan = self._read_plan()
+        first = count_measured(plan) + 1
+        for number in range(first, len(plan["stations"]) + 1):
+            if number > first:
+                self._await_move(number)
+            while not self._agrees(number):
+                self._await_move(number)
+            self._measure(number)
+        return tuple(s["run_id"] for s in self._read_plan()["stations"])
+
+    def _await_move(self, number: int) -> None:
+        """Ask for the tracker at a station; wait until the job is armed again."""
+        progress = _show(self._read_plan()["stations"], number)
+        checks = self._read_progress(number).checks
+        self.active.store_values(
+            station=StationProgress(
+                progress.number, progress.total, progress.position_mm, checks
+            )
+        )
+        log.info("the tracker is to be moved", station=number)
+        self.active.enter(State.AWAITING_MOVE, Stage.WAITING)
+        self.active.wait_until_armed()
+
+    def _agrees(self, number: int) -> bool:
+        """Measure the known points; tell whether the station can be used."""
+        plan, points_id = self._read_plan(), make_id()
+        self._keep(number, points_id=points_id)
+        points = decode_commanded_json(plan["known_points"])
+        try:
+            name = f"known points, station {number}"
+            self._drive(points, points_id, name, gives_up=True)
+            check = self._compare(number)
+        except MachineFault:
+            raise
+        except MeasurementEnded as error:
+            self.active.checkpoint()
+            if error.code not in _UNSEEN:
+                raise
+            check = StationCheck(number, problem="not-seen", text=str(error))
+        progress = self._read_progress(number).add_check(check)
+        self.active.store_values(station=progress)
+        log.info("station checked", station=number, problem=check.problem or "none")
+        return not check.problem
+
+    def _compare(self, number: int) -> StationCheck:
+        plan, runs = self._read_plan(), self.context.runs
+        here = plan["stations"][number - 1]
+        before, asked_mm = None, 0.0
+        if number > 1:
+            last = plan["stations"][number - 2]
+            before = str(runs.file(last["points_id"]))
+            asked_mm = math.dist(last["position_mm"], here["position_mm"])
+        found = self.compute(
+            State.RUNNING,
+            Stage.ALIGNING,
+            self.context.checker,
+            str(runs.file(here["points_id"])),
+            before,
+            asked_mm,
+            plan["specification"],
+        )
+        return StationCheck(number, **found)
+
+    def _measure(self, number: int) -> None:
+        """Make the Run of a station."""
+        run_id = self.job.id if number == 1 else make_id()
+        self._keep(number, run_id=run_id)
+        station = self._read_plan()["stations"][number - 1]
+        commanded = decode_commanded_json(station)
+        try:
+            self._drive(commanded, run_id, f"station {number}", gives_up=False)
+            self._keep(number, measured=True)
+        finally:
+            self._store_runs()
+
+    def _drive(
+        self, commanded: Commanded, run_id: str, what: str, *, gives_up: bool
+    ) -> None:
+        context = self.context
+        machine = context.require_machine()
+        order = MeasurementOrder(
+            run_name=f"{machine.name} {self.job.created}, {what}",
+            run_file=str(context.runs.name_run_file(run_id)),
+            machine=machine,
+            commanded=commanded,
+            rate_hz=machine.tracker.rate_hz,
+        )
+        self.active.enter(State.RUNNING, Stage.MEASURING)
+        try:
+            CellMeasurement(
+                self.active,
+                context.require_cell(),
+                confirm_s=context.confirm_s,
+                steering=None,
+                gives_up=_UNSEEN if gives_up else (),
+            ).run(order)
+        finally:
+            context.runs.add_measured(run_id)
+
+    def _store_runs(self) -> None:
+        known = self.context.runs.find(list_run_ids(self._read_plan()))
+        if known:
+            self.active.store_values(run_id=known[0], further_run_ids=tuple(known[1:]))
+
+    def _read_plan(self) -> Json:
+        return self.context.store.read_plan(self.job.id) or {}
+
+    def _read_progress(self, number: int) -> StationProgress:
+        now = self.context.store.get(self.job.id).station
+        return now or _show(self._read_plan()["stations"], number)
+
+    def _keep(self, number: int, **values: Any) -> None:
+        """Keep with the plan what a station has made."""
+        plan = dict(self._read_plan())
+        plan["stations"] = [
+            {**station, **values} if k == number else station
+            for k, station in enumerate(plan["stations"], start=1)
+        ]
+        self.context.store.keep_plan(self.job.id, plan)

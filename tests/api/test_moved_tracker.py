@@ -1,0 +1,144 @@
+"""The tracker is moved between stations: the service over simulated devices."""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from scripted_cell import wait_until
+from starlette.testclient import TestClient
+
+from app.api.application import create_application
+from app.main import open_service
+from app.settings import load_settings
+from simulators.bench import Bench
+
+SPEED = 12.0
+WORKSPACE = {
+    "tracker": {
+        "areas": [
+            {"min_mm": [-900, -900, 0], "max_mm": [1400, -500, 100]},
+            {"min_mm": [900, -900, 0], "max_mm": [1400, 900, 100]},
+        ],
+        "nearest_mm": 300,
+        "move_minutes": 3,
+    }
+}
+ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
+
+pytestmark = pytest.mark.timeout(240)  # half a minute, but three programs beside it
+
+
+@pytest.fixture
+def bench(tmp_path):
+    with Bench(seed=3, speed=SPEED, workdir=tmp_path / "links") as running:
+        yield running
+
+
+@pytest.fixture
+def open_client(bench, tmp_path):
+    """Opens the service on the bench, as often as the test wants."""
+    file = tmp_path / "machine.json"
+    file.write_text(json.dumps(bench.machine))
+    settings = load_settings(
+        data_dir=tmp_path / "data",
+        machine_file=file,
+        tracker_options=bench.tracker_options,
+        motion_options=bench.motion_options,
+        port=0,
+    )
+
+    @contextmanager
+    def opened():
+        with (
+            open_service(settings) as service,
+            TestClient(
+                create_application(service), base_url="http://localhost"
+            ) as client,
+        ):
+            yield client
+
+    return opened
+
+
+def follow(client, job_id, *states):
+    """Wait until a job is in a state that it reaches on its way."""
+
+    def reached():
+        job = client.get(f"/api/v1/jobs/{job_id}").json()
+        assert job["state"] in states or job["state"] not in ENDS, job["error"]
+        return job if job["state"] in states else None
+
+    return wait_until(reached, states)
+
+
+def plan(client, **more):
+    order = {"mode": "otf", "minutes": 1.0, "workspace": WORKSPACE, **more}
+    made = client.post("/api/v1/plans", json=order)
+    assert made.status_code == 202, made.text
+    address = f"/api/v1/plans/{made.json()['id']}"
+    return wait_until(
+        lambda: (p := client.get(address).json())["state"] in ENDS and p, "the plan"
+    )
+
+
+def begin(client, planned):
+    """Make the job of a plan and wait until it is ready."""
+    order = {"kind": "measure-otf", "plan_id": planned["id"]}
+    made = client.post("/api/v1/jobs", json=order)
+    assert made.status_code == 202, made.text
+    return follow(client, made.json()["id"], "ready")
+
+
+def arm(client, job):
+    version = {"If-Match": f'"{job["version"]}"'}
+    answer = client.post(f"/api/v1/jobs/{job['id']}/arm", headers=version)
+    assert answer.status_code == 202, answer.text
+    assert answer.json()["state"] == "running"
+
+
+def set_down(bench, job, number):
+    """Carry the tracker to where the job asks for it, as well as people can."""
+    place = np.add(job["station"]["position_mm"], [20.0, -15.0, 5.0])
+    bench.move_tracker(place, number)
+
+
+def test_a_machine_is_measured_from_two_stations(bench, open_client):
+    with open_client() as client:
+        planned = plan(client, stations=2)
+        assert planned["state"] == "succeeded", planned["error"]
+        places = [s["position_mm"] for s in planned["document"]["at_stations"]]
+        job = begin(client, planned)
+        assert job["station"]["position_mm"] == pytest.approx(places[0], abs=0.1)
+        set_down(bench, job, 1)
+        arm(client, job)
+
+        asked = follow(client, job["id"], "awaiting-move")
+        assert asked["station"]["number"] == 2
+        assert asked["station"]["position_mm"] == pytest.approx(places[1], abs=0.1)
+        assert [c["problem"] for c in asked["station"]["checks"]] == [""]
+        first_run = asked["run_id"]
+        assert client.get(f"/api/v1/runs/{first_run}").json()["complete"]
+
+        arm(client, asked)  # nobody has moved it
+        again = follow(client, job["id"], "awaiting-move")
+        assert again["station"]["checks"][-1]["problem"] == "not-moved"
+
+        set_down(bench, job=again, number=2)
+        arm(client, again)
+        done = follow(client, job["id"], "succeeded")
+        check = done["station"]["checks"][-1]
+        assert (check["station"], check["problem"]) == (2, "")
+        assert check["place_mm"] == pytest.approx(places[1], abs=30.0)
+        assert check["residual_um"] < check["allowed_um"]
+        assert done["run_ids"][0] == first_run
+        assert len(done["run_ids"]) == 2
+
+        result = client.get(done["result"]["result"]).json()
+        print(result["verdict"])
+        left = result["volumetric_uncertainty_um"]
+        for run, place in zip(result["runs"], places, strict=True):
+            assert run["tracker_mm"] == pytest.approx(place, abs=30.0)
+            assert run["without_it_um"] > left
