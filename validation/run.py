@@ -20,6 +20,7 @@ SCRIPTS = (
     "large_machines",
     "along_the_path",
     "forecasts",
+    "fast_machines",
     "disturbed_runs",
     "target_seats",
 )

@@ -22,6 +22,7 @@ from app.numerics.rigid import RigidTransform
 
 STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill
 _FEWEST_SAMPLES = 5  # of a standstill
+_PARABOLA = 5  # samples before and after, through which one is laid
 _CREEP_MM = 0.03  # several times what the air does in a second
 
 
@@ -33,6 +34,7 @@ class CellBlock:
     position_mm : (n, axes) nominal; line_time_s : (n,) from the middle of the pass
     line_speed_mm_s : mean speed along the line, of a pass at constant feed
     left_out : samples that are in no cell
+    acceleration : (n, axes) mm/s² on a ramp; None elsewhere
     """
 
     cells: Cells
@@ -43,7 +45,12 @@ class CellBlock:
     line_time_s: Float64[np.ndarray, " n"]
     line_speed_mm_s: float = 0.0
     left_out: tuple[LeftOut, ...] = ()
-    is_ramp: bool = False
+    acceleration: Float64[np.ndarray, "n a"] | None = None
+
+    @property
+    def is_ramp(self) -> bool:
+        """Whether the feed changes: places on the line are the measured ones."""
+        return self.acceleration is not None
 
 
 def reduce_pass(
@@ -97,21 +104,41 @@ def _reduce_ramp(
     count = count_cells(span, fastest, cell_mm=cell_mm)
     cells = reduce_to_cells(time, tracker_mm, way, run.machine.tracker.sigma_mm, count)
     cells = replace(cells, scatter_square=np.zeros(2), freedom=np.zeros(2))
-    cell_s = span / count
-    begin, place, end = (
-        np.interp(cells.time_s + k * cell_s, time, share) for k in (-0.5, 0.0, 0.5)
-    )
+    place = np.interp(cells.time_s, time, share)
+    rate, change = _follow(time, share, cells.time_s, span / count)
     rows = run.commanded.position[each.row - 1 : each.row + 1]
     return CellBlock(
         cells,
         each.row,
         line,
-        curve.chord_mm * ((end - begin) / cell_s)[:, None],
+        curve.chord_mm * rate[:, None],
         rows[0] + place[:, None] * (rows[1] - rows[0]),
         np.zeros(len(place)),
         left_out=tuple(left_out),
-        is_ramp=True,
+        acceleration=change[:, None] * (rows[1] - rows[0]),
     )
+
+
+def _follow(
+    time_s: Float64[np.ndarray, " m"],
+    share: Float64[np.ndarray, " m"],
+    at_s: Float64[np.ndarray, " n"],
+    cell_s: float,
+) -> Float64[np.ndarray, "2 n"]:
+    """Return the rate of the share of the line, and its change, at the cells.
+
+    By parabolas through the samples of each, and a few more where it has few.
+    """
+    half_s = max(0.5 * cell_s, _PARABOLA * float(np.median(np.diff(time_s))))
+    first = np.searchsorted(time_s, np.maximum(at_s - half_s, time_s[0]))
+    last = np.searchsorted(time_s, np.minimum(at_s + half_s, time_s[-1]), "right")
+    found = np.zeros((2, len(at_s)))
+    for k, (a, b) in enumerate(zip(first, last, strict=True)):
+        lag = (time_s[a:b] - at_s[k]) / half_s
+        shapes = np.stack([np.ones(b - a), lag, lag**2], axis=1)
+        bent = np.linalg.lstsq(shapes, share[a:b], rcond=None)[0]
+        found[:, k] = bent[1] / half_s, 2.0 * bent[2] / half_s**2
+    return found
 
 
 def _reduce_steady(
@@ -297,6 +324,7 @@ def join_blocks(
         run.machine.tracker.stands_on,
         np.array([target.on == "workpiece" for target in targets], bool),
         mean_speed if run.machine.rotary_axes else None,
+        acceleration=_join_accelerations(parts),
     )
     seats = refer_to_first(run.machine, seats)
     if seats:
@@ -316,6 +344,17 @@ def join_blocks(
         len(run.tracker),
         gather(said, at.time_s, row),
         is_ramp,
+    )
+
+
+def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | None:
+    if not any(p.is_ramp for p in parts):
+        return None
+    return np.concatenate(
+        [
+            np.zeros_like(p.position_mm) if p.acceleration is None else p.acceleration
+            for p in parts
+        ]
     )
 
 

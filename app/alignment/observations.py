@@ -129,6 +129,10 @@ class Observations:
             ramp=None if self.ramp is None else self.ramp[cells],
         )
 
+    def leave_out_ramps(self) -> Observations:
+        """Return the cells at constant feed and at standstill."""
+        return self.select(np.flatnonzero(~self.is_ramp))
+
     def join(self, starts: Int64[np.ndarray, " m"]) -> Observations:
         """Return means of neighbours on straight lines, from each start to the next."""
         means = CellMeans(self.count, starts)
@@ -227,6 +231,7 @@ def _join_conditions(at: Conditions, means: CellMeans) -> Conditions:
         time_s=means.of(at.time_s),
         line_time_s=means.of(at.line_time_s),
         recorded=recorded,
+        acceleration=None if at.acceleration is None else means.of(at.acceleration),
     )
 
 

@@ -76,12 +76,16 @@ def _add_surroundings(
 ) -> Observations:
     """Return observations of a Run with its number and their surroundings.
 
-    The first point of a standstill Run is left out: the side that the machine reached
-    it from is unknown, and an axis with play stands elsewhere from either side.
+    Ramps are left out, unless the Run has nothing but these: what acceleration does
+    would pass for effects of place and speed. So is the first point of a standstill
+    Run: the side that the machine reached it from is unknown, and an axis with play
+    stands elsewhere from either side.
     """
     if run.mode == "standstill":
         later = np.flatnonzero(observations.row > 0)
         observations = observations.select(later)
+    elif any(each.is_steady for each in observations.passes):
+        observations = observations.leave_out_ramps()
     return add_surroundings(observations, run.commanded, run.temperature, number)
 
 

@@ -30,6 +30,7 @@ from app.estimation.observability import (
     name_undetermined,
 )
 from app.estimation.prior import widen_by_unknown_precision
+from app.estimation.ramp_noise import widen_ramps
 from app.estimation.runs import RunInformation, RunInput
 from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import NestedModels, RunModels
@@ -37,6 +38,8 @@ from app.kinematics.effects.nuisance import TargetSeat
 from app.kinematics.machine import Target, TrackerNoise
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
+
+_RAMP_ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,10 +186,12 @@ def estimate(
         )
         for each in join_cells(seen, models.nested.alone)
     )
+    if any(each.is_ramp.any() for each in seen):
+        models = models.add_bends()
     try:
         inputs = refine_runs(models.coarse, inputs, known=known)
         on_progress(0.5)
-        fit = soften_ends(_fit(inputs, seen, models.nested, known))
+        fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
     except Unidentifiable as error:
         undetermined = name_undetermined(models.shapes, inputs)
         if not undetermined:
@@ -215,6 +220,28 @@ def estimate(
     )
     on_progress(1.0)
     return found
+
+
+def _fit_ramps(
+    inputs: Sequence[RunInput],
+    seen: Sequence[Observations],
+    nested: NestedModels,
+    known: KnownEffects,
+) -> Fit:
+    """Return the fit in which ramps count by how far they are off."""
+    fit = _fit(inputs, seen, nested, known)
+    for _ in range(_RAMP_ROUNDS):
+        left = [
+            _compute_residuals(run, run.own.restore(fit.result)[0]) for run in fit.runs
+        ]
+        across = [each.across_mm for each in left]
+        wider = widen_ramps(
+            inputs, fit.runs, across, [_travel(run) for run in fit.runs]
+        )
+        if wider is None:
+            break
+        inputs, fit = wider, _fit(wider, seen, nested, known)
+    return fit
 
 
 def _fit(

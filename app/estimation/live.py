@@ -40,7 +40,11 @@ from app.estimation.prior import (
 )
 from app.estimation.runs import RunInput
 from app.files.model_file import EstimatedModel
-from app.kinematics.coarse_model import add_half_widths, build_coarse_model
+from app.kinematics.coarse_model import (
+    add_bends,
+    add_half_widths,
+    build_coarse_model,
+)
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.identifiable import (
@@ -113,7 +117,10 @@ class LiveEstimator:
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
-        told = add_half_widths(model.with_effects(*self._known.effects))
+        model = model.with_effects(*self._known.effects)
+        told = add_half_widths(model)
+        if isinstance(commanded, Path):
+            told = add_bends(told)
         self._model = told.with_confounded(list_confounded_effects(machine, offsets))
         self._gram = compute_volumetric_gram(self._model)
         self._prior: BendingPrior = guess_prior(told)

@@ -19,12 +19,14 @@ class NoiseModel:
     ou_time_s : correlation time of the Ornstein–Uhlenbeck part
     along_sigma_mm : standard deviation of a cell along the travel beyond phase and
         speed; infinite where only deviations across the path are used, as on ramps
+    ramp_sigma_mm : standard deviation of a cell on a ramp beyond that of other cells
     """
 
     white: tuple[float, float]
     ou: tuple[float, float]
     ou_time_s: float
     along_sigma_mm: float
+    ramp_sigma_mm: float = 0.0
 
 
 def cell_noise(
@@ -70,7 +72,9 @@ def split_sigma_mm(
     white, ou = (
         np.array([beam, across, across]) for beam, across in (noise.white, noise.ou)
     )
-    return stated * white / np.sqrt(observations.count)[:, None], stated * ou
+    white = stated * white / np.sqrt(observations.count)[:, None]
+    on_ramp = np.where(observations.is_ramp, noise.ramp_sigma_mm, 0.0)
+    return np.hypot(white, on_ramp[:, None]), stated * ou
 
 
 def _add_jitter(

@@ -75,7 +75,10 @@ def refine_runs(
     Raises Unidentifiable if the lines do not determine the parameters.
     """
     known = known or KnownEffects()
-    few = [replace(r, observations=_select_lines(r.observations)) for r in runs]
+    few = [
+        replace(r, observations=_select_lines(_leave_out_ramps(r.observations)))
+        for r in runs
+    ]
     found = list(collect_information(few, model))
     data = known.add_to(combine_runs(found), model)
     prior, result = guess_prior(model).fit(data)
@@ -131,6 +134,12 @@ def estimate_residual_noise(
 
 def _merge_design(observations: Observations, about: Linearisation) -> DesignMatrix:
     return about.build(observations, merge=_count_to_merge(observations))
+
+
+def _leave_out_ramps(observations: Observations) -> Observations:
+    """Return the cells where nothing swings, if these are enough."""
+    others = observations.leave_out_ramps()
+    return observations if len(np.unique(others.row)) < _FEWEST_ROWS else others
 
 
 def _select_lines(observations: Observations) -> Observations:
@@ -199,7 +208,7 @@ def _unpack(x: Float64[np.ndarray, " k"], noise: NoiseModel) -> NoiseModel:
     along = noise.along_sigma_mm
     if jitter:
         along = jitter[0] if jitter[0] > _JITTER_FLOOR_MM else 0.0
-    return NoiseModel(noise.white, (beam, across), tau, along)
+    return replace(noise, ou=(beam, across), ou_time_s=tau, along_sigma_mm=along)
 
 
 def _select_independent(design: DesignMatrix) -> Float64[np.ndarray, "n 3 p"]:

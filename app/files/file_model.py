@@ -157,6 +157,8 @@ def _describe(error: ErrorDetails) -> tuple[str, str]:
         bound = told.get("gt", told.get("ge"))
         wanted = f"above {bound:g}" if "gt" in told else f"{bound:g} or more"
         return f"is {value:g}", f"it must be {wanted}"
+    if kind == "less_than_equal":
+        return f"is {value:g}", f"it must be {told['le']:g} or less"
     return f"is {quote(value)}", f"write {_KINDS.get(kind, error['msg'])}"
 
 

@@ -133,11 +133,14 @@ class TrackerFile(FileModel):
 
 
 class MotionFile(FileModel):
-    """What the machine can; the usual is taken for what it does not state."""
+    """What the machine can; the usual is taken for what it does not state.
 
-    max_feed_mm_min: Positive | None = None
-    acceleration_mm_s2: Positive | None = None
-    jerk_mm_s3: Positive | None = None
+    Figures that no machine has are slips of unit or of the key.
+    """
+
+    max_feed_mm_min: Annotated[float, Field(ge=10.0, le=1e6)] | None = None
+    acceleration_mm_s2: Annotated[float, Field(ge=1.0, le=1e6)] | None = None
+    jerk_mm_s3: Annotated[float, Field(ge=10.0, le=1e9)] | None = None
 
     def limits(self) -> MotionLimits:
         """Return the limits, which name what is assumed."""

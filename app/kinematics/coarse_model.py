@@ -8,7 +8,7 @@ explained, splines of time: neither must pass for noise.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +25,7 @@ from app.kinematics.effects.base import (
     SplineEffect,
     columns_along,
 )
+from app.kinematics.effects.inertial_bend import InertialBend
 from app.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
@@ -127,6 +128,11 @@ class RunModels:
     coarse: MachineModel
     shapes: ShapeModel
 
+    def add_bends(self) -> RunModels:
+        """Return the models for Runs that are measured on ramps as well."""
+        alone = add_bends(self.nested.alone)
+        return replace(self, nested=replace(self.nested, alone=alone))
+
 
 def build_run_models(
     machine: Machine,
@@ -169,6 +175,12 @@ def build_coarse_model(
 def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:
     """Return the model with the effects that it does not have already."""
     return model.with_effects(*(e for e in effects if e.name not in model.slices))
+
+
+def add_bends(model: MachineModel) -> MachineModel:
+    """Return the model with what acceleration does to the carriages."""
+    axes = model.machine.linear_axes
+    return add_effects(model, [InertialBend(axis) for axis in axes])
 
 
 def add_half_widths(model: MachineModel) -> MachineModel:

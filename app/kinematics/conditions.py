@@ -67,6 +67,7 @@ class Conditions:
         because the line is an arc
     run : which of the Runs of an estimate, for effects that belong to one of them
     recorded : what the recording adds; an effect that needs it is 0 without it
+    acceleration : (n, axes) mm/s² of each axis, as measured; 0 where left out
     """
 
     machine: Machine
@@ -83,6 +84,7 @@ class Conditions:
     run: int = 0
     recorded: RecordedState | None = None
     seat_mm: Float64[np.ndarray, "n 3"] | None = None
+    acceleration: Float64[np.ndarray, "n a"] | None = None
 
     def __len__(self) -> int:
         return len(self.position_mm)
@@ -122,6 +124,7 @@ class Conditions:
             self.run,
             None if self.recorded is None else self.recorded.select(rows),
             None if self.seat_mm is None else self.seat_mm[rows],
+            None if self.acceleration is None else self.acceleration[rows],
         )
 
     def view_from(
@@ -150,6 +153,12 @@ class Conditions:
         if self.recorded is None:
             return np.zeros(len(self))
         return self.recorded.rate[:, self.machine.axis_names.index(axis)]
+
+    def axis_acceleration(self, axis: str) -> Float64[np.ndarray, " n"]:
+        """Return the mm/s² of one axis; 0 where it is not measured."""
+        if self.acceleration is None:
+            return np.zeros(len(self))
+        return self.acceleration[:, self.machine.axis_names.index(axis)]
 
 
 def make_standstill(

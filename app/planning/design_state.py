@@ -30,10 +30,10 @@ from drivers.interfaces.records import Path
 
 _STEADY = 10  # places along a line: error motions of few knots bend less often
 _MIDDLES = (np.arange(_STEADY) + 0.5) / _STEADY - 0.5  # of the steady part
-# Two places on each ramp, which with what settles after it takes 1.5 times as long as
-# the ramp alone: at a quarter and three quarters of that time, in shares of its length.
-_ON_RAMP, _PACE = np.array([0.07, 0.625]), np.array([0.375, 1.0])
-_PLACES = _STEADY + 2 * len(_ON_RAMP) + 1  # and the standstill at the end
+# The mean place on a ramp and what settles after it, in shares of its length, and how
+# fast the machine is there.
+_ON_RAMP, _PACE = 0.35, 0.7
+_PLACES = _STEADY + 3  # two ramps, and the standstill at the end
 _LEAST_MOVE_MM = 1.0  # else standstills look like one
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
 _LEAST_S, _SAMPLES = 0.1, 30  # at a steady feed: less is not taken for a line
@@ -145,17 +145,18 @@ class DesignState(ABC):
         distance = np.linalg.norm(beam, axis=1)
         beam = beam / distance[:, None]
         stated = at.machine.tracker.sigma_mm(distance) ** 2 * self.noise.density_s
-        along = beam[:, :, None] * beam[:, None, :]
-        precision = along / stated[:, 0, None, None]
-        precision += (np.eye(3) - along) / stated[:, 1, None, None]
-        if direction is not None:
-            pulled = np.einsum("nij,nj->ni", precision, direction)
-            total = np.einsum("ni,ni->n", pulled, direction)
-            inverse_jitter = 1.0 / np.maximum(jitter_mm2_s, 1e-30)
-            weight = 1.0 / np.maximum(inverse_jitter + total, 1e-30)
-            precision -= weight[:, None, None] * pulled[:, :, None] * pulled[:, None, :]
-        value, vector = np.linalg.eigh(precision)
-        return np.sqrt(np.maximum(value, 0.0))[:, :, None] * np.swapaxes(vector, 1, 2)
+        along, across = (stated**-0.5).T[:, :, None, None]
+        root = across * np.eye(3)
+        root = root + (along - across) * beam[:, :, None] * beam[:, None, :]
+        if direction is None:
+            return root
+        # P − w P u uᵀ P is R (1 − w s sᵀ) R with s = R u, the root of P being R.
+        seen = (root @ direction[:, :, None])[:, :, 0]
+        total = np.maximum((seen**2).sum(axis=1), 1e-30)
+        kept = 1.0 / (1.0 + np.asarray(jitter_mm2_s) * total)  # 1 − w sᵀ s
+        cut = (1.0 - np.sqrt(kept)) / total
+        pulled = (seen[:, None, :] @ root)[:, 0]
+        return root - (cut[:, None] * seen)[:, :, None] * pulled[:, None, :]
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,7 @@ class LineDesignState(DesignState):
         """Return rows H of each line with HᵀH its information, timing left out."""
         n, step = len(legs), np.repeat(legs.step, _PLACES, axis=0)
         lost, seconds = self.drive.steady(legs)
-        on_ramp = lost[:, None] * _ON_RAMP
+        on_ramp = _ON_RAMP * lost[:, None]
         steady = 0.5 + _MIDDLES * (1.0 - 2.0 * lost)[:, None]
         share = np.hstack([steady, on_ramp, 1.0 - on_ramp, np.ones((n, 1))])
         at = self.conditions(_place(legs, share), np.sign(step))
@@ -255,9 +256,8 @@ class LineDesignState(DesignState):
         ramp_s = np.maximum(0.5 * (moving_s - steady_s) - RAMP_SETTLE_S, 0.0)
         ramp_s[self.drive.turns(legs)] = 0.0  # on a curve a ramp tells nothing
         dwell_s = max(self.drive.dwell_s - 2.0 * STANDSTILL_SETTLE_S, 0.0)
-        counts = [_STEADY, 2 * len(_ON_RAMP), 1]
-        each = [steady_s / _STEADY, ramp_s / len(_ON_RAMP), np.full(len(legs), dwell_s)]
-        return np.repeat(np.stack(each, axis=1), counts, axis=1)
+        each = [steady_s / _STEADY, ramp_s, np.full(len(legs), dwell_s)]
+        return np.repeat(np.stack(each, axis=1), [_STEADY, 2, 1], axis=1)
 
     def fits(self, legs: Legs) -> Bool[np.ndarray, " n"]:
         """Tell which lines are driven at a steady feed for most of their length.
@@ -312,7 +312,7 @@ class LineDesignState(DesignState):
         speed = self.drive.peak_mm_s(legs)
         rate = legs.step * (speed / np.maximum(self.drive.length(legs), 1e-9))[:, None]
         rate, first = (np.repeat(v, _PLACES, axis=0) for v in (rate, legs.begin))
-        pace = np.concatenate([np.ones(_STEADY), _PACE, _PACE, [0.0]])
+        pace = np.concatenate([np.ones(_STEADY), [_PACE, _PACE, 0.0]])
         rate *= np.tile(pace, len(legs))[:, None]
         return RecordedState(
             rate,

@@ -25,6 +25,7 @@ from app.estimation.observability import assess_observability, usual_precision_m
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.files.model_file import EstimatedModel
+from app.kinematics.coarse_model import add_bends
 from app.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,
@@ -145,7 +146,10 @@ def forecast(
     offset_mm = np.vstack([run.observations.at.offset_mm for run in stations])
     model, _ = build_identifiable_model(machine, offset_mm)
     confounded = list_confounded_effects(machine, offset_mm)
-    model = model.with_effects(*known.effects).with_confounded(confounded)
+    model = model.with_effects(*known.effects)
+    if any(run.observations.is_ramp.any() for run in stations):
+        model = add_bends(model)
+    model = model.with_confounded(confounded)
     prior = assumed.make_prior(model)
     if earlier:
         prior += combine_runs(collect_information(earlier, model)).matrix

@@ -53,7 +53,7 @@ class LegChoice:
     """Chooses stops for a design; draws candidates from one seeded generator.
 
     feeds_mm_min : driven in turn, so that each has its share of the legs; or, where the
-        choice is free, each leg at the one at which it tells most a second
+        choice is free, the first, and others where they lower J · T
     """
 
     design: DesignState
@@ -126,38 +126,37 @@ class LegChoice:
     ):
         """Return end and feed of the leg that gains most a second, its rows and time.
 
-        Each end is judged at one of the feeds, the best one at all of them.
+        At the first feed at which there is one.
         """
         ends = self.design.hold(self._draw_places(self.effort.candidates), here)
-        feeds = feeds_mm_min[np.arange(len(ends)) % len(feeds_mm_min)]
         known = IntegratedVariance(inverse(precision), self.design.gram)
-        best = self._judge(known, here, ends, feeds, left_s)
-        if best is not None and len(feeds_mm_min) > 1:
-            ends = np.tile(best[0], (len(feeds_mm_min), 1))
-            best = self._judge(known, here, ends, feeds_mm_min, left_s)
-        return best
+        for feed in feeds_mm_min:
+            best = self._judge(known, here, ends, float(feed), left_s)
+            if best is not None:
+                return best
+        return None
 
     def _judge(
         self,
         known: IntegratedVariance,
         here: Float64[np.ndarray, " a"],
         ends: Float64[np.ndarray, "n a"],
-        feeds_mm_min: Float64[np.ndarray, " n"],
+        feed_mm_min: float,
         left_s: float,
     ) -> (
         tuple[Float64[np.ndarray, " a"], float, Float64[np.ndarray, "r p"], float]
         | None
     ):
         """Return the best of some legs from here, None where none is allowed."""
-        legs = _join_legs(here, ends, feeds_mm_min)
+        legs = _join_legs(here, ends, feed_mm_min)
         times = self.design.drive.times_s(legs)
         ok = (times <= left_s) & self.region.allows(legs)
         if not ok.any():
             return None
-        ends, feeds, times = ends[ok], feeds_mm_min[ok], times[ok]
-        rows = self.design.rows(_join_legs(here, ends, feeds))
+        ends, times = ends[ok], times[ok]
+        rows = self.design.rows(_join_legs(here, ends, feed_mm_min))
         best = int(np.argmax(known.compute_drops(rows) / times))
-        return ends[best], float(feeds[best]), rows[best], float(times[best])
+        return ends[best], feed_mm_min, rows[best], float(times[best])
 
     def _exchange(self, stops: Stops) -> tuple[Stops, float]:
         """Move each stop but the first to where J · T is least; tell the gain.
@@ -186,8 +185,6 @@ class LegChoice:
         feeds = np.full(len(places), stops.feed_mm_min[k])
         if self.is_free:
             every = np.array(self.feeds_mm_min)
-            changed = self.rng.random(len(places)) < 0.5
-            feeds[changed] = self.rng.choice(every, np.count_nonzero(changed))
             feeds = np.append(feeds, every)
             places = np.vstack([places, np.tile(places[0], (len(every), 1))])
         meeting = self._list_legs(stops, k, places, feeds)

@@ -6,6 +6,7 @@ unknown, by the model, prior and noise that the estimate will be made with.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.configurations import Commanded, join_rows, split_by_target
 from app.motion.corner_path import corner_path
 from app.motion.motion_times import Drive, row_times_s
+from app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 from app.motion.travel import inner_travel
 from app.motion.workspace import (
     StationAreas,
@@ -66,7 +68,10 @@ _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
 # Where stops were moved all axes would go on every line.
 _TURNING_EFFORT = SearchEffort(candidates=40, rounds=0)
 _CLOSE = 0.93  # a plan that would be shorter by less is not tried
-_FEEDS = (1.0, 0.63, 0.4, 0.25)  # of the highest: among these a line has its own
+_FEEDS, _LOWER = 4, 0.63  # among so many a line has its own, each lower by so much
+_LEAST_FEED_MM_MIN = 10.0
+# A plan of lines near the longest alone leaves two to six times as much.
+_OF_LONGEST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,21 +140,22 @@ class PlanOrder:
     def feeds(self, machine: Machine) -> tuple[float, ...]:
         """Return the feeds as asked for, else those that lines choose from.
 
-        Highest first. Between points the machine goes as fast as it can. A feed that
-        not even the longest line holds is left out, unless it is the lowest.
+        Highest first: that of the machine, or less where only lines of more than half
+        the volume's diagonal hold it. Between points it goes as fast as it can.
         """
-        highest = machine.motion.max_feed_mm_min
+        highest = min(machine.motion.max_feed_mm_min, LARGEST_FEED_MM_MIN)
         if self.feeds_mm_min:
             return self.feeds_mm_min
         if not self.is_on_the_fly:
             return (highest,)
-        feeds = tuple(float(round(share * highest)) for share in _FEEDS)
         low, high = inner_travel(remove_rotary_axes(machine))
         longest_mm = float(np.linalg.norm(high - low))
         drive = replace(self.drive(machine), least_mm=0.0)
-        least_mm = drive.shortest_mm(np.array(feeds))
-        held = [f for f, mm in zip(feeds, least_mm, strict=True) if mm <= longest_mm]
-        return tuple(held) or feeds[-1:]
+        while highest > _LEAST_FEED_MM_MIN:
+            if drive.shortest_mm(highest)[0] <= _OF_LONGEST * longest_mm:
+                break
+            highest *= _LOWER
+        return tuple(_round_down(highest * _LOWER**k) for k in range(_FEEDS))
 
     def refuse_nonsense(self, machine: Machine) -> None:
         """Raise PlanningError for numbers that no plan can follow."""
@@ -191,6 +197,12 @@ class PlanOrder:
             raise PlanningError(
                 f"stations is {self.stations}; at most {MOST_STATIONS} are planned"
             )
+
+
+def _round_down(feed_mm_min: float) -> float:
+    """Return three digits of a feed."""
+    step = 10.0 ** (math.floor(math.log10(feed_mm_min)) - 2)
+    return step * math.floor(feed_mm_min / step + 1e-9)
 
 
 @dataclass(frozen=True)

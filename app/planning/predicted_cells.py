@@ -38,6 +38,7 @@ class _Stretch:
     """Part of a line, or a dwell: shares of the way to its row, and times of its cells.
 
     rate : of the share, a second; 0 for a dwell
+    change : of the rate, a second, on a ramp; None elsewhere
     """
 
     row: int
@@ -45,7 +46,12 @@ class _Stretch:
     time_s: Float64[np.ndarray, " n"]
     cell_s: float
     rate: Float64[np.ndarray, " n"]
-    is_ramp: bool = False
+    change: Float64[np.ndarray, " n"] | None = None
+
+    @property
+    def is_ramp(self) -> bool:
+        """Whether the feed changes."""
+        return self.change is not None
 
 
 def predict_cells(
@@ -121,12 +127,13 @@ def _lines(machine: Machine, path: Path, cell_mm: float) -> Iterator[_Stretch]:
                 float(steady_s[k] / cells),
                 np.full(cells, rate),
             )
-        if ramp is not None:
+        if ramp is not None and ramp.change is not None:
             yield replace(
                 ramp,
                 share=1.0 - ramp.share[::-1],
                 time_s=begin_s + moving_s - ramp.time_s[::-1],
                 rate=ramp.rate[::-1],
+                change=-ramp.change[::-1],
             )
         yield from _dwell(row, path.dwell_s[row], end_s[row])
 
@@ -148,7 +155,8 @@ def _ramp(
     on_ramp_s = np.minimum(time_s, ramp_s)
     share = rate * (0.5 * on_ramp_s**2 / ramp_s + time_s - on_ramp_s)
     seconds = used_s / cells
-    return _Stretch(row, share, time_s, seconds, rate * on_ramp_s / ramp_s, True)
+    change = np.where(time_s < ramp_s, rate / ramp_s, 0.0)
+    return _Stretch(row, share, time_s, seconds, rate * on_ramp_s / ramp_s, change)
 
 
 def _dwell(row: int, dwell_s: float, end_s: float) -> Iterator[_Stretch]:
@@ -195,6 +203,9 @@ def _conditions(
         targets = [targets[int(r)] for r in row]
     at = observe_targets(machine, begin + share[:, None] * step, targets)
     velocity = find_slopes_mm(at, step) * rate[:, None]
+    change = np.concatenate(
+        [np.zeros(len(p.share)) if p.change is None else p.change for p in parts]
+    )
     goes = np.linalg.norm(velocity, axis=1) > 0.0
     line = np.where(goes, row, -1)
     timed = goes & ~np.repeat([p.is_ramp for p in parts], sizes)
@@ -206,6 +217,7 @@ def _conditions(
         line_time_s=lag,
         velocity_mm_s=velocity,
         approach=approach_signs(position)[row],
+        acceleration=change[:, None] * step,
     )
 
 

@@ -141,12 +141,20 @@ def _explain_feeds(planned: Plan) -> dict[str, Any] | None:
     alone = ", ".join(
         f"{f['relative_information_per_s']:.2f} at {f['feed_mm_min']:g}" for f in feeds
     )
-    highest = planned.machine.motion.max_feed_mm_min
+    highest, machine_feed = (
+        max(planned.feeds_worth),
+        planned.machine.motion.max_feed_mm_min,
+    )
     reason = (
         f"each line has the feed, up to {highest:g} mm/min, at which it tells most a "
         f"second, ramps and dwells included: of {len(path) - 1} lines {driven}; "
         f"with one feed for all a second would tell {alone} times as much"
     )
+    if highest < 0.99 * machine_feed:
+        reason += (
+            f"; at the machine's {machine_feed:g} mm/min too few lines would be long "
+            "enough for a steady feed"
+        )
     return {"feeds": feeds, "reason": reason}
 
 

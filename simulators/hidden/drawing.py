@@ -15,6 +15,7 @@ from simulators.hidden.coolant_cycle import CoolantCycle
 from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.elastic_sag import ElasticSag
 from simulators.hidden.floating_slide import FloatingSlide
+from simulators.hidden.inertial_bend import InertialBend
 from simulators.hidden.lateral_backlash import LateralBacklash
 from simulators.hidden.motion import Motion
 from simulators.hidden.reversal_spike import ReversalSpike
@@ -53,12 +54,17 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         WavyGuide,
         Twist,
         FloatingSlide,
+        InertialBend,
     )
 }
 CATALOGUED = tuple(
     n for n, kind in EFFECTS.items() if kind.in_catalogue and not kind.needs_model
 )
-UNCATALOGUED = tuple(n for n, kind in EFFECTS.items() if not kind.in_catalogue)
+UNCATALOGUED = tuple(
+    n
+    for n, kind in EFFECTS.items()
+    if not kind.in_catalogue and not kind.on_ramps_alone
+)
 _USUAL_UM = 4.0
 _AT_REST = np.zeros(1)
 

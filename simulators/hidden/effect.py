@@ -54,11 +54,13 @@ class HiddenEffect(ABC):
     name : as the catalogue of effects calls it; what is not in it has a name of its own
     needs_model : only a model made before shows it; one fitted to the same recording
         has it already
+    on_ramps_alone : where the feed is constant it does nothing
     """
 
     name: ClassVar[str]
     in_catalogue: ClassVar[bool] = True
     needs_model: ClassVar[bool] = False
+    on_ramps_alone: ClassVar[bool] = False
 
     @classmethod
     @abstractmethod

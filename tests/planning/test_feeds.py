@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import PlanningError
+from app.errors import BundleError, PlanningError
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.kinematics.machine import MotionLimits
 from app.motion.motion_times import Drive, Legs
@@ -74,3 +74,32 @@ def test_a_feed_above_what_the_machine_can_is_refused(mill):
     slow = replace(mill, motion=MotionLimits(2400.0, assumed=()))
     with pytest.raises(PlanningError, match=r"at most 2400"):
         make_plan(slow, PlanOrder(minutes=1.0, feeds_mm_min=(6000.0,)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_feed_mm_min", 0.0),
+        ("max_feed_mm_min", -6000.0),
+        ("max_feed_mm_min", 1e12),
+        ("acceleration_mm_s2", 1e-9),
+        ("jerk_mm_s3", 0.0),
+        ("jerk_mm_s3", float("nan")),
+    ],
+)
+def test_motion_that_no_machine_has_is_refused_by_its_name(mill, name, value):
+    with pytest.raises(BundleError, match=rf"motion\.{name} is .*; "):
+        moving_at(mill, **{name: value})
+
+
+def test_a_machine_too_sluggish_for_its_highest_feed_is_planned_at_lower_ones(mill):
+    machine = moving_at(mill, max_feed_mm_min=40_000, acceleration_mm_s2=200)
+    feeds = PlanOrder().feeds(machine)
+    assert max(feeds) < 15_000.0
+    longest_mm = np.linalg.norm([500.0, 400.0, 300.0])
+    assert Drive.of_machine(machine, 0.4).shortest_mm(max(feeds))[0] <= longest_mm
+
+
+def test_no_feed_is_chosen_that_controls_do_not_read(mill):
+    machine = moving_at(mill, max_feed_mm_min=200_000, acceleration_mm_s2=1e5)
+    assert max(PlanOrder().feeds(machine)) <= 99_999.0

@@ -25,7 +25,7 @@ from drivers.interfaces.records import Path
 GROUP = "truepath.nc_dialects"
 _COLUMNS = 60  # of a header line; every control's screen shows as many
 _LEAST_FEED = 0.1  # mm/min
-_LARGEST_FEED = 99_999.0  # mm/min, that controls of all kinds read
+LARGEST_FEED_MM_MIN = 99_999.0  # that controls of all kinds read
 _NAME_LENGTH = 16  # every control here takes as many
 # What comments of all controls may hold; a bracket or a quote would end them.
 _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
@@ -123,8 +123,8 @@ def _check_limits(kind: Dialect, path: Path) -> None:
         )
     most_s = kind.longest_dwell_s
     for name, values, least, most, remedy in (
-        ("feed_mm_min", path.feed_mm_min, _LEAST_FEED, _LARGEST_FEED,
-         f"give a feed of {_LEAST_FEED:g} to {_LARGEST_FEED:g} mm/min"),
+        ("feed_mm_min", path.feed_mm_min, _LEAST_FEED, LARGEST_FEED_MM_MIN,
+         f"give a feed of {_LEAST_FEED:g} to {LARGEST_FEED_MM_MIN:g} mm/min"),
         ("dwell_s", path.dwell_s, 0.0, most_s,
          f"{kind.control} dwells 0 to {most_s:g} s"),
     ):  # fmt: skip
@@ -174,7 +174,7 @@ def _round_path(path: Path, kind: Dialect) -> Path:
     if not kind.counts_degrees:
         return rounded
     # A large rotation on a short line would need a feed that no control reads.
-    most = _LARGEST_FEED / _divide_whole_by_straight(rounded)
+    most = LARGEST_FEED_MM_MIN / _divide_whole_by_straight(rounded)
     return replace(rounded, feed_mm_min=np.minimum(path.feed_mm_min, most))
 
 

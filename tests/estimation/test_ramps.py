@@ -1,0 +1,103 @@
+"""Samples on ramps tell what is across the line, whatever acceleration does."""
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.estimation.disturbances import estimate_checked
+from app.estimation.misfit import assess_misfit
+from app.kinematics.coarse_model import build_run_models
+from app.kinematics.volumetric_map import build_volumetric_map
+from simulators.hidden.inertial_bend import InertialBend
+from simulators.profile import Limits
+from simulators.synthetic import Setting
+
+FAST = {"rows": 45, "feed": 40_000.0}  # most of a line of half a metre is ramp
+LIMITS = Limits(3000.0, 1e5)
+PEAK_M_S2 = 3.0
+
+
+def bends(amount_um, frequency_hz=0.0):
+    """Every carriage leans in all directions by so much at the tool, at its peak."""
+    sizes = np.random.default_rng(4).uniform(-1.0, 1.0, 18)
+    arm_m = [1.0, 1.0, 1.0, 0.3, 0.3, 0.3]
+    return tuple(
+        InertialBend(
+            f"E{kind}{axis}", amount_um / PEAK_M_S2 / arm * size, frequency_hz, 0.2
+        )
+        for (axis, kind, arm), size in zip(
+            [(a, k, m) for a in "XYZ" for k, m in zip("XYZABC", arm_m, strict=True)],
+            sizes,
+            strict=True,
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def judge(record, rigid_free, volume, at_rest):
+    """Return error left in mm, share inside 2u, and the estimate, of a fast machine."""
+
+    def judged(seed, hidden=(), *, ramps=True):
+        run, truth = record(seed, **FAST, setting=Setting(limits=LIMITS, hidden=hidden))
+        seen = align(run)
+        if not ramps:
+            seen = seen.leave_out_ramps()
+        models = build_run_models(run.machine, [seen.at.offset_mm])
+        checked = estimate_checked(models, [seen])
+        found = checked.estimate
+        q = volume(run.machine)
+        at, maps = at_rest(run.machine, q), build_volumetric_map(found.model)
+        left = rigid_free(q, truth.deviation_mm(q) - maps.error_mm(at, found.theta))
+        inside = np.abs(left) < 2.0 * maps.sigma_mm(at, found.covariance)
+        return np.linalg.norm(left, axis=1).mean(), inside.mean(), checked
+
+    return judged
+
+
+@pytest.fixture(scope="module")
+def clean(judge):
+    return judge(31)
+
+
+@pytest.fixture(scope="module")
+def without(judge):
+    return judge(31, ramps=False)
+
+
+def test_the_acceleration_of_the_axes_is_measured_on_ramps(record):
+    run, truth = record(31, **FAST, setting=Setting(limits=LIMITS))
+    seen, timeline = align(run), truth.recording.timeline
+    known_s = truth.recording.clock.true_s(seen.at.time_s)
+    told = seen.at.acceleration[seen.is_ramp]
+    piece = np.searchsorted(timeline.start_s, known_s, side="right") - 1
+    true = timeline.accelerations(known_s)[:, None] * timeline.direction[piece]
+    off = np.linalg.norm(told - true[seen.is_ramp], axis=1)
+    assert np.median(off) < 0.05 * LIMITS.acceleration_mm_s2
+    assert not seen.at.acceleration[~seen.is_ramp].any()
+
+
+def test_ramps_of_a_sound_machine_are_used_and_none_is_left_out(clean, without):
+    left_mm, inside, checked = clean
+    assert inside > 0.88
+    assert not checked.left_out[0]
+    assert left_mm < 0.9 * without[0]
+
+
+def test_squares_of_ramps_are_no_larger_than_those_of_other_cells(clean):
+    fit = clean[2].estimate.fit
+    misfit, ramp = assess_misfit(fit, 0), fit.runs[0].observations.is_ramp
+    assert np.median(misfit.cell[ramp]) < 1.3 * np.median(misfit.cell[~ramp])
+
+
+def test_carriages_that_bend_under_acceleration_cost_next_to_nothing(clean, judge):
+    left_mm, inside, _ = judge(31, bends(8.0))
+    assert inside > 0.88
+    assert left_mm < 1.2 * clean[0]
+
+
+def test_ramps_on_which_the_machine_swings_count_for_less(clean, without, judge):
+    left_mm, inside, checked = judge(31, bends(20.0, frequency_hz=15.0))
+    noise, usual = checked.estimate.runs[0].noise, clean[2].estimate.runs[0].noise
+    assert noise.ramp_sigma_mm > 0.001 > usual.ramp_sigma_mm
+    assert inside > 0.88
+    assert left_mm < 1.1 * without[0]
