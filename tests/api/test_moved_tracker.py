@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from scripted_cell import wait_until
 from starlette.testclient import TestClient
 
 from app.api.application import create_application
@@ -28,7 +28,8 @@ WORKSPACE = {
 }
 ENDS = {"succeeded", "failed", "faulted", "aborted", "interrupted"}
 
-pytestmark = pytest.mark.timeout(240)  # half a minute, but three programs beside it
+# Half a minute, but three programs beside it.
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
 
 @pytest.fixture
@@ -61,6 +62,15 @@ def open_client(bench, tmp_path):
             yield client
 
     return opened
+
+
+def wait_until(reached, what):
+    """Return what `reached` gives once it is true; plans take a while."""
+    end = time.monotonic() + 120.0
+    while not (found := reached()):
+        assert time.monotonic() < end, f"waited in vain for {what}"
+        time.sleep(0.05)
+    return found
 
 
 def follow(client, job_id, *states):
@@ -142,3 +152,42 @@ def test_a_machine_is_measured_from_two_stations(bench, open_client):
         for run, place in zip(result["runs"], places, strict=True):
             assert run["tracker_mm"] == pytest.approx(place, abs=30.0)
             assert run["without_it_um"] > left
+
+
+def test_a_service_restarted_while_it_waits_goes_on_with_what_is_recorded(
+    bench, open_client
+):
+    with open_client() as client:
+        job = begin(client, plan(client, stations=2))
+        set_down(bench, job, 1)
+        arm(client, job)
+        asked = follow(client, job["id"], "awaiting-move")
+        set_down(bench, asked, 2)
+    with open_client() as client:
+        ended = client.get(f"/api/v1/jobs/{job['id']}").json()
+        assert ended["state"] == "interrupted"
+        assert ended["run_ids"] == asked["run_ids"]
+        assert client.get(f"/api/v1/runs/{ended['run_id']}").json()["complete"]
+        order = {"kind": "measure-otf", "continues": job["id"]}
+        again = client.post("/api/v1/jobs", json=order).json()
+        again = follow(client, again["id"], "ready")
+        assert again["station"]["number"] == 2
+
+        bench.inject(f"tracker:beam-break@1s+{8.0 * SPEED}s")
+        arm(client, again)  # a known point is out of sight
+        asked = follow(client, again["id"], "awaiting-move")
+        assert asked["station"]["checks"][-1]["problem"] == "not-seen"
+        wait_until(lambda: try_again(client, again["id"]), "the beam")
+        done = client.get(f"/api/v1/jobs/{again['id']}").json()
+        assert done["run_ids"][0] == ended["run_id"]
+        result = client.get(done["result"]["result"]).json()
+        assert len(result["runs"]) == 2
+
+
+def try_again(client, job_id):
+    """Arm a job where it asks for the tracker; tell whether it has succeeded."""
+    job = client.get(f"/api/v1/jobs/{job_id}").json()
+    assert job["state"] == "succeeded" or job["state"] not in ENDS, job["error"]
+    if job["state"] == "awaiting-move":
+        arm(client, job)
+    return job["state"] == "succeeded"
