@@ -8,7 +8,8 @@ transaction, checked against the version (compare and set). So two operators, a 
 request and a late worker cannot both succeed.
 
 A request becomes a job in `requested_job.py`, `dispatcher.py` starts it, `workflow.py`
-says what it does from top to bottom, step by step, and how it ended.
+says what it does from top to bottom, step by step, and how it ended; between stations
+of the tracker (`station_steps.py`) it waits for a person.
 
 Threads and processes:
 
