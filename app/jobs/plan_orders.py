@@ -92,7 +92,8 @@ def _encode_stations(planned: Plan) -> dict[str, Any]:
 
     plans = planned.at_stations
     places_mm = [plan.station_mm for plan in plans]
-    points = choose_known_points(planned.machine, workspace, places_mm)
+    lines = [plan.commanded for plan in plans]
+    points = choose_known_points(planned.machine, workspace, places_mm, lines)
     return {
         "stations": [
             {

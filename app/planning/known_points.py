@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float64
 
 from app.errors import PlanningError
 from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded, Configurations
 from app.motion.travel import DECIMALS, inner_travel
 from app.motion.workspace import Workspace, moving_targets
 
@@ -23,15 +24,18 @@ def choose_known_points(
     machine: Machine,
     workspace: Workspace,
     places_mm: Sequence[Float64[np.ndarray, "3"]],
+    lines: Sequence[Commanded],
 ) -> Configurations:
     """Return places of the travel, far apart, that every station sees.
 
-    Raises PlanningError if there are not enough of them.
+    lines : what is driven from each station, after the known points
+
+    Raises PlanningError if there are not enough of them, or none can be driven to.
     """
     places = _make_grid(machine)
-    seen = [workspace.place_tracker(one) for one in places_mm]
-    for one in seen:
-        places = places[one.allows(machine, places, places)]
+    for place_mm in places_mm:
+        seen = workspace.place_tracker(place_mm)
+        places = places[seen.allows(machine, places, places)]
     chosen = _spread(places)
     spread = np.linalg.svd(chosen - chosen.mean(axis=0), compute_uv=False)
     if len(chosen) < _FEWEST or spread[1] < _APART_MM:
@@ -40,9 +44,10 @@ def choose_known_points(
             "station to check one against the other; plan fewer stations, or correct "
             "the workspace"
         )
+    unseen = replace(workspace, tracker_mm=None)
     for order in permutations(chosen.tolist()):
         way = np.array(order)
-        if all(one.allows(machine, way[:-1], way[1:]).all() for one in seen):
+        if unseen.allows(machine, *_list_moves(way, lines)).all():
             name = moving_targets(machine)[0].name
             target = (name,) * len(way) if len(machine.targets) > 1 else ()
             dwell_s = np.full(len(way), DWELL_S)
@@ -51,6 +56,21 @@ def choose_known_points(
         "keep-out boxes stand between the places that check one station against the "
         "other; correct the workspace"
     )
+
+
+def _list_moves(
+    way: Float64[np.ndarray, "n a"], lines: Sequence[Commanded]
+) -> tuple[Float64[np.ndarray, "m a"], Float64[np.ndarray, "m a"]]:
+    """Return where moves between known points and lines begin and end.
+
+    A check that ends early begins anew from any of the points.
+    """
+    first, last = way[:1], way[-1:]
+    begin, end = [way[:-1], way], [way[1:], np.repeat(first, len(way), axis=0)]
+    for rows in lines:
+        begin += [last, rows.position[-1:]]
+        end += [rows.position[:1], first]
+    return np.concatenate(begin), np.concatenate(end)
 
 
 def _make_grid(machine: Machine) -> Float64[np.ndarray, "n a"]:

@@ -65,18 +65,30 @@ def test_the_document_tells_of_each_station(planned):
     assert left == pytest.approx(planned.uncertainty_um)
 
 
-def test_known_points_are_seen_from_every_station(mill):
+def test_known_points_are_seen_from_every_station(mill, square):
     wall = Box((200.0, -100.0, -700.0), (210.0, 450.0, 700.0), "wall")
     workspace = Workspace(blocks_sight=(wall,))
     places = [np.array([-900.0, 0.0, 0.0]), np.array([0.0, -900.0, 0.0])]
-    points = choose_known_points(mill, workspace, places)
+    points = choose_known_points(mill, workspace, places, [square, square])
     assert 4 <= len(points) <= 5
     assert points.position[:, 0].max() < 400.0
+    still = points.position
     for place in places:
-        workspace.place_tracker(place).refuse(mill, points)
+        assert workspace.place_tracker(place).allows(mill, still, still).all()
     across = [np.array([-900.0, 0.0, 0.0]), np.array([1500.0, 0.0, 0.0])]
     with pytest.raises(PlanningError, match="not enough places"):
-        choose_known_points(mill, workspace, across)
+        choose_known_points(mill, workspace, across, [square, square])
+
+
+def test_no_move_between_known_points_and_lines_enters_a_keep_out_box(mill, square):
+    vice = Box((150.0, 150.0, -300.0), (350.0, 250.0, -100.0), "vice")
+    workspace = Workspace(keep_out=(vice,))
+    places = [np.array(place) for place in PLACES[:2]]
+    points = choose_known_points(mill, workspace, places, [square, square])
+    way = np.vstack([points.position, square.position[0]])
+    assert workspace.allows(mill, way[:-1], way[1:]).all()
+    back = np.vstack([square.position[-1], points.position[0]])
+    assert workspace.allows(mill, back[:-1], back[1:]).all()
 
 
 @pytest.mark.parametrize(
