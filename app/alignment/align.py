@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
@@ -25,12 +26,13 @@ from app.alignment.observations import Observations, Pass, add_surroundings
 from app.alignment.reduction import CELL_MM
 from app.alignment.seating import find_seating, seat_targets
 from app.alignment.segmentation import Stream, cut_into_passes
-from app.alignment.sequence import match_stops, require_targets
-from app.alignment.stops import find_stops
+from app.alignment.sequence import Matching, match_stops, require_targets
+from app.alignment.stops import StopSequence, find_stops
 from app.errors import AlignmentError
 from app.files.run import Run
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
+_FEWEST_ASTRAY = 3  # standstills that a machine may make by itself
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
@@ -88,13 +90,18 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         nominal = compute_nominal_path(
             seat_targets(machine, matching.seats), run.commanded, nominal.first
         )
-    stream = Stream(time_s, tracker_mm, matching.pose)
+    stream = Stream(time_s, tracker_mm, matching.pose, matching.reach_mm)
     left_out = describe_unusable(run.tracker, usable)
+    left_out += _list_astray(stream, stops, matching, nominal)
     parts = reduce_standstills(run, stops, matching, stream, nominal)
     if run.mode == "standstill":
         parts = _require_standstill(parts)
         left_out += _list_points_without_stop(run, parts)
         return join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
+    nominal = nominal.lead_through(
+        matching.waypoint,
+        matching.pose.invert().apply(stops.position_mm[matching.stop]),
+    )
     passes = cut_into_passes(stream, stops, matching, nominal)
     if not passes:
         raise AlignmentError(
@@ -107,6 +114,32 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
     left_out += _list_lines_without_pass(nominal, passes)
     return join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
+
+
+def _list_astray(
+    stream: Stream, stops: StopSequence, matching: Matching, nominal: NominalPath
+) -> list[LeftOut]:
+    """Return the parts of the stream that stand still, but at none of their places.
+
+    As many in a row as places are missing there: the machine went on, and the stream
+    lost its frame.
+    """
+    stop = np.concatenate([[-1], matching.stop, [len(stops)]])
+    place = np.concatenate([[-1], matching.waypoint, [len(nominal.first)]])
+    expected = matching.pose.apply(nominal.place_mm)
+    found: list[LeftOut] = []
+    for (a, b), (c, d) in zip(pairwise(stop), pairwise(place), strict=True):
+        if min(b - a, d - c) <= _FEWEST_ASTRAY:
+            continue
+        away = stops.position_mm[a + 1 : b, None] - expected[None, c + 1 : d]
+        off_mm = float(np.linalg.norm(away, axis=2).min(axis=1).max())
+        first, last = int(stops.first[a + 1]), int(stops.last[b - 1])
+        begin_s, end_s = stream.time_s[[first, last - 1]]
+        row = int(nominal.first[c + 1])
+        found.append(
+            LeftOut("astray", row, float(begin_s), float(end_s), last - first, off_mm)
+        )
+    return found
 
 
 def _list_lines_without_pass(

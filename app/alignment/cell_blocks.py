@@ -13,7 +13,7 @@ from app.alignment.nominal_path import Curve, NominalPath
 from app.alignment.observations import Observations, Pass
 from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
 from app.alignment.seating import Seats, refer_to_first
-from app.alignment.segmentation import ON_LINE_MM, Stream
+from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence
 from app.files.run import Run
@@ -86,7 +86,7 @@ def _reduce_ramp(
     the line costs nothing across it. Scatter along the line is none.
     """
     share, aside = curve.nearest(stream.points_mm(part.start, part.stop))
-    on, rotation = aside < ON_LINE_MM, stream.pose.rotation
+    on, rotation = aside < stream.reach_mm, stream.pose.rotation
     left_out = describe_samples(
         "off-line", each.row, stream.time_s[part][~on], aside[~on]
     )
@@ -160,7 +160,7 @@ def _reduce_steady(
         cell_mm,
     )
     aside = _aside_mm(curve, each, stream, time - middle, rate)
-    on = aside < ON_LINE_MM
+    on = aside < stream.reach_mm
     tracker, tracker_mm = run.machine.tracker, stream.tracker_mm[part]
     left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
     time = time[on]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from heapq import heapify, heappop, heappush
+
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import maximum_filter1d
@@ -16,6 +19,10 @@ _CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
 _REPEATED = 5  # times in a row the same value: not measured
 _NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
+GoesOn = Callable[
+    [Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]], Bool[np.ndarray, " k"]
+]
+"""Whether the motion goes on without stretches, by their first samples and ends."""
 
 
 def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
@@ -79,21 +86,51 @@ def _aside(
     nearby = maximum_filter1d(off, 2 * around + 1)
     jumps = np.flatnonzero((off > limit) & (off > _BESIDE * nearby))
     begin = np.concatenate([[0], jumps + 1])
-    while len(begin) > 2:
-        # From the last sample before each inner stretch to the first one after it.
-        a, b, after = begin[1:-1] - 1, begin[1:-1], begin[2:]
+
+    def goes_on(
+        first: Int64[np.ndarray, " k"], after: Int64[np.ndarray, " k"]
+    ) -> Bool[np.ndarray, " k"]:
+        # From the last sample before each stretch to the first one after it.
+        a = first - 1
         mean = 0.5 * (usual[np.maximum(a - around, 0)] + _later(usual, after + around))
         left = position_mm[after] - position_mm[a]
         left = left - mean * (time_s[after] - time_s[a])[:, None]
         least = np.minimum(off[a], off[after - 1])
-        goes_on = np.linalg.norm(left, axis=1) < _CLOSED * least
-        if not goes_on.any():
-            break
-        length = np.where(goes_on, after - b, len(time_s))
-        shortest = int(np.argmin(length))
-        aside[b[shortest] : after[shortest]] = True
-        begin = np.delete(begin, [shortest + 1, shortest + 2])
+        return np.linalg.norm(left, axis=1) < _CLOSED * least
+
+    for first, after in _list_aside(begin, len(time_s), goes_on):
+        aside[first:after] = True
     return aside
+
+
+def _list_aside(
+    begin: Int64[np.ndarray, " s"], end: int, goes_on: GoesOn
+) -> Iterator[tuple[int, int]]:
+    """Yield the stretches without which the motion goes on, the shortest first.
+
+    What is around a stretch is one from then on. Neither the first nor the last lies
+    between two jumps.
+    """
+    first, last = begin.tolist(), len(begin) - 1
+    after = [*first[1:], end]
+    before, beyond = list(range(-1, last)), list(range(1, last + 2))
+    inner = np.arange(1, last)
+    kept = inner[goes_on(begin[inner], begin[inner + 1])] if len(inner) else inner
+    queue = [(after[k] - first[k], first[k], k) for k in kept.tolist()]
+    heapify(queue)
+    while queue:
+        length, _, k = heappop(queue)
+        if length != after[k] - first[k]:
+            continue  # another one by now
+        yield first[k], after[k]
+        a, b = before[k], beyond[k]
+        after[a], beyond[a] = after[b], beyond[b]
+        if beyond[b] <= last:
+            before[beyond[b]] = a
+        after[k], after[b] = first[k], first[b]
+        is_inner = a > 0 and beyond[a] <= last
+        if is_inner and goes_on(np.array([first[a]]), np.array([after[a]]))[0]:
+            heappush(queue, (after[a] - first[a], first[a], a))
 
 
 def _usual(

@@ -10,7 +10,7 @@ the target's own speed need not be constant.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,13 @@ class Curve:
         weight[1::2] = 4.0
         weight[[0, -1]] = 1.0
         return float(weight @ slope / weight.sum())
+
+    def move_ends(
+        self, begin_mm: Float64[np.ndarray, "3"], end_mm: Float64[np.ndarray, "3"]
+    ) -> Curve:
+        """Return the way whose ends are moved so far, and what is between evenly."""
+        moved = begin_mm + _shares(self.node_mm)[:, None] * (end_mm - begin_mm)
+        return replace(self, node_mm=self.node_mm + moved)
 
     def point_mm(self, share: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         """Return where the target should be."""
@@ -170,6 +177,27 @@ class NominalPath:
     def place_mm(self) -> Float64[np.ndarray, "p 3"]:
         """Where the target should stand, one place after another."""
         return self.end_mm[self.first]
+
+    def lead_through(
+        self, place: Int64[np.ndarray, " k"], seen_mm: Float64[np.ndarray, "k 3"]
+    ) -> NominalPath:
+        """Return the way that leads through where the target was seen to stand.
+
+        place : in order; places between them are shifted as their neighbours are
+
+        Against it a sample lies aside by how much the line is bent, and its share of
+        the line is that of the command, however far off both ends are.
+        """
+        off = seen_mm - self.place_mm[place]
+        at = np.searchsorted(self.first, np.arange(len(self.end_mm)), "right") - 1
+        shift = np.column_stack([np.interp(at, place, one) for one in off.T])
+        before = np.concatenate([shift[:1], shift[:-1]])
+        bends = {
+            row: bend.move_ends(before[row], shift[row])
+            for row, bend in self.bends.items()
+        }
+        begin_mm, end_mm = self.begin_mm + before, self.end_mm + shift
+        return replace(self, begin_mm=begin_mm, end_mm=end_mm, bends=bends)
 
     def curve(self, row: int) -> Curve:
         """Return the way towards a row."""

@@ -20,11 +20,10 @@ from jaxtyping import Bool, Float64
 
 from app.alignment.nominal_path import MIN_MOTION_MM, Curve, NominalPath
 from app.alignment.observations import Pass
-from app.alignment.sequence import Matching
+from app.alignment.sequence import TOLERANCE_MM, Matching
 from app.alignment.stops import StopSequence, speed_mm_s
 from app.numerics.rigid import RigidTransform
 
-ON_LINE_MM = 1.0  # farther than any machine error, nearer than any other line
 _STEADY = 0.02  # relative change of speed that counts as a ramp
 _SPEED_NOISE_MM_S = 0.8  # tolerance of a speed at the least, for the tracker's noise
 _SHORTEST_S = 0.1  # a pass
@@ -37,11 +36,15 @@ _AGREES = 0.05  # what is gone and how fast belong together
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Valid samples in order of time; `pose` takes the workpiece to the tracker."""
+    """Valid samples in order of time; `pose` takes the workpiece to the tracker.
+
+    reach_mm : how far beside its line the machine may be: nearer than any other line
+    """
 
     time_s: Float64[np.ndarray, " n"]
     tracker_mm: Float64[np.ndarray, "n 3"]
     pose: RigidTransform
+    reach_mm: float = TOLERANCE_MM
 
     def points_mm(self, first: int, last: int) -> Float64[np.ndarray, "n 3"]:
         """Return a stretch of the samples in the workpiece frame."""
@@ -100,7 +103,7 @@ def _split_by_place(
     points = stream.points_mm(first, last)
     away = np.stack([nominal.curve(row).nearest(points)[1] for row in rows])
     nearest = np.argmin(away, axis=0)
-    nearest[away.min(axis=0) > ON_LINE_MM] = -1
+    nearest[away.min(axis=0) > stream.reach_mm] = -1
     for k, row in enumerate(rows):
         mine = np.flatnonzero(nearest == k)
         if len(mine) > 2:
@@ -114,7 +117,7 @@ def _recognise_pass(stream: Stream, part: _Part, curve: Curve) -> Pass | None:
     first, last = part.first, part.last
     time, points = stream.time_s[first:last], stream.points_mm(first, last)
     share, away = curve.nearest(points, _path_length_mm(stream, part, curve))
-    on = away < ON_LINE_MM
+    on = away < stream.reach_mm
     if on.sum() < _FEWEST_SAMPLES or time[-1] - time[0] < _SHORTEST_S:
         return None
     steady = _find_steady(time, points, share, on, curve)

@@ -19,7 +19,10 @@ from app.errors import AlignmentError
 from app.numerics.rigid import RigidTransform
 
 SKIP = 4  # how many standstills or waypoints in a row may be missing
-TOLERANCE_MM = 1.0  # machine errors are far smaller, wrong lines far longer
+TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
+_WIDER_MM = 2.5, 5.0  # of a machine that is far off
+_CLEAR = 0.9  # of the standstills: so many in a row are no chance
+_SPREAD = 4.0  # of the median of what the pose leaves
 _BESIDE_MM = 10.0  # of another target's place, the pose as good as it is
 _FEW = 3  # lost standstills of a target: by chance
 _ROUNDS = 3  # pose and seats of targets in turn
@@ -30,12 +33,14 @@ class Matching:
     """Standstill `stop[k]` is waypoint `waypoint[k]`, both in order; a rough `pose`.
 
     seats : targets that sit far off their places, and by how much
+    reach_mm : how far off its nominal place the machine may be
     """
 
     stop: Int64[np.ndarray, " k"]
     waypoint: Int64[np.ndarray, " k"]
     pose: RigidTransform
     seats: Seats = field(default_factory=dict[str, Float64[np.ndarray, "3"]])
+    reach_mm: float = TOLERANCE_MM
 
 
 def match_stops(
@@ -54,18 +59,8 @@ def match_stops(
     """
     places = stops.position_mm
     _require_spread(waypoint_mm, ordered_by)
-    within = np.full((len(waypoint_mm), len(waypoint_mm)), TOLERANCE_MM)
-    if seating is not None:
-        within += seating.slack_mm()
-    stop, waypoint = _longest_chain(places, waypoint_mm, within)
-    enough = max(3, round(0.5 * min(len(waypoint_mm), max(len(places), 1))))
-    if len(stop) < enough:
-        raise AlignmentError(
-            f"the stream does not follow {ordered_by}: of {len(waypoint_mm)} commanded "
-            f"standstills {len(stop)} were recognised among {len(places)} in the "
-            "stream; check that the recording belongs to this path, has its order and "
-            "measures the targets that are named in it"
-        )
+    slack_mm = 0.0 if seating is None else seating.slack_mm()
+    stop, waypoint = _recognise(places, waypoint_mm, slack_mm, ordered_by)
     seated: Float64[np.ndarray, "w 3"] = waypoint_mm
     seats: Seats = {}
     if seating is not None:
@@ -77,8 +72,13 @@ def match_stops(
         seated, seats = seat_places(places[stop], waypoint_mm, waypoint, seating)
     pose = fit_rigid(seated[waypoint], places[stop])
     _require_right_handed(places[stop], seated[waypoint], pose, ordered_by)
-    stop, waypoint = _rematch(places, pose.apply(seated))
-    return Matching(stop, waypoint, fit_rigid(seated[waypoint], places[stop]), seats)
+    reach_mm = TOLERANCE_MM
+    if seating is None:
+        off = np.linalg.norm(pose.apply(seated)[waypoint] - places[stop], axis=1)
+        reach_mm = max(TOLERANCE_MM, _SPREAD * float(np.median(off)))
+    stop, waypoint = _rematch(places, pose.apply(seated), reach_mm)
+    pose = fit_rigid(seated[waypoint], places[stop])
+    return Matching(stop, waypoint, pose, seats, reach_mm)
 
 
 def seat_places(
@@ -120,6 +120,36 @@ def fit_rigid(
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
     R = U @ np.diag([1.0, 1.0, -sign if mirrored else sign]) @ Vt
     return RigidTransform(R, centre_t - R @ centre_s)
+
+
+def _recognise(
+    places: Float64[np.ndarray, "m 3"],
+    waypoints: Float64[np.ndarray, "w 3"],
+    slack_mm: float | Float64[np.ndarray, "w w"],
+    ordered_by: str,
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Return the longest chain; of a machine that is far off where it is clear.
+
+    slack_mm : by how much more distances may differ; they say nothing of the machine
+    """
+    m, w = len(places), len(waypoints)
+    alike = np.zeros((w, w)) + slack_mm
+    stop, waypoint = _longest_chain(places, waypoints, alike + TOLERANCE_MM)
+    clear = max(3, round(_CLEAR * min(w, m)))
+    if len(stop) < clear and not alike.any():
+        for within_mm in _WIDER_MM:
+            wider = _longest_chain(places, waypoints, alike + within_mm)
+            if len(wider[0]) >= clear:
+                return wider
+    if len(stop) < max(3, round(0.5 * min(w, max(m, 1)))):
+        raise AlignmentError(
+            f"the stream does not follow {ordered_by}: of {w} commanded standstills "
+            f"{len(stop)} were recognised among {m} in the stream; check that the "
+            "recording belongs to this path, has its order and measures the targets "
+            "that are named in it; a machine that errs by more than "
+            f"{_WIDER_MM[-1]:g} mm looks like this as well"
+        )
+    return stop, waypoint
 
 
 def _longest_chain(
@@ -304,7 +334,7 @@ def _require_right_handed(
             f"({rms:.2f} mm against {mirrored_rms:.3f} mm): one axis of the tracker "
             "frame or of the path is reversed; record in a right-handed frame"
         )
-    if rms > 1.0:
+    if rms > _WIDER_MM[-1]:
         raise AlignmentError(
             f"standstills and {ordered_by} disagree by {rms:.2f} mm after alignment; "
             "check the units, the order and that the recording belongs to this path"

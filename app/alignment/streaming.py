@@ -255,8 +255,10 @@ class StreamingAlignment:
         found = reduce_standstills(self._run, block, first, stream, self._nominal)
         if self._run.mode == "standstill":
             return found
-        for each in cut_into_passes(stream, block, matching, self._nominal):
-            line, curve = len(self._passes), self._nominal.curve(each.row)
+        seen_mm = self.pose.invert().apply(block.position_mm[ends[0]])
+        nominal = self._nominal.lead_through(ends[1], seen_mm)
+        for each in cut_into_passes(stream, block, matching, nominal):
+            line, curve = len(self._passes), nominal.curve(each.row)
             found += reduce_pass(self._run, line, each, stream, curve)
             self._passes.append(each.shift(lambda k: k + origin))
         return found

@@ -19,6 +19,9 @@ from app.motion.configurations import Commanded, Configurations, name_columns
 from app.motion.travel import first_breach
 from drivers.interfaces.records import Path
 
+_MM_PER_M = 1e3
+_LEAST_SHARE, _MOST_SHARE = 0.1, 2.0  # of the travel that a path spans
+_SLACK = 0.05  # of the travel
 _AXIS_COLUMN = re.compile(r"^([a-z])_(mm|deg)$")
 
 
@@ -52,6 +55,7 @@ def decode_commanded(
         rest = _read_dwell(table), _read_targets(table, machine)
         commanded = Configurations(axes, position, *rest)
     _refuse_out_of_travel(table, machine, commanded)
+    _refuse_metres(table, machine, commanded)
     return commanded
 
 
@@ -150,6 +154,33 @@ def _refuse_standing_lines(table: Table, path: Path) -> None:
                 None,
                 "remove the row; give a longer dwell_s to stand still",
             )
+
+
+def _refuse_metres(table: Table, machine: Machine, commanded: Commanded) -> None:
+    """Refuse positions of which a thousand times as much fits the travel.
+
+    A path that goes so short a way tells nothing of a machine of that travel.
+    """
+    columns = [machine.axis_names.index(axis.name) for axis in machine.linear_axes]
+    if not columns:
+        return
+    low, high = np.array([(axis.low, axis.high) for axis in machine.linear_axes]).T
+    position = commanded.position[:, columns]
+    slack = _SLACK * (high - low)
+    in_mm = _MM_PER_M * position
+    fits = ((in_mm > low - slack) & (in_mm < high + slack)).all()
+    share = np.ptp(position, axis=0) / (high - low)
+    longest = int(np.argmax(share))
+    if fits and _LEAST_SHARE < _MM_PER_M * share[longest] < _MOST_SHARE:
+        row = int(np.argmax(np.abs(position[:, longest])))
+        axis = machine.linear_axes[longest]
+        raise table.error(
+            f"{position[row, longest]:g} mm is the farthest, on a travel of "
+            f"{axis.high - axis.low:g} mm: it looks like m",
+            row,
+            name_columns([axis.name])[0],
+            "convert the positions to mm",
+        )
 
 
 def _refuse_out_of_travel(table: Table, machine: Machine, commanded: Commanded) -> None:

@@ -38,6 +38,11 @@ SENTENCES: Mapping[str, Sentence] = {
         "{samples} lone samples are left out: they lie up to {distance_um} aside.",
         "Look at the tracker's lock and its cables where there are many.",
     ),
+    "stream-astray": Sentence(
+        "From {from_s} to {to_s}, from line {line} on, the target stands at places up "
+        "to {distance_um} off those of the path; nothing of that time is used.",
+        "Look whether the frame, a sign or a unit of the stream changed at that time.",
+    ),
     "lines-without-data": Sentence(
         "No stretch at constant feed was found on lines {lines}: they were not "
         "measured, too short, or disturbed.",

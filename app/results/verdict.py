@@ -62,7 +62,7 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
 def _judge_left_out(
     left_out: Sequence[LeftOut], runs: Sequence[RunEstimate]
 ) -> Iterator[Reason]:
-    silent = ("spikes", *_WITHOUT_DATA)
+    silent = ("spikes", "astray", *_WITHOUT_DATA)
     lost = [each for each in left_out if each.cause not in silent]
     worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
     for each in sorted(worst, key=lambda each: each.begin_s):
@@ -74,6 +74,15 @@ def _judge_left_out(
             "distance_um": UM_PER_MM * each.off_mm,
         }
         yield Reason("samples-left-out", "usable", values)
+    for each in left_out:
+        if each.cause == "astray":
+            values = {
+                "line": each.row,
+                "from_s": each.begin_s,
+                "to_s": each.end_s,
+                "distance_um": UM_PER_MM * each.off_mm,
+            }
+            yield Reason("stream-astray", "doubtful", values)
     spikes = [each for each in left_out if each.cause == "spikes"]
     few = [each for each in lost if each not in worst] + spikes
     if few:
@@ -90,7 +99,8 @@ def _judge_left_out(
             shown = ", ".join(map(str, rows[:_SENTENCES]))
             more = ", …" if len(rows) > _SENTENCES else ""
             yield Reason(kind, state, {kind.split("-")[0]: shown + more})
-    share = sum(each.samples for each in left_out)
+    # What is astray is judged by the lines that it leaves without data.
+    share = sum(each.samples for each in left_out if each.cause != "astray")
     share /= max(share + sum(run.used_samples for run in runs), 1)
     if share > _LEFT_OUT[0]:
         yield Reason(

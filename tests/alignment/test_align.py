@@ -200,6 +200,16 @@ def test_a_spike_beside_a_larger_one_is_no_sample_either(rng):
     assert np.flatnonzero(~find_valid_samples(samples)).tolist() == [50, 51]
 
 
+def test_a_stream_shared_with_another_target_is_cleaned_in_little_time(rng):
+    n = 60_000
+    position = np.cumsum(np.full((n, 3), 0.1), axis=0) + 0.004 * rng.normal(size=(n, 3))
+    other = np.arange(n) % 8 // 2 == 1
+    position[other] += [500.0, -200.0, 100.0]
+    clean = np.zeros(n, np.int64)
+    samples = TrackerSamples(np.arange(n), np.arange(n) / 500.0, position, clean)
+    assert (find_valid_samples(samples) == ~other).all()
+
+
 def test_a_target_that_creeps_is_not_at_a_standstill(record):
     run, _ = record(4, "standstill", rows=30)
     seen = align(run)

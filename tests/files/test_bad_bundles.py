@@ -537,3 +537,16 @@ def test_a_machine_file_is_read_from_disk(bundle):
 def test_a_long_value_is_shortened_in_the_error():
     with pytest.raises(BundleError, match=r"schema is \"y{56}…"):
         decode_machine(json.dumps({"schema": "y" * 500}).encode())
+
+
+def test_a_path_in_metres_is_named_as_such(bundle):
+    lines = (bundle / "path.csv").read_text().splitlines()
+    places = [[float(c) for c in line.split(",")[:3]] for line in lines[1:]]
+    rest = [line.split(",", 3)[3] for line in lines[1:]]
+    metres = [
+        ",".join([*(f"{value / 1e3:.6f}" for value in place), end])
+        for place, end in zip(places, rest, strict=True)
+    ]
+    (bundle / "path.csv").write_text("\n".join([lines[0], *metres]) + "\n")
+    with pytest.raises(BundleError, match=r"path\.csv, row \d+, column ._mm.* m; conv"):
+        read_bundle(bundle)
