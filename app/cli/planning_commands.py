@@ -106,6 +106,10 @@ def plan(
         typer.Option("--corner-path", help="The 2023 paper's path, to compare with."),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    stations: Annotated[
+        int,
+        typer.Option(min=1, help="Places of the tracker, which share the minutes."),
+    ] = 1,
     json: Json = False,
 ) -> None:
     """The measurement that tells most in its time, and what it will leave unknown."""
@@ -128,6 +132,7 @@ def plan(
         read_workspace(workspace) if workspace else Workspace(),
         seed,
         None if model is None else read_prior_model(model),
+        stations=stations,
     )
     require_folder(output, "the plan")
     with show_progress("plan") as on_progress:
@@ -182,6 +187,13 @@ def _print_plan(document: Mapping[str, Any]) -> None:
     if document["stations"] is not None:
         for statement in document["stations"]["statement"]:
             print(f"tracker: {statement}")
+    stations: list[dict[str, Any]] = document["at_stations"] or []
+    for number, station in enumerate(stations, start=1):
+        place = ", ".join(f"{v:.0f}" for v in station["position_mm"])
+        print(
+            f"station-{number}: tracker at ({place}) mm, {station['rows']} rows, "
+            f"{station['duration_s'] / 60.0:.1f} min"
+        )
     print(
         f"{document['rows']} rows, {document['duration_s'] / 60.0:.1f} min, volumetric "
         f"uncertainty {predicted['volumetric_uncertainty_um']:.2f} µm (k = 1), "

@@ -121,19 +121,33 @@ def write_plan(
 ) -> dict[str, Any]:
     """Write the files of a plan and return the content of `plan.json`.
 
+    Rows and programs of several stations are in a folder each.
+
     controls : whose NC programs are written; of all where left out
 
     Raises BadInput, nothing written, if a control cannot drive the plan.
     """
-    commanded, machine = planned.commanded, planned.machine
-    rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
-    files = {rows: encode_commanded(commanded)}
-    feed = planned.order.feeds(machine)[0]
-    for control in controls or list_dialects():
-        text = write_program(commanded, machine, control, feed_mm_min=feed)
-        files[f"{control}/{name_file(text, control)}"] = text.encode()
+    files: dict[str, bytes] = {}
+    for number, plan in enumerate(planned.at_stations, start=1):
+        place = f"station-{number}/" if planned.further else ""
+        files |= {
+            place + name: content
+            for name, content in _encode_rows(plan, controls).items()
+        }
     document = plan_document(planned) | {"files": [*files, "plan.json", "plan.html"]}
     files["plan.json"] = encode_json(document, indent=1)
     files["plan.html"] = render_plan_report(document).encode()
     write_files(folder, files)
     return document
+
+
+def _encode_rows(plan: Plan, controls: Sequence[str]) -> dict[str, bytes]:
+    """Return the files of what is driven from one station."""
+    commanded, machine = plan.commanded, plan.machine
+    rows = "path.csv" if isinstance(commanded, Path) else "points.csv"
+    files = {rows: encode_commanded(commanded)}
+    feed = plan.order.feeds(machine)[0]
+    for control in controls or list_dialects():
+        text = write_program(commanded, machine, control, feed_mm_min=feed)
+        files[f"{control}/{name_file(text, control)}"] = text.encode()
+    return files

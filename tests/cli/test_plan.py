@@ -245,6 +245,26 @@ def test_a_plan_chooses_the_place_and_says_what_more_stations_bring(
     assert "one station is enough" in page
 
 
+def test_several_stations_have_a_folder_each(machine_file, tmp_path, capsys):
+    nests = [{"min_mm": p, "max_mm": p} for p in ([250, -700, 0], [1100, 100, 50])]
+    workspace = tmp_path / "workspace.json"
+    workspace.write_text(
+        json.dumps({"schema": "workspace/1", "tracker": {"areas": nests}})
+    )
+    arguments = ["--minutes", "0.6", "--feed", "6000", "--control", "linuxcnc"]
+    arguments += ["--stations", "2", "--workspace", str(workspace)]
+    folder = tmp_path / "out"
+    assert run(["plan", str(machine_file), "-o", str(folder), *arguments]) == 0
+    document = json.loads((folder / "plan.json").read_text())
+    machine, said = decode_machine(machine_file.read_bytes()), capsys.readouterr().out
+    for number, station in enumerate(document["at_stations"], start=1):
+        rows = folder / f"station-{number}" / "path.csv"
+        path = decode_commanded(rows.read_bytes(), machine, "path.csv", is_path=True)
+        assert len(path) == station["rows"]
+        assert f"station-{number}/linuxcnc" in "".join(document["files"])
+        assert f"station-{number}: tracker at (" in said
+
+
 @pytest.mark.parametrize(
     ("workspace", "problem"),
     [
