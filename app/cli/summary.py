@@ -41,6 +41,7 @@ def summarise_result(result: Result, folder: Path) -> dict[str, Any]:
             for symbol, unit, *span in _yield_spans(result)
         },
         "squareness_urad": result["squareness_urad"],
+        "axis_location": result.get("axis_location", {}),
         "effects": result["effects"],
         "residual_rms_um": result["residuals"]["rms_um"],
         "observability": result["observability"],

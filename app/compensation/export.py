@@ -161,13 +161,11 @@ def _write_stamp(errors: ErrorMap, name: str) -> tuple[str, ...]:
     """Return the comments of the files, in plain ASCII."""
     machine, provenance = errors.machine, errors.result.provenance
     verdict = errors.result.verdict
-    offsets = "; ".join(
-        ", ".join(f"{v:g}" for v in target.offset_mm) for target in machine.targets
-    )
+    offset = ", ".join(f"{v:g}" for v in machine.target().offset_mm)
     lines = (
         f"truepath compensation, format {name}",
         f"machine {machine.name}, chain {machine.chain}",
-        f"target offset {offsets} mm",
+        f"for the tool at target offset {offset} mm",
         f"run {provenance.get('run', '')}, analysed {provenance.get('created', '')}",
         f"input {str(provenance.get('input_sha256', ''))[:16]}",
         *(["THE RESULT IS " + verdict.title.upper()] if verdict.objection else []),
@@ -185,6 +183,11 @@ def _describe_content(
         "machine": machine.name,
         "kinematic_chain": machine.chain,
         "target_offset_mm": [list(t.offset_mm) for t in machine.targets],
+        "holds_for": {
+            "target": machine.target().name,
+            "offset_mm": list(machine.target().offset_mm),
+            "confounded": sorted(errors.result.model.confounded),
+        },
         "provenance": errors.result.provenance,
         "verdict": verdict_json(errors.result.verdict),
         "sign": {"rule": kind.sign, "verified": kind.sign_is_verified},

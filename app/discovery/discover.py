@@ -140,10 +140,10 @@ def discover(
     coarse = [one.coarse for one in aligned]
     families = [f for f in list_families() if reference or not f.is_rigid_body]
     terms = tuple(propose_terms(families, [one.at for one in fine]))
-    model, noise_model = build_baseline_models(
+    nested, noise_model = build_baseline_models(
         machine, [one.at for one in coarse], reference and reference.model
     )
-    baseline = fit_baseline(model, noise_model, coarse, reference)
+    baseline = fit_baseline(nested, noise_model, coarse, reference)
     on_progress(0.35)
     lines = build_lines(runs, fine, baseline)
     fitter = TermFitter(lines, baseline.prior, terms)

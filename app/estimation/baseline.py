@@ -17,15 +17,20 @@ from jaxtyping import Float64
 
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
+from app.estimation.confounded_prior import WholePrior, guess_whole_prior
 from app.estimation.design_matrix import Linearisation, middle_of
-from app.estimation.information import Information, Posterior, compute_posterior
+from app.estimation.information import (
+    Information,
+    Posterior,
+    compute_posterior,
+    invert_covariance,
+)
 from app.estimation.knots import can_refine, find_intervals, refine_motions
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
-from app.estimation.prior import guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
 from app.files.model_file import EstimatedModel
-from app.kinematics.coarse_model import LONGEST_NOISE_S, add_effects
+from app.kinematics.coarse_model import LONGEST_NOISE_S, NestedModels, add_effects
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.model import MachineModel
@@ -33,7 +38,7 @@ from app.numerics.rigid import RigidTransform
 
 
 class MachinePrior(Protocol):
-    """What is known of the machine before the Runs: `BendingPrior`, `KnownMachine`."""
+    """What is known of the machine before the Runs: `WholePrior`, `KnownMachine`."""
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the prior precision; parameters after the machine's have none."""
@@ -53,9 +58,7 @@ class KnownMachine:
     @cached_property
     def precision(self) -> Float64[np.ndarray, "m m"]:
         """Inverse covariance; a parameter without variance is known to rounding."""
-        value, vector = np.linalg.eigh(self.covariance)
-        floor = 1e-9 * float(value.max(initial=1e-18))
-        return (vector / np.maximum(value, floor)) @ vector.T
+        return invert_covariance(self.covariance)
 
     def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
         """Return the precision; parameters after the machine's have none."""
@@ -96,7 +99,7 @@ class Baseline:
 
 
 def fit_baseline(
-    model: MachineModel,
+    nested: NestedModels,
     noise_model: MachineModel,
     observations: Sequence[Observations],
     reference: EstimatedModel | None = None,
@@ -111,18 +114,19 @@ def fit_baseline(
     guessed = [RunInput(o, o.pose, _guess_noise(o)) for o in observations]
     runs = _fit_noise(noise_model, guessed)
     if reference is None:
-        model = _refine_knots(model, runs)
-        theta, prior = np.zeros(model.size), guess_prior(model)
+        nested = replace(nested, alone=_refine_knots(nested.alone, runs))
+        prior: MachinePrior = WholePrior.guess(nested.alone, nested.confounded)
+        theta = np.zeros(nested.whole.size)
     else:
         theta, prior = reference.theta, KnownMachine(reference.covariance)
-    return Baseline(model, theta, prior, runs, noise_model)
+    return Baseline(nested.whole, theta, prior, runs, noise_model)
 
 
 def _refine_knots(model: MachineModel, runs: Sequence[RunInput]) -> MachineModel:
     """Return the model with knots as close as its error motions need."""
     while any(map(can_refine, model.error_motions)):
         data = combine_runs(collect_information(runs, model))
-        prior, result = guess_prior(model).fit(data)
+        prior, result = guess_whole_prior(model).fit(data)
         intervals = find_intervals(model, prior.precision, result)
         if not intervals:
             break

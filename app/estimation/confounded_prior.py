@@ -6,9 +6,14 @@ split, and so what another target or another tool does, is for the prior to say;
 width is in the covariance, and there it cancels wherever the sum alone counts.
 
 So this prior has to be proper, and of the size that errors of this machine have. The
-bending precision is that of motions of its kind which are told: guides of one machine
-are alike. Straight shapes, squarenesses and locations, which bending leaves free, are
-drawn from those of their kind, told to better than usual, about 0 with
+bending precision is that of motions of its kind which are told, as guides of one
+machine are alike: of their smoothest shapes, for these are what is large. The evidence
+counts all that the data show, and where errors have no fine shapes it takes the
+smoothest for smaller than they are. Turns of a rotary axis that share in a split have
+one precision: the evidence would take one of them for large and the others for small,
+which nobody can tell. Straight shapes, squarenesses and locations, which
+bending leaves free, are drawn from those of their kind, told to better than usual,
+about 0 with
 
     σ² = (w σ₀² + Σ sᵢ²) / (w + n):
 
@@ -18,46 +23,156 @@ is all there is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.estimation.information import Posterior
-from app.estimation.prior import USUAL_PRECISION, BendingPrior, find_kind_precisions
+from app.estimation.information import Information, Posterior, compute_posterior
+from app.estimation.prior import (
+    USUAL_PRECISION,
+    BendingPrior,
+    guess_prior,
+)
 from app.kinematics.effects.base import Effect, QuadraticPrior
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.effects.location_error import AxisLocation
+from app.kinematics.machine import RotaryAxis
 from app.kinematics.model import MachineModel
+from app.kinematics.symbols import is_turn
 
 _WEIGHT = 2.0  # w: a usual size counts as much as two that are told
 # σ₀ of what a motion changes by from end to end, and of a number: a location, an angle.
 _USUAL_CHANGE = {"mm": 0.02, "rad": 4e-5}
 _USUAL_NUMBER = {"mm": 0.05, "rad": 5e-5}
 _FREE = 1e-9  # of the largest bending: none
+_ROUNDS = 4  # in which precisions of the smoothest shapes settle
+_COUNTED = 1  # shape that tells how large a motion is: the smoothest is what is large
+_SMOOTH = 4  # shapes of a motion: two waves around, or two over the travel
 
 
-def add_confounded(
-    prior: BendingPrior, result: Posterior, model: MachineModel
-) -> BendingPrior:
-    """Return the prior with that of the model's confounded effects.
+def guess_whole_prior(model: MachineModel) -> BendingPrior:
+    """Return a prior for effects of usual size, proper for what is confounded."""
+    confounded = _list_confounded(model)
+    return guess_prior(model, {e.name: straight_precision(e) for e in confounded})
+
+
+def _list_confounded(model: MachineModel) -> Iterator[Effect]:
+    """Yield what is confounded, and where the axes of such motions are.
+
+    The mean of a motion across an axis is location: as little told as the motion.
+    """
+    axes = {m.axis for m in model.error_motions if m.name in model.confounded}
+    for effect in model.effects:
+        is_place = isinstance(effect, AxisLocation) and effect.axis in axes
+        if is_place or effect.name in model.confounded:
+            yield effect
+
+
+@dataclass(frozen=True)
+class WholePrior:
+    """A prior found from what the targets tell, for all that the machine has.
+
+    told : of the effects that the fit needs; they come first in the model
+    whole : of all, those as well that the targets do not tell
+    """
+
+    told: BendingPrior
+    whole: BendingPrior
+
+    @staticmethod
+    def guess(told: MachineModel, untold: Sequence[Effect]) -> WholePrior:
+        """Return a prior for effects of usual size."""
+        prior = guess_whole_prior(told)
+        whole = add_confounded(prior, None, told.with_confounded(untold))
+        return WholePrior(prior, whole)
+
+    def precision_matrix(self, size: int) -> Float64[np.ndarray, "p p"]:
+        """Return the prior precision; parameters after the machine's have none."""
+        return self.whole.precision_matrix(size)
+
+    def fit(self, data: Information) -> tuple[WholePrior, Posterior]:
+        """Return the prior whose precisions fit the data, and the posterior."""
+        size, first = len(data.vector), self.told.model.size
+        untold = np.s_[first : self.whole.model.size]
+        told, result = self.told.fit(data.select(np.delete(np.arange(size), untold)))
+        whole, result = fit_confounded(told, result, self.whole.model, data)
+        return WholePrior(told, whole), result
+
+
+def fit_confounded(
+    prior: BendingPrior, result: Posterior, model: MachineModel, data: Information
+) -> tuple[BendingPrior, Posterior]:
+    """Return prior and posterior of a model with all that is confounded.
 
     prior, result : of the effects that are told; they come first in the model
     """
-    sizes = _pool_sizes(prior.model, result)
-    usual = find_kind_precisions(prior)
+    turns = any(isinstance(m.axis, RotaryAxis) for m in _list_beside(model))
+    for _ in range(_ROUNDS if turns else len(model.confounded) > 0):
+        prior = add_confounded(prior, result, model)
+        result = compute_posterior(data, prior.precision_matrix(len(data.vector)))
+    return replace(prior, model=model), result
+
+
+def add_confounded(
+    prior: BendingPrior, result: Posterior | None, model: MachineModel
+) -> BendingPrior:
+    """Return the prior with that of the model's confounded effects.
+
+    prior, result : of the effects that are told; they come first in the model; usual
+        sizes are taken where there is no result
+    """
+    sizes = _pool_sizes(prior.model, result) if result else {}
+    found = _pool_precisions(prior.model, result) if result else {}
     charges, precision = dict(prior.charges), dict(prior.precision)
-    for effect in model.effects:
-        if effect.name not in model.confounded:
-            continue
-        straight = straight_precision(effect, sizes)
-        bent, scale = effect.prior(), 1.0
+    for motion in _list_beside(model):
+        bent = motion.prior()
+        kind = found.get(bent.kind, USUAL_PRECISION)
+        own = found.get(f"{bent.kind} {motion.axis.name}", kind)
+        usual = 2.0 / (1.0 / kind + 1.0 / own) / bent.usual
+        if not is_turn(motion.symbol):
+            usual = min(usual, precision.get(motion.name, usual))
+        precision[motion.name] = usual
+        charges[motion.name] = replace(bent, counted=_COUNTED)
+    for effect in _list_confounded(model):
+        form = straight_precision(effect, sizes)
+        bent = charges.get(effect.name) if effect.motion else None
         if bent:
-            scale = usual.get(bent.kind, USUAL_PRECISION) / bent.usual
-            straight = straight / scale + bent.form
-        charges[effect.name] = QuadraticPrior(straight, len(straight), 1.0)
-        precision[effect.name] = scale
+            form = form / precision[effect.name] + bent.form
+        counted = bent.counted if bent else 0
+        charges[effect.name] = QuadraticPrior(form, len(form), 1.0, counted=counted)
+        precision.setdefault(effect.name, 1.0)
     return replace(prior, model=model, charges=charges, precision=precision)
+
+
+def _list_beside(model: MachineModel) -> Iterator[ErrorMotion]:
+    """Yield confounded motions, and of a rotary axis all that share in their split."""
+    axes = {m.axis for m in model.error_motions if m.name in model.confounded}
+    for motion in model.error_motions:
+        shares = isinstance(motion.axis, RotaryAxis) and motion.axis in axes
+        if shares or motion.name in model.confounded:
+            yield motion
+
+
+def _pool_precisions(model: MachineModel, result: Posterior) -> dict[str, float]:
+    """Return the precision of kinds by smooth shapes, for one of usual 1.
+
+    Of each kind, and of each kind on each axis.
+    """
+    energies: dict[str, list[float]] = {}
+    for motion in model.error_motions:
+        part, charge = model.slices[motion.name], motion.prior()
+        form = np.diag(charge.form)
+        smooth = np.flatnonzero(form > _FREE * form.max())[:_SMOOTH]
+        square = result.theta[part] ** 2 + np.diag(result.covariance[part, part])
+        energy = float(np.mean(form[smooth] * square[smooth])) / charge.usual
+        on_axis = f"{charge.kind} {motion.axis.name}"
+        energies.setdefault(on_axis, [1.0 / USUAL_PRECISION]).append(energy)
+        if motion.name not in model.confounded:
+            every = energies.setdefault(charge.kind, [1.0 / USUAL_PRECISION] * 2)
+            every.append(energy)
+    return {name: 1.0 / float(np.mean(each)) for name, each in energies.items()}
 
 
 def straight_precision(
@@ -94,7 +209,7 @@ def _list_told(
 ) -> Iterator[tuple[str, float, float]]:
     """Yield kind, usual size and value of all that is told to better than usual."""
     for effect in model.effects:
-        if not effect.iso_symbol:
+        if not effect.iso_symbol or effect.name in model.confounded:
             continue
         part = model.slices[effect.name]
         kind, usual, rows = _find_free(effect)

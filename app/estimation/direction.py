@@ -10,14 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app.estimation.confounded_prior import add_confounded
-from app.estimation.information import Information, Posterior, compute_posterior
+from app.estimation.confounded_prior import fit_confounded, guess_whole_prior
+from app.estimation.information import Information, Posterior
 from app.estimation.known_effects import KnownEffects
-from app.estimation.prior import (
-    BendingPrior,
-    compute_evidence_cost,
-    guess_prior,
-)
+from app.estimation.prior import BendingPrior, compute_evidence_cost
 from app.estimation.runs import (
     RunInformation,
     RunInput,
@@ -89,14 +85,11 @@ def _collect(
 
 def include_confounded(fit: Fit, effects: Sequence[Effect]) -> Fit:
     """Return the fit with the effects of which a prior alone says what they are."""
-    if not effects:
-        return fit
     model = fit.model.with_confounded(effects)
-    prior = add_confounded(fit.prior, fit.result, model)
     runs = tuple(run.restrict(model.effects) for run in fit.found)
-    wider = replace(fit, model=model, prior=prior, runs=runs)
-    precision = prior.precision_matrix(model.size)
-    return replace(wider, result=compute_posterior(wider.data, precision))
+    wider = replace(fit, model=model, runs=runs)
+    prior, result = fit_confounded(fit.prior, fit.result, model, wider.data)
+    return replace(wider, prior=prior, result=result)
 
 
 def _fit(
@@ -107,7 +100,7 @@ def _fit(
 ) -> Fit:
     runs = tuple(run.restrict(model.effects) for run in found)
     data = known.add_to(combine_runs(runs), model)
-    prior, result = guess_prior(model).fit(data)
+    prior, result = guess_whole_prior(model).fit(data)
     precisions = len(model.effects) - len(model.error_motions)
     cost = compute_evidence_cost(data, prior, result) + _PRICE * precisions
     return Fit(direction, model, found, runs, known, prior, result, cost)

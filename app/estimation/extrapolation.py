@@ -71,7 +71,7 @@ def soften_ends(fit: Fit) -> Fit:
     Precisions and noise stay; ends up to two intervals of the knots stay as they are.
     """
     ranges = find_measured_ranges(*(run.observations for run in fit.runs))
-    motions = [m for m in fit.model.error_motions if _has_ends(m, ranges)]
+    motions = [m for m in fit.model.identifiable_motions if _has_ends(m, ranges)]
     if not motions:
         return fit
     known = estimate_variations(

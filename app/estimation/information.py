@@ -18,6 +18,8 @@ from jaxtyping import Bool, Float64, Int64
 from app.errors import Unidentifiable
 from app.numerics.scaled_cholesky import ScaledCholesky
 
+EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
+_SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding
 _NEGLIGIBLE = 1e-20  # of the largest information on a parameter: rounding
 
 
@@ -108,6 +110,20 @@ def compute_posterior(
         data.square - float(data.vector @ theta),
         factor.log_determinant,
     )
+
+
+def invert_covariance(
+    covariance: Float64[np.ndarray, "p p"],
+) -> Float64[np.ndarray, "p p"]:
+    """Return the precision of parameters of unlike units.
+
+    What is known exactly, alone or together with others, is known to rounding.
+    """
+    own = np.sqrt(np.maximum(np.diag(covariance), 0.0) + EXACTLY**2)
+    value, vector = np.linalg.eigh(covariance / own[:, None] / own)
+    floor = _SAME * float(value.max(initial=1.0))
+    inverse = (vector / np.maximum(value, floor)) @ vector.T
+    return inverse / own[:, None] / own
 
 
 def find_informative(square: Float64[np.ndarray, " r"]) -> Int64[np.ndarray, " k"]:

@@ -15,11 +15,14 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import chdtrc
 
-from app.estimation.information import Information, Posterior
+from app.estimation.information import (
+    EXACTLY,
+    Information,
+    Posterior,
+    invert_covariance,
+)
 from app.kinematics.model import CatalogueEffect, MachineModel
 
-_EXACTLY = 1e-8  # mm, rad, s: nothing is known better than to rounding
-_SAME = 1e-9  # of the largest eigenvalue of a correlation matrix: rounding
 _LOOSE = 100.0
 _MEASURED_SHARE = 0.05  # of a variance, removed by the Run: enough to contradict
 
@@ -45,13 +48,8 @@ class KnownEffects:
         return slice(slices[0].start, slices[-1].stop)
 
     def precision_matrix(self) -> Float64[np.ndarray, "k k"]:
-        """Return the inverse of the covariance, of parameters of unlike units."""
-        own = np.sqrt(np.maximum(np.diag(self.covariance), 0.0) + _EXACTLY**2)
-        correlation = self.covariance / own[:, None] / own
-        value, vector = np.linalg.eigh(correlation)
-        floor = _SAME * float(value.max(initial=1.0))
-        inverse = (vector / np.maximum(value, floor)) @ vector.T
-        return inverse / own[:, None] / own
+        """Return the inverse of the covariance."""
+        return invert_covariance(self.covariance)
 
     def add_to(self, data: Information, model: MachineModel) -> Information:
         """Return what data and the earlier measurement tell of a model together.
@@ -99,7 +97,7 @@ def _compute_chance(
     moved: Float64[np.ndarray, " k"],
 ) -> float | None:
     """Return the chance of a move: its covariance is what the Run has removed."""
-    scale = np.sqrt(np.diag(before) + _EXACTLY**2)
+    scale = np.sqrt(np.diag(before) + EXACTLY**2)
     value, vector = np.linalg.eigh((before - after) / scale[:, None] / scale)
     is_measured = value > _MEASURED_SHARE
     if not is_measured.any():

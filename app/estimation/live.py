@@ -21,7 +21,7 @@ from app.alignment.cell_blocks import CellBlock
 from app.alignment.observations import Observations, add_surroundings
 from app.alignment.streaming import StreamingAlignment
 from app.errors import Unidentifiable
-from app.estimation.confounded_prior import add_confounded
+from app.estimation.confounded_prior import WholePrior
 from app.estimation.design_matrix import Linearisation, linearise
 from app.estimation.information import Information, compute_posterior
 from app.estimation.knots import add_hidden_variance, join_cells
@@ -33,11 +33,7 @@ from app.estimation.noise_fit import (
     refine_runs,
 )
 from app.estimation.normal_equations import RecursiveEstimator, compute_information
-from app.estimation.prior import (
-    BendingPrior,
-    guess_prior,
-    widen_by_unknown_precision,
-)
+from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInput
 from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import (
@@ -49,7 +45,8 @@ from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.identifiable import (
     build_identifiable_model,
-    list_confounded_effects,
+    list_partly_told_effects,
+    list_untold_effects,
 )
 from app.kinematics.machine import Machine
 from app.kinematics.volumetric_map import compute_volumetric_gram
@@ -117,13 +114,14 @@ class LiveEstimator:
         targets = [machine.target(name) for name in commanded.target or ("",)]
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
-        model = model.with_effects(*self._known.effects)
-        told = add_half_widths(model)
+        partly = list_partly_told_effects(machine, offsets)
+        known = model.with_effects(*self._known.effects).with_confounded(partly)
+        told = add_half_widths(known)
         if isinstance(commanded, Path):
             told = add_bends(told)
-        self._model = told.with_confounded(list_confounded_effects(machine, offsets))
+        self._prior = WholePrior.guess(told, list_untold_effects(machine, offsets))
+        self._model = self._prior.whole.model
         self._gram = compute_volumetric_gram(self._model)
-        self._prior: BendingPrior = guess_prior(told)
         self._seats = self._alignment.seats  # that the sums are about
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
@@ -143,8 +141,8 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        rows = self._find_rows()
-        return LiveFindings(rows, station_mm, about.noise, self._prior.precision)
+        rows, precision = self._find_rows(), self._prior.told.precision
+        return LiveFindings(rows, station_mm, about.noise, precision)
 
     def take(self, block: TrackerSamples) -> bool:
         """Take the next samples; tell whether they have finished anything."""
@@ -164,11 +162,8 @@ class LiveEstimator:
             return None
         size = self._model.size
         data = self._add_known(self._sums.information(), self._sums.linearisation)
-        columns = np.arange(len(data.vector))
-        told = np.delete(columns, np.s_[self._prior.model.size : size])
-        self._prior, result = self._prior.fit(data.select(told))
-        prior = add_confounded(self._prior, result, self._model)
-        result = compute_posterior(data, prior.precision_matrix(len(columns)))
+        self._prior, result = self._prior.fit(data)
+        prior = self._prior.whole
         widened = widen_by_unknown_precision(prior, result)
         hidden = add_hidden_variance(widened, self._model, prior.precision)
         covariance = hidden.covariance[:size, :size]

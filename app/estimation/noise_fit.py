@@ -16,12 +16,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.observations import Observations
+from app.estimation.confounded_prior import guess_whole_prior
 from app.estimation.design_matrix import DesignMatrix, Linearisation
 from app.estimation.information import Information, add_information
 from app.estimation.known_effects import KnownEffects
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_evidence import NoiseEvidence, Slope
-from app.estimation.prior import BendingPrior, guess_prior
+from app.estimation.prior import BendingPrior
 from app.estimation.runs import (
     RunInformation,
     RunInput,
@@ -81,7 +82,7 @@ def refine_runs(
     ]
     found = list(collect_information(few, model))
     data = known.add_to(combine_runs(found), model)
-    prior, result = guess_prior(model).fit(data)
+    prior, result = guess_whole_prior(model).fit(data)
     # The noise of one Run shifts what the others hold for the error motions.
     for k in [*range(len(runs))] * min(len(runs), _SWEEPS):
         others = found[:k] + found[k + 1 :]

@@ -80,14 +80,25 @@ class BendingPrior:
         return prior, compute_posterior(data, prior.precision_matrix(len(data.vector)))
 
 
-def guess_prior(model: MachineModel) -> BendingPrior:
-    """Return a prior for effects of usual size."""
+def guess_prior(
+    model: MachineModel,
+    straight: Mapping[str, Float64[np.ndarray, "_ _"]] | None = None,
+) -> BendingPrior:
+    """Return a prior for effects of usual size.
+
+    straight : precision of what bending leaves free, by the effect's name; all there
+        is of effects that do not bend
+    """
     asked = {effect.name: effect.prior() for effect in model.effects}
     charges = {name: charge for name, charge in asked.items() if charge}
     precision = {
         name: 1.0 if charge.is_known else USUAL_PRECISION / charge.usual
         for name, charge in charges.items()
     }
+    for name, form in (straight or {}).items():
+        bent = charges.get(name, QuadraticPrior(0.0 * form, 0, 1.0, is_known=True))
+        form = bent.form + form / precision.setdefault(name, 1.0)
+        charges[name] = replace(bent, form=form, rank=len(form))
     log_forms = sum(_log_determinant(charge) for charge in charges.values())
     return BendingPrior(model, charges, precision, log_forms)
 
@@ -151,6 +162,10 @@ def log_precision_variance(prior: BendingPrior, result: Posterior) -> dict[str, 
         part = prior.model.slices[name]
         P = prior.precision[name] * charge.form
         free = charge.rank - float(np.sum(P * result.covariance[part, part]))
+        if charge.counted:
+            least = np.argsort(np.diag(P))[: charge.counted]
+            known = np.diag(P) * np.diag(result.covariance[part, part])
+            free = charge.counted - float(known[least].sum())
         variance[name] = 1.0 / (0.5 * max(free, 0.0) + 1.0 / _SPREAD**2)
     return variance
 

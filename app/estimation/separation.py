@@ -6,6 +6,9 @@ displacements over the difference of the arms, so its standard uncertainty is �
 u that of the displacement found with one tool. Wanted is a turn known as well as the
 turns that one tool tells already, and ΔL follows; where no tool is long enough for
 that, a turn known to half of a usual one (k = 2).
+
+Arms of a rotary axis turn with it, and such a length means nothing: there a trial
+target tells whether one more is enough, by the rank that it brings, and which.
 """
 
 from __future__ import annotations
@@ -24,13 +27,13 @@ from app.kinematics.symbols import DIRECTION, describe_symbol, is_turn
 
 _ENOUGH_RAD = find_usual_size("EAX") / 4.0  # k = 1: half of a usual turn at k = 2
 _STEP_MM = 10.0  # in which lengths are stated
-_TRIAL_MM = 100.0  # by which a trial target is farther
+_TRIAL_MM = 93.7  # by which a trial target is farther: no target is likely there
 _SHAPES = 4  # intervals of the knots: few do, as what merges does not depend on them
 _GRID = 25  # places of an axis, to average over
 # What is tried, in this order: the first that separates is asked for.
 _TRIALS = {
-    "a second tool at least {} mm longer or shorter": (0.0, 0.0, 1.0),
-    "a second target at least {} mm to the side, in X or Y,": (0.6, 0.8, 0.0),
+    "tool{} longer or shorter": (0.0, 0.0, 1.0),
+    "target{} to the side, in X or Y,": (0.6, 0.8, 0.0),
 }
 _LONGEST_MM = 500.0  # that is asked for
 
@@ -88,15 +91,19 @@ def _statement(
     if _asks_for_the_table(merged.symbol, model.machine):
         return f"{said}; targets on the workpiece, three off one line, show it"
     cure = next((w for w, names in still.items() if merged.symbol not in names), "")
-    if not cure or not is_turn(merged.symbol):
+    if not cure:
         return f"{said}; other targets, off one line with these, separate it"
+    asked = f"a {'second' if tools == 1 else 'further'} {cure}"
+    does = "separates them" if merged.partners else "shows it"
+    linear = {axis.name for axis in model.machine.linear_axes}
+    if not is_turn(merged.symbol) or merged.symbol[2] not in linear:
+        return f"{said}; {asked.format('')} {does}"
     way = np.array(_TRIALS[cure])
     for wanted in (min(_usual_turn(model, covariance), _ENOUGH_RAD), _ENOUGH_RAD):
         length_mm = _length_mm(merged.symbol, way, wanted, model, covariance)
         if length_mm <= _LONGEST_MM:
-            does = "separates them" if merged.partners else "shows it"
             return (
-                f"{said}; {cure.format(f'{length_mm:.0f}')} {does} "
+                f"{said}; {asked.format(f' at least {length_mm:.0f} mm')} {does} "
                 f"(to {2e6 * wanted:.1f} µrad, k = 2, on the same path)"
             )
     return f"{said}; the lines or points tell too little for any tool to change that"

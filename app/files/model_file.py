@@ -31,7 +31,7 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.catalogue import Family, find_family
 from app.kinematics.effects.error_motion import make_error_motion_over
 from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
-from app.kinematics.machine import LinearAxis, Machine, position_unit
+from app.kinematics.machine import Machine, position_unit
 from app.kinematics.model import CatalogueEffect, MachineModel, restore_effect
 from app.kinematics.symbols import SQUARENESS, find_unit, list_error_motions
 
@@ -60,13 +60,13 @@ class EstimatedModel:
     def at_targets(self) -> EstimatedModel:
         """What the measured targets show: tables that hold for them state it.
 
-        A turn of a linear axis that is confounded has a constant arm at the measured
-        targets: there the displacement that it is confounded with makes up for it. So
-        it is set to 0, and all others are what they are then. What is confounded of a
-        rotary axis stays: no one displacement makes up for it.
+        Confounded turns that a displacement makes up for are set to 0, and all others
+        are what they are then.
         """
         rows = self.target_rows
-        kept = tuple(e for e in self.model.effects if e.name not in self._made_up_for)
+        kept = tuple(
+            e for e in self.model.effects if e.name not in self.model.made_up_for
+        )
         covariance = rows @ self.covariance @ rows.T
         model = replace(self.model, effects=kept)
         return EstimatedModel(model, rows @ self.theta, covariance)
@@ -75,7 +75,7 @@ class EstimatedModel:
     def target_rows(self) -> Float64[np.ndarray, "k p"]:
         """The parameters of `at_targets`, linear in these: a regression."""
         own = np.zeros(self.model.size, bool)
-        for name in self._made_up_for:
+        for name in self.model.made_up_for:
             own[self.model.slices[name]] = True
         rows = np.eye(self.model.size)[~own]
         if own.any():
@@ -84,16 +84,6 @@ class EstimatedModel:
             across = self.covariance[np.ix_(own, ~own)] / scale[:, None]
             rows[:, own] = -(cho_solve(cho_factor(among), across).T / scale)
         return rows
-
-    @property
-    def _made_up_for(self) -> frozenset[str]:
-        return frozenset(
-            e.name
-            for e in self.model.effects
-            if e.motion
-            and e.name in self.model.confounded
-            and isinstance(e.motion.axis, LinearAxis)
-        )
 
     def effects(self) -> dict[str, Effect]:
         """Return the machine's own effects by name."""

@@ -28,7 +28,8 @@ from app.kinematics.effects.base import (
 from app.kinematics.effects.inertial_bend import InertialBend
 from app.kinematics.identifiable import (
     build_identifiable_model,
-    list_confounded_effects,
+    list_partly_told_effects,
+    list_untold_effects,
 )
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
@@ -66,11 +67,16 @@ class NestedModels:
     """Models of Runs that differ in what the direction of approach may do.
 
     alone : error motions, and effects known before
-    confounded : effects of the machine that the targets do not tell
+    confounded : further effects of the machine, that the targets do not tell
     """
 
     alone: MachineModel
     confounded: tuple[Effect, ...] = ()
+
+    @cached_property
+    def whole(self) -> MachineModel:
+        """With all that the targets do not tell."""
+        return self.alone.with_confounded(self.confounded)
 
     @cached_property
     def constant(self) -> MachineModel:
@@ -80,7 +86,8 @@ class NestedModels:
     @cached_property
     def tables(self) -> MachineModel:
         """With a table of half differences of each error motion as well."""
-        shapes = [make_half_shape(m.symbol, m.axis) for m in self.alone.error_motions]
+        motions = self.alone.identifiable_motions
+        shapes = [make_half_shape(m.symbol, m.axis) for m in motions]
         return self.constant.with_effects(*shapes)
 
 
@@ -88,7 +95,7 @@ def build_baseline_models(
     machine: Machine,
     conditions: Sequence[Conditions],
     reference: MachineModel | None = None,
-) -> tuple[MachineModel, MachineModel]:
+) -> tuple[NestedModels, MachineModel]:
     """Return the model that Runs are compared with, and the coarse one for their noise.
 
     conditions : of each Run
@@ -96,12 +103,21 @@ def build_baseline_models(
     """
     offsets_mm = [at.offset_mm for at in conditions]
     slow = [spline for at in conditions for spline in _make_time_splines(at)]
-    if reference is None:
-        model, _ = build_identifiable_model(machine, *offsets_mm)
-    else:
-        model = reference
+    nested = NestedModels(reference) if reference else _nest(machine, offsets_mm)
+    model = nested.alone
     beside = (*slow, *model.catalogue_effects)
-    return model, build_coarse_model(model.machine, offsets_mm, (), beside)
+    return nested, build_coarse_model(model.machine, offsets_mm, (), beside)
+
+
+def _nest(
+    machine: Machine,
+    offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]],
+    known: Sequence[Effect] = (),
+) -> NestedModels:
+    model, _ = build_identifiable_model(machine, *offsets_mm)
+    partly = list_partly_told_effects(machine, *offsets_mm)
+    untold = list_untold_effects(machine, *offsets_mm)
+    return NestedModels(model.with_effects(*known).with_confounded(partly), untold)
 
 
 def _make_time_splines(at: Conditions) -> Iterator[Effect]:
@@ -144,11 +160,8 @@ def build_run_models(
     offsets_mm : of the targets in each Run
     known : effects of the machine from an earlier measurement
     """
-    model, _ = build_identifiable_model(machine, *offsets_mm)
     return RunModels(
-        NestedModels(
-            model.with_effects(*known), list_confounded_effects(machine, *offsets_mm)
-        ),
+        _nest(machine, offsets_mm, known),
         build_coarse_model(machine, offsets_mm, known),
         build_shape_model(machine, *offsets_mm),
     )
@@ -169,7 +182,9 @@ def build_coarse_model(
     model, _ = build_identifiable_model(
         machine, *offsets_mm, knot_spacing_mm=_KNOT_SPACING_MM
     )
-    return add_effects(add_half_widths(model.with_effects(*known)), beside)
+    partly = list_partly_told_effects(machine, *offsets_mm)
+    model = model.with_effects(*known).with_confounded(partly)
+    return add_effects(add_half_widths(model), beside)
 
 
 def add_effects(model: MachineModel, effects: Sequence[Effect]) -> MachineModel:
@@ -189,5 +204,5 @@ def add_half_widths(model: MachineModel) -> MachineModel:
     None for a motion whose lost motion is an effect of the model already.
     """
     lost = {e.half_difference.symbol for e in model.effects if e.half_difference}
-    motions = [m for m in model.error_motions if m.symbol not in lost]
+    motions = [m for m in model.identifiable_motions if m.symbol not in lost]
     return model.with_effects(*(make_half_width(m.symbol, m.axis) for m in motions))

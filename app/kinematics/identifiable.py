@@ -4,12 +4,15 @@ Asked of any serial chain, of targets on tool and workpiece, and of a tracker on
 side. With one tool offset only 14 of the 18 error motions of a three-axis machine move
 the target in ways of their own: turns of the last axis are confounded with its
 straightness, and so is the turn of the last but one about the last axis' direction. Two
-tool lengths give 16, three offsets off one line 18. What is confounded is left out of
-the solve and named; a pseudo-inverse would return it as a silent zero.
+tool lengths give 16, three offsets off one line 18. What is confounded is named, and
+solved for under a prior alone; a pseudo-inverse would return it as a silent zero.
 
 A motion is confounded if at every position of its axis its arm is a combination of the
-arms of motions that are kept. Squarenesses and locations of rotary axes enter one by
-one where they add a shape that pose, motions and seats of the targets do not make yet.
+arms of motions that are kept. Most such motions the others absorb, and estimates are
+made without them first. A turn of a rotary axis about the line of two targets is told
+in some directions and not in others: no single turn absorbs it. Squarenesses and
+locations of rotary axes enter one by one where they add a shape that pose, motions and
+seats of the targets do not make yet.
 """
 
 from __future__ import annotations
@@ -50,10 +53,15 @@ _NEW_SHAPE = 0.02  # splines make a sine to a hundredth
 
 @dataclass(frozen=True, slots=True)
 class Confounded:
-    """An error motion that no data of these targets tell from others."""
+    """An error motion that no data of these targets tell from others.
+
+    varies : how much other turns have to turn in its place changes along its axis, and
+        without bounds: without it, they would not be smooth; or of such an axis
+    """
 
     symbol: str
     partners: tuple[str, ...]
+    varies: bool = False
 
     def __str__(self) -> str:
         """Return the statement for reports."""
@@ -96,6 +104,33 @@ def list_confounded_effects(
 
     They move another target, or another tool, in ways that the data leave open.
     """
+    return (
+        *list_partly_told_effects(machine, *offsets_mm),
+        *list_untold_effects(machine, *offsets_mm),
+    )
+
+
+def list_partly_told_effects(
+    machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
+) -> tuple[Effect, ...]:
+    """Return confounded effects that an estimate of the others cannot leave out.
+
+    So are turns of a head about the line of its targets, which turns with it, and where
+    the axis of such turns is.
+    """
+    return _list_confounded(machine, offsets_mm, varies=True)
+
+
+def list_untold_effects(
+    machine: Machine, *offsets_mm: Float64[np.ndarray, "_ 3"]
+) -> tuple[Effect, ...]:
+    """Return all other confounded effects: without them the model fits as well."""
+    return _list_confounded(machine, offsets_mm, varies=False)
+
+
+def _list_confounded(
+    machine: Machine, offsets_mm: Sequence[Float64[np.ndarray, "_ 3"]], *, varies: bool
+) -> tuple[Effect, ...]:
     runs = tuple(_targets_at(machine, offsets) for offsets in offsets_mm)
     _, _, confounded = _find_identifiable(machine, runs)
     axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
@@ -106,6 +141,7 @@ def list_confounded_effects(
     return tuple(
         known.get(one.symbol) or _make_confounded(one.symbol, axes[one.symbol])
         for one in confounded
+        if one.varies == varies
     )
 
 
@@ -150,12 +186,14 @@ def _find_identifiable(
     confounded: list[Confounded] = []
     # Displacements first: where a turn is confounded with one, the turn is left out.
     for symbol in sorted(symbols, key=is_turn):
-        partners = _find_partners(symbol, kept, arms)
-        if partners is None:
+        found = _find_partners(symbol, kept, arms)
+        if found is None:
             kept.append(symbol)
         else:
-            confounded.append(Confounded(symbol, partners))
+            confounded.append(found)
     others, left_out = _single_numbers(machine, runs, kept)
+    partly = {one.symbol[2] for one in confounded if one.varies}
+    left_out = [replace(one, varies=one.symbol[2] in partly) for one in left_out]
     motions = tuple(s for s in symbols if s in kept)
     return motions, tuple(others), (*confounded, *left_out)
 
@@ -178,20 +216,23 @@ def _probe_arms(
 
 def _find_partners(
     symbol: str, kept: list[str], arms: Mapping[str, Float64[np.ndarray, "p m"]]
-) -> tuple[str, ...] | None:
-    """Return the kept motions that make all of this one's shapes already, or None."""
+) -> Confounded | None:
+    """Return what kept motions make all of this one's shapes already, or None."""
     own, mates = arms[symbol], [k for k in kept if k[2] == symbol[2]]
     others = np.stack([arms[m] for m in mates] or [0.0 * own], axis=2)
     solution = np.linalg.pinv(others, rcond=1e-10) @ own[:, :, None]
     left = float(np.abs(own[:, :, None] - others @ solution).max())
     size = float(np.abs(own).max())
     if size < _SAME_ARM:
-        return ()
+        return Confounded(symbol, ())
     if left > _SAME_ARM * size:
         return None
     share = np.abs(solution[:, :, 0]).max(axis=0)
+    change = float(np.ptp(solution[:, :, 0], axis=0).max())
     pairs = zip(mates, share.tolist(), strict=True)
-    return tuple(m for m, s in pairs if s > 1e-3 * share.max())
+    partners = tuple(m for m, s in pairs if s > 1e-3 * share.max())
+    varies = change > 1e-3 * float(share.max()) and any(map(is_turn, partners))
+    return Confounded(symbol, partners, varies=varies)
 
 
 def _probe(

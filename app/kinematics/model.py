@@ -19,7 +19,7 @@ from app.kinematics.effects.catalogue import (
     find_family,
 )
 from app.kinematics.effects.error_motion import ErrorMotion
-from app.kinematics.machine import Machine
+from app.kinematics.machine import LinearAxis, Machine
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,20 @@ class MachineModel:
     def identifiable_motions(self) -> tuple[ErrorMotion, ...]:
         """The error motions that the measured targets tell."""
         return tuple(m for m in self.error_motions if m.name not in self.confounded)
+
+    @cached_property
+    def made_up_for(self) -> frozenset[str]:
+        """Names of the confounded motions that others make up for at the targets.
+
+        A turn of a linear axis that is confounded has a constant arm at the measured
+        targets: a displacement of the axis makes up for it. What is confounded of a
+        rotary axis is not among them: no one displacement makes up for it.
+        """
+        return frozenset(
+            m.name
+            for m in self.error_motions
+            if m.name in self.confounded and isinstance(m.axis, LinearAxis)
+        )
 
     @cached_property
     def catalogue_effects(self) -> tuple[CatalogueEffect, ...]:

@@ -2,7 +2,8 @@
 
 Planning comes before estimation, so what is believed of a machine is handed to it from
 here: the motions that the targets can tell, with few knots, and how each depends on the
-direction of approach, so that backlash is planned for as well.
+direction of approach, so that backlash is planned for as well. Of what they do not
+tell, all is there but turns that a displacement makes up for at every target.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from app.kinematics.coarse_model import add_half_widths
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.effects.servo_mismatch import ServoMismatch
-from app.kinematics.identifiable import build_identifiable_model
+from app.kinematics.identifiable import (
+    build_identifiable_model,
+    list_confounded_effects,
+)
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.kinematics.model import MachineModel
 from app.kinematics.volumetric_map import compute_volumetric_gram
@@ -94,6 +98,11 @@ def start_design(
     offsets_mm = np.array([t.offset_mm for t in shown], np.float64)
     motions, _ = build_identifiable_model(machine, offsets_mm, intervals=INTERVALS)
     motions = add_half_widths(motions.with_effects(*known.effects))
+    confounded = list_confounded_effects(machine, offsets_mm)
+    made_up_for = motions.with_confounded(confounded).made_up_for
+    motions = motions.with_confounded(
+        [e.coarsen(INTERVALS) for e in confounded if e.name not in made_up_for]
+    )
     model = motions.with_effects(*lags, _pose_of(machine))
     size = motions.size
     pose = diagonal_precision(_pose_of(machine).parameters, _ANY_POSE)

@@ -62,6 +62,9 @@ def test_what_is_left_is_stated_and_less_than_before(source, name):
     assert account["sign"]["verified"] == (name in ("linuxcnc", "siemens-lec"))
     assert account["unobservable"] == list(source.result.unobservable)
     assert account["target_offset_mm"]
+    held = account["holds_for"]
+    assert held["offset_mm"] == list(source.machine.target().offset_mm)
+    assert held["confounded"] == sorted(source.result.model.confounded)
 
 
 def test_only_the_format_with_all_motions_corrects_the_whole_volume(source):

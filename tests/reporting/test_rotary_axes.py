@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from app.cli.summary import summarise_result
 from app.files.bundle import read_bundle
 from app.files.result_file import read_result
 from app.reporting.analysis_files import render_analysis, write_analysis
@@ -46,6 +47,7 @@ def test_tables_of_rotary_axes_are_over_deg_and_say_where_the_axes_are(analysed)
     assert set(result["axis_location"]) == set(truth.locations())
     assert set(result["axis_location"]["XOC"]) == {"value_um", "uncertainty_um"}
     assert set(result["axis_location"]["AOC"]) == {"value_urad", "uncertainty_urad"}
+    assert summarise_result(result, folder)["axis_location"] == result["axis_location"]
 
 
 def test_the_table_of_values_keeps_deg_apart_from_mm(analysed):

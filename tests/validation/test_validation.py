@@ -110,3 +110,16 @@ def test_the_direction_of_travel_halves_what_corner_paths_leave(validation):
     script = validation("along_the_path")
     ratios = [o.ratio for o in script.outcomes(5)]
     assert np.median(ratios) < 0.5
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_u_carries_what_few_targets_leave_open(validation):
+    """Whatever the targets tell: the measured tool, one nobody measured, tables."""
+    script = validation("five_axes")
+    for kind in script.KINDS:
+        outcomes = [script.judge(kind, seed) for seed in range(1, 7)]
+        for name in ("T1", script.OTHER):
+            inside = np.mean([o.maps[name].inside for o in outcomes])
+            assert 0.88 < inside < 0.999
+        assert np.mean([o.tables_inside() for o in outcomes]) > 0.9

@@ -51,6 +51,8 @@ class QuadraticPrior:
     usual : θᵀKθ of an effect of usual size
     kind : effects of a kind are of like precision; empty for one on its own
     is_known : the form is the precision itself; nothing of it is found from the data
+    counted : shapes, those charged least, that tell how well the precision is known; 0
+        for all
     """
 
     form: Float64[np.ndarray, "p p"]
@@ -58,6 +60,7 @@ class QuadraticPrior:
     usual: float
     kind: str = ""
     is_known: bool = False
+    counted: int = 0
 
 
 @dataclass(frozen=True)

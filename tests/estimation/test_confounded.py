@@ -1,0 +1,125 @@
+"""What the measured targets do not tell: it stays in the model, and in u."""
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align
+from app.estimation.information import invert_covariance
+from app.files.machine_file import machine_from_json
+from app.files.run import Run
+from app.kinematics.coarse_model import build_run_models
+from app.kinematics.conditions import make_standstill
+from app.kinematics.volumetric_map import build_volumetric_map
+from app.motion.configurations import Configurations
+from app.motion.motion_times import Drive
+from app.planning.design_state import PointDesignState
+from app.planning.initial_design import start_design
+from app.results.error_tables import build_error_tables
+from drivers.interfaces.records import TrackerSamples
+from simulators import synthetic, turning_paths
+from simulators.machine_file import parse_machine
+from simulators.scenario import load_machine
+from tests.estimation.estimating import estimate
+
+
+def content_of(name, measured, asked=()):
+    """Content of machine.json with some of the targets, the measured ones first."""
+    content = load_machine(name)
+    content["targets"] = {k: content["targets"][k] for k in (*measured, *asked)}
+    return content
+
+
+@pytest.fixture(scope="module")
+def two_lengths():
+    """A B head measured with two tools, and its truth; T3 is not measured."""
+    content = content_of("head-table", ["T1", "T2", "W1", "W2", "W3"])
+    program = turning_paths.turning_points(parse_machine(content), 7, 160, dwell_s=0.5)
+    made = synthetic.record(content, program, 7, "standstill")
+    samples = TrackerSamples(
+        np.arange(len(made)), made.time_s, made.position_mm, made.status
+    )
+    machine = machine_from_json(
+        content_of("head-table", ["T1", "T2", "W1", "W2", "W3"], ["T3"])
+    )
+    commanded = Configurations(
+        machine.axis_names, program.position, program.dwell_s, program.target
+    )
+    run = Run("two lengths", machine, commanded, samples)
+    return estimate(align(run)), made.truth
+
+
+def test_turns_about_the_line_of_a_heads_targets_leave_its_place_to_the_prior(
+    two_lengths,
+):
+    result, truth = two_lengths
+    assert result.model.confounded == {"COB", "ECB"}
+    known = truth.locations()
+    for symbol in ("XOB", "ZOB", "AOB", "COB", "XOC", "YOC", "AOC", "BOC"):
+        theta, covariance = result.part(symbol)
+        assert abs(theta[0] - known[symbol]) < 3.0 * covariance[0, 0] ** 0.5
+
+
+def test_tables_of_what_is_partly_told_hold_the_truth(two_lengths):
+    result, truth = two_lengths
+    motions, off = truth.error_motions(), []
+    for table in build_error_tables(result).tables:
+        if table.symbol[2] in "BC":
+            scale = 1e3 if table.unit == "um" else 1e6
+            true = scale * motions[table.symbol].at(table.position_mm)
+            told = table.uncertainty > 1e-5
+            off.append((table.value - true)[told] / table.uncertainty[told])
+    assert (np.abs(np.concatenate(off)) < 2.0).mean() > 0.9
+
+
+def test_u_covers_a_tool_that_nobody_measured(two_lengths, rigid_free):
+    result, truth = two_lengths
+    machine = result.model.machine
+    low, high = np.array([(a.low, a.high) for a in machine.axes]).T
+    q = np.random.default_rng(2).uniform(low, high, (200, 5))
+    offset = np.tile(np.array(machine.target("T3").offset_mm), (200, 1))
+    at = make_standstill(machine, q, offset)
+    told = build_volumetric_map(result.model, "T3")
+    whole = parse_machine(content_of("head-table", ["T3"]))
+    actual = truth.point_mm(q, whole.reflector("T3"))
+    before = rigid_free(at.point_mm, actual - at.point_mm)
+    left = rigid_free(at.point_mm, before - told.error_mm(at, result.theta))
+    inside = np.abs(left) < 2.0 * told.sigma_mm(at, result.covariance)
+    assert inside.mean() > 0.85
+    first = build_volumetric_map(result.model, "T1")
+    own = first.sigma_mm(make_standstill(machine, q), result.covariance)
+    assert told.sigma_mm(at, result.covariance).mean() > 1.2 * own.mean()
+
+
+def test_a_further_target_is_asked_for_and_tells(two_lengths):
+    """What the hint asks for brings the rank: no tool is called useless."""
+    result, _ = two_lengths
+    said = result.observability.unobservable
+    hint = next(s for s in said if s.startswith("ECB"))
+    assert "a further tool longer or shorter separates them" in hint
+    assert not any("too little for any tool" in s for s in said)
+    machine = machine_from_json(load_machine("head-table"))
+    offsets = np.array([t.offset_mm for t in machine.targets])
+    assert not build_run_models(machine, [offsets]).nested.whole.confounded
+
+
+def test_a_plan_knows_what_its_targets_do_not_tell():
+    machine = machine_from_json(content_of("head-table", ["T1", "T2", "W1", "W2"]))
+    design = start_design(
+        PointDesignState,
+        machine,
+        np.array([-900.0, 200.0, 100.0]),
+        Drive.of_machine(machine, 1.0),
+        target="T1",
+    )
+    assert "ECB" in design.model.confounded
+    assert np.isfinite(design.integrated_variance)
+
+
+def test_a_covariance_of_millimetres_and_radians_is_inverted_in_its_own_units():
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(6, 6)) * np.array([1e-2] * 3 + [1e-7] * 3)[:, None]
+    covariance = half @ half.T
+    exact = np.eye(6)
+    scale = np.sqrt(np.diag(covariance))
+    found = invert_covariance(covariance) @ covariance
+    np.testing.assert_allclose(found * scale / scale[:, None], exact, atol=0.05)
