@@ -24,14 +24,16 @@ from app.planning.plan import Plan, PlanOrder, make_plan
 from simulators import synthetic
 from simulators.hidden.inertial_bend import InertialBend
 from simulators.machine_file import parse_machine
+from simulators.paths import chord_path
 from simulators.profile import Limits
+from simulators.timeline import Program
 from simulators.tracker_head import random_pose
 
-MACHINES, FAST_MACHINES = 6, 6
+MACHINES, FAST_MACHINES = 4, 4
 FEEDS_MM_MIN = (6000.0, 10_000.0, 16_000.0)
 LIMITS = Limits(1500.0, 3e4)
 _FASTEST_MM_MIN, _FAST = 40_000.0, Limits(3000.0, 1e5)
-_MINUTES = 2.0
+_LINES = 80
 _BEND_UM, _SWING_HZ = 8.0, 18.0
 _ARM_M = 0.3
 
@@ -66,11 +68,9 @@ class Bench:
         machine = machine_from_json(self.content)
         return make_plan(machine, PlanOrder(workspace=workspace, **order))
 
-    def drive(self, plan: Plan) -> synthetic.Recording:
-        """Record a plan."""
-        return synthetic.record(
-            self.content, program_of(plan), self.seed, "otf", self.setting
-        )
+    def drive(self, program: Program) -> synthetic.Recording:
+        """Record a program."""
+        return synthetic.record(self.content, program, self.seed, "otf", self.setting)
 
     def bend(self, frequency_hz: float) -> Bench:
         """Return one whose carriages lean in all directions as they accelerate."""
@@ -100,7 +100,7 @@ def compare_feeds(seed: int) -> list[list[tuple[float, float]]]:
             bench.plan(minutes=minutes, feeds_mm_min=(feed,)),
             bench.plan(minutes=minutes),
         ]
-        done = [study(bench.drive(plan)) for plan in plans]
+        done = [study(bench.drive(program_of(plan))) for plan in plans]
         rows.append([(_left_um(each), _stated_um(each)) for each in done])
         print(seed, feed, rows[-1], file=sys.stderr, flush=True)
     return rows
@@ -109,10 +109,11 @@ def compare_feeds(seed: int) -> list[list[tuple[float, float]]]:
 def compare_ramps(seed: int) -> list[list[float]]:
     """Return, for each world, error left, its share, inside 2 u; without ramps too."""
     sound = Bench.draw(seed, _FASTEST_MM_MIN, _FAST)
-    plan = sound.plan(minutes=_MINUTES, feeds_mm_min=(_FASTEST_MM_MIN,))
+    machine = parse_machine(sound.content)
+    program = chord_path(machine, seed, _LINES, _FASTEST_MM_MIN)
     rows: list[list[float]] = []
     for bench in (sound, sound.bend(0.0), sound.bend(_SWING_HZ)):
-        used = study(bench.drive(plan))
+        used = study(bench.drive(program))
         without = study(used.recording, seen=used.seen.leave_out_ramps())
         row = [used.seen.count[used.seen.is_ramp].sum() / used.seen.used]
         for each in (used, without):

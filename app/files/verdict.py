@@ -78,6 +78,12 @@ SENTENCES: Mapping[str, Sentence] = {
         "and solved with both places.",
         "Fasten tracker and reflector, and measure again where it matters.",
     ),
+    "ramps-swing": Sentence(
+        "The machine swings while it accelerates: a stretch of a ramp counts as if it "
+        "were off by {distance_um}.",
+        "Use a lower feed or gentler ramps, or look for a loose mount where it should "
+        "be stiff.",
+    ),
     STATED: Sentence("{text}", ""),
 }
 """Every kind of reason; the operator page says the same kinds in its languages."""

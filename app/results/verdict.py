@@ -22,6 +22,7 @@ from app.files.verdict import Reason, State, Value, Verdict
 _SENTENCES = 12  # on what is left out of one Run; the rest is counted
 _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
 _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
+_RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
@@ -50,6 +51,7 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
                 for k in checked.knocks
                 if k.run == number
             ),
+            *_judge_ramps([runs[k] for k in own]),
             *_judge_noise([runs[k] for k in own]),
             *_judge_drift([checked.misfits[k] for k in own]),
         ]
@@ -111,6 +113,13 @@ def _judge_left_out(
                 "usual_percent": 100.0 * _LEFT_OUT[0],
             },
         )
+
+
+def _judge_ramps(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
+    scatter_mm = max(run.noise.ramp_sigma_mm for run in runs)
+    if scatter_mm > _RAMP_MM:
+        values: dict[str, Value] = {"distance_um": UM_PER_MM * scatter_mm}
+        yield Reason("ramps-swing", "usable", values)
 
 
 def _judge_noise(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
