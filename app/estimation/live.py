@@ -115,8 +115,8 @@ class LiveEstimator:
         offsets = np.array([target.offset_mm for target in targets], np.float64)
         model, _ = build_identifiable_model(machine, offsets)
         partly = list_partly_told_effects(machine, offsets)
-        known = model.with_effects(*self._known.effects).with_confounded(partly)
-        told = add_half_widths(known)
+        model = model.with_effects(*self._known.effects).with_confounded(partly)
+        told = add_half_widths(model)
         if isinstance(commanded, Path):
             told = add_bends(told)
         self._prior = WholePrior.guess(told, list_untold_effects(machine, offsets))
