@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from document import table, write_section
+from document import table
 from information_bound import true_noise
 from target_seats import remove_rigid_motion
 
@@ -302,7 +302,7 @@ def merge_turns(found: Estimate, truth: TruthMachine) -> tuple[Any, dict[str, fl
 
 
 def main() -> None:
-    """Judge the machines and write the table."""
+    """Judge the machines and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
@@ -322,7 +322,7 @@ def main() -> None:
         "bound µm",
         "map in 2u",
     ]
-    write_section("five-axes", table(head, rows))
+    print(table(head, rows))
 
 
 def make_row(kind: str, outcomes: list[Outcome]) -> list[str]:
