@@ -100,6 +100,7 @@ def true_parameters(model: MachineModel, truth: TruthMachine) -> np.ndarray:
         rigid[:, :, 3 + k] = np.cross(axis, position - position.mean(axis=0)) / 500.0
     both = np.concatenate([columns, rigid], axis=2).reshape(-1, model.size + 6)
     scale = np.linalg.norm(both, axis=0)
+    scale[scale == 0.0] = 1.0  # what moves nothing where the machine stands
     fit = np.linalg.lstsq(
         both / scale, truth.deviation_mm(position).reshape(-1), rcond=None
     )[0]
