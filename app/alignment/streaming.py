@@ -20,6 +20,7 @@ from app.alignment.cell_blocks import (
     reduce_standstills,
 )
 from app.alignment.cleaning import find_valid_samples
+from app.alignment.left_out import LeftOut, describe_unusable
 from app.alignment.nominal_path import compute_nominal_path
 from app.alignment.observations import Observations, Pass
 from app.alignment.seating import Seating, Seats, find_seating, seat_targets
@@ -65,6 +66,7 @@ class StreamingAlignment:
         self._delivered = 0  # matched standstills up to which all is handed on
         self._passes: list[Pass] = []
         self._is_over = False
+        self._unusable: list[LeftOut] = []
         self.pose: RigidTransform | None = None
 
     @property
@@ -98,6 +100,7 @@ class StreamingAlignment:
         old = min(_CONTEXT + _HELD, len(self._raw)) - _HELD
         fresh = np.zeros(len(raw), bool)
         fresh[max(old, 0) : len(raw) - _HELD] = True
+        self._unusable += describe_unusable(raw, valid | ~fresh)
         self._raw = _rows(raw, slice(max(len(raw) - _CONTEXT - _HELD, 0), None))
         return self._add_valid(raw, np.flatnonzero(fresh & valid))
 
@@ -119,7 +122,10 @@ class StreamingAlignment:
         if self.pose is None:
             raise AlignmentError("the standstills so far do not tell the pose")
         passes = tuple(self._passes)
-        return join_blocks(self._run, list(parts), self.pose, passes, self._seats)
+        begin_s = min(float(part.cells.time_s[0]) for part in parts)
+        end_s = max(float(part.cells.time_s[-1]) for part in parts)
+        said = [x for x in self._unusable if begin_s <= x.begin_s <= end_s]
+        return join_blocks(self._run, list(parts), self.pose, passes, self._seats, said)
 
     def _add_valid(self, raw: TrackerSamples, rows: np.ndarray) -> list[CellBlock]:
         self._stream.add(raw.device_time_s[rows], raw.position_mm[rows])

@@ -16,6 +16,7 @@ from app.api.paging import PagingDep
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
+from app.files.verdict import State as VerdictState
 from app.jobs.job import Job, JobKind
 from app.jobs.transitions import State
 from app.results.model_history import (
@@ -63,6 +64,9 @@ class ModelOut(BaseModel):
     version: int = Field(examples=[2])
     parent: ParentOut
     created: str
+    verdict: VerdictState | None = Field(
+        description="What it says of itself; null where it says nothing."
+    )
     run_id: str | None
     effects: list[dict[str, Any]] = Field(
         description="What was found, as in discovery.json."
@@ -156,6 +160,7 @@ def _describe(job: Job, growth: Mapping[str, Any]) -> ModelOut:
         **growth,
         id=job.id,
         created=job.ended or job.created,
+        verdict=job.verdict,
         run_id=job.run_id,
         links=ModelLinks.of(id=job.id, run_id=job.run_id),
     )

@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse
 
 from app.api.problems import declare_problems
 from app.api.service import Service, ServiceDep
-from app.errors import NotFound, NotUsable
+from app.errors import NotFound
 from app.files.verdict import Verdict, verdict_from_json, verdict_json
 
 router = APIRouter(prefix="/jobs", tags=["results"])
@@ -81,8 +81,8 @@ def download_error_tables(
     file = _find_file(service, job_id, "error_tables.csv")
     stated = _read_result(service, job_id).get("verdict")
     verdict = verdict_from_json(stated) if stated else Verdict()
-    if verdict.state == "not-usable" and not accept_verdict:
-        raise NotUsable(f"the result of job {job_id} is {verdict.objection}")
+    if not accept_verdict:
+        verdict.require_usable(f"the result of job {job_id}")
     return FileResponse(file, filename=file.name)
 
 

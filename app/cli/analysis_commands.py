@@ -11,6 +11,7 @@ import typer
 from app.cli.summary import (
     describe_effect,
     print_result,
+    print_verdict,
     summarise_result,
     warn_of_verdict,
 )
@@ -26,6 +27,7 @@ from app.cli.terminal import (
     say,
     show_progress,
 )
+from app.files.verdict import verdict_json
 
 if TYPE_CHECKING:
     from app.numerics.adaptive_trials import Mapper
@@ -136,6 +138,7 @@ def discover(
         discovered = discover_runs(runs, parent, on_progress)
         on_progress(1.0, "writing")
         write_discovery(discovered, output)
+    warn_of_verdict(discovered.content["verdict"])
     if json:
         print_json(discovered.content)
     else:
@@ -157,6 +160,7 @@ def predict(
     from app.results.points_csv import predict_points
 
     predicted = predict_points(result, points, output)
+    warn_of_verdict(verdict_json(predicted.verdict))
     for warning in predicted.warnings:
         say(f"note: {warning}")
     if json:
@@ -181,12 +185,14 @@ def _summarise_prediction(predicted: Prediction, output: Path) -> dict[str, obje
         "mean_error_um": float(length_um.mean()),
         "largest_error_um": float(length_um.max()),
         "largest_uncertainty_um": float(predicted.uncertainty_um.max()),
+        "verdict": verdict_json(predicted.verdict),
         "warnings": list(predicted.warnings),
         "files": [output],
     }
 
 
 def _print_discovery(content: dict[str, Any]) -> None:
+    print_verdict(content["verdict"])
     lines = [describe_effect(effect) for effect in content["effects"]]
     lines += [f"without a name: {u['description']}" for u in content["unnamed"]]
     for line in lines or ["nothing is missing"]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.summary import UNITS, describe_effect, find_unit
+from app.cli.summary import UNITS, describe_effect, find_unit, warn_of_verdict
 from app.cli.terminal import (
     Json,
     OutputFolder,
@@ -140,6 +140,7 @@ def plan(
         on_progress(1.0, "writing")
         document = write_plan(planned, output, control or ())
     files = [output / name for name in document["files"]]
+    warn_of_verdict(document["verdict"], "the plan")
     if json:
         summary = {k: v for k, v in document.items() if k != "machine"}
         print_json(summary | {"files": files})

@@ -88,11 +88,11 @@ def print_result(result: Result, folder: Path) -> None:
     print_files(list_files(folder))
 
 
-def warn_of_verdict(stated: Result) -> None:
+def warn_of_verdict(stated: Result, what: str = "the result") -> None:
     """Say on standard error that a result is not simply usable, if it is not."""
     objection = verdict_from_json(stated).objection
     if objection:
-        say(f"warning: the result is {objection}")
+        say(f"warning: {what} is {objection}")
 
 
 def print_verdict(stated: Result) -> None:
@@ -100,9 +100,9 @@ def print_verdict(stated: Result) -> None:
     verdict = verdict_from_json(stated)
     if verdict.objection:
         print(f"*** {verdict.title.upper()} ***")
-    ranked = sorted(verdict.reasons, key=lambda reason: -reason.severity)
-    for reason in ranked[:_MOST_REASONS]:
-        print(f"- {reason} {reason.remedy}".rstrip())
+    ranked = list(verdict.rank())
+    for reason, remedy in ranked[:_MOST_REASONS]:
+        print(f"- {reason} {remedy}".rstrip())
     if len(ranked) > _MOST_REASONS:
         print(f"- and {len(ranked) - _MOST_REASONS} more")
 

@@ -23,7 +23,7 @@ from app.compensation.format import (
     CompensationTables,
     Correction,
 )
-from app.errors import BadInput, NotUsable
+from app.errors import BadInput
 from app.files.file_model import encode_json
 from app.files.result_file import read_result
 from app.files.units import UM_PER_MM
@@ -74,8 +74,8 @@ def export_files(
     """
     suffix, place = _load_format(name).suffix, Path(output)
     loaded = read_result(result)
-    if loaded.verdict.state == "not-usable" and not accept_verdict:
-        raise NotUsable(f"{result}: the result is {loaded.verdict.objection}")
+    if not accept_verdict:
+        loaded.verdict.require_usable(f"{result}: the result")
     errors = map_errors(loaded)
     export = export_result(errors, name, place.stem, spacing_mm=spacing_mm)
     place.parent.mkdir(parents=True, exist_ok=True)

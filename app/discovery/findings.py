@@ -123,32 +123,39 @@ class Gap:
 
     expected_um : what a complete model would leave there: noise, and the uncertainty
         of a fit to the other lines
+    usual_um : what noise alone would leave if it were as the tracker states it
     """
 
     before_um: float
     after_um: float
     noise_floor_um: float
     expected_um: float
+    usual_um: float
 
 
 def measure_gap(run_data: Sequence[RunData], baseline: TermFit, best: TermFit) -> Gap:
     """Return the gap; with a fast effect, of the samples within cells as well."""
-    floor_um = _find_noise_floor_um(run_data)
+    floor_um, usual_um = _find_noise_floors_um(run_data)
     fast = any(term.is_fast for term in best.terms)
     return Gap(
         floor_um * baseline.held_out.measure_ratio(fast=fast),
         floor_um * best.held_out.measure_ratio(fast=fast),
         floor_um,
         floor_um * best.held_out.expect_ratio(fast=fast),
+        usual_um,
     )
 
 
-def _find_noise_floor_um(run_data: Sequence[RunData]) -> float:
-    """Return the root mean square that noise alone leaves in a cell of all Runs."""
-    square, cells = 0.0, 0
+def _find_noise_floors_um(run_data: Sequence[RunData]) -> tuple[float, float]:
+    """Return the root mean square that noise alone leaves in a cell of all Runs.
+
+    As it was found, and as it is stated.
+    """
+    square, usual, cells = 0.0, 0.0, 0
     for seen, base in ((run.observations, run.base) for run in run_data):
         frame = seen.beam_frame @ base.pose.rotation
         along = np.einsum("nij,nj->ni", frame, seen.direction)
         square += len(seen) * floor_mm(seen, base.noise, along) ** 2
+        usual += len(seen) * floor_mm(seen, base.noise.usual, along) ** 2
         cells += len(seen)
-    return 1e3 * float(np.sqrt(square / cells))
+    return 1e3 * float(np.sqrt(square / cells)), 1e3 * float(np.sqrt(usual / cells))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.cell_gate import USUAL_OU
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import DesignMatrix
@@ -280,7 +279,7 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.used,
         observations.offered,
         observations.measured_rows,
-        floor_mm(observations, _usual_noise(run.noise), _travel(run)),
+        floor_mm(observations, run.noise.usual, _travel(run)),
         tuple(_find_seats(run, machine)),
     )
 
@@ -296,11 +295,6 @@ def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimat
                 shift = shift + at.seat_mm[rows[0]]
             sigma = np.sqrt(np.maximum(np.diag(machine.covariance[part, part]), 0.0))
             yield SeatEstimate(effect.target, shift, sigma)
-
-
-def _usual_noise(noise: NoiseModel) -> NoiseModel:
-    """Return the noise as the tracker states it, with the jitter of the feed."""
-    return replace(noise, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU))
 
 
 def _travel(run: RunInformation) -> Float64[np.ndarray, "n 3"]:

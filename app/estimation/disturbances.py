@@ -24,6 +24,7 @@ from app.estimation.batch import Estimate, RunEstimate, estimate
 from app.estimation.known_effects import KnownEffects
 from app.estimation.misfit import Misfit, Step, assess_misfit
 from app.kinematics.coarse_model import RunModels
+from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
 
 _ROUNDS = 8
@@ -33,7 +34,7 @@ _STEP_MARGIN = 1.7
 _LEAST_MM = 0.002  # of a knock; less is the air's
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
 _OF_LINE = 0.3  # of the worst line's gain, for a step to come first
-_MOST = 0.2  # of the cells of a Run; more are no disturbance
+MOST = 0.2  # of the cells of a Run; more are no disturbance
 _FEWEST_CELLS = 4  # of a line that was cut
 _OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
 
@@ -75,7 +76,7 @@ class CheckedEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class RunPart:
     """Observations of a Run given, or of its part between two knocks."""
 
     given: int
@@ -95,9 +96,9 @@ def estimate_checked(
     The estimate keeps what it was solved from. Arguments are those of `estimate`.
     Raises Unidentifiable if the lines do not determine the error motions.
     """
-    parts = [_Part(number, seen) for number, seen in enumerate(observed)]
+    parts = [RunPart(number, seen) for number, seen in enumerate(observed)]
 
-    def solve(parts: list[_Part], begin: float, end: float) -> Estimate:
+    def solve(parts: list[RunPart], begin: float, end: float) -> Estimate:
         return estimate(
             models,
             [part.seen for part in parts],
@@ -111,7 +112,7 @@ def estimate_checked(
     misfits: tuple[Misfit, ...] = ()
     for turn in range(_ROUNDS):
         misfits = _assess(found)
-        fewer = _act(parts, found, misfits)
+        fewer = remove_plainest(parts, _list_fitted(found), misfits)
         if fewer is None:
             break
         try:
@@ -142,24 +143,28 @@ def _list_fitted(found: Estimate) -> list[Observations]:
     return [run.observations for run in found.fit.runs]
 
 
-def _act(
-    parts: list[_Part], found: Estimate, misfits: tuple[Misfit, ...]
-) -> list[_Part] | None:
-    """Return the parts without the plainest contradiction; None where there is none."""
-    fewer: list[_Part] = []
-    for part, fitted, misfit in zip(parts, _list_fitted(found), misfits, strict=True):
-        # The fit may have joined cells of the part.
-        edges = part.seen.find_edges(fitted)
+def remove_plainest(
+    parts: Sequence[RunPart],
+    fitted: Sequence[Observations],
+    misfits: Sequence[Misfit],
+) -> list[RunPart] | None:
+    """Return the parts without the plainest contradiction; None where there is none.
+
+    fitted : what the misfits are of: cells of the parts, some of them joined
+    """
+    fewer: list[RunPart] = []
+    for part, joined, misfit in zip(parts, fitted, misfits, strict=True):
+        edges = part.seen.find_edges(joined)
         bad = _find_bad_cells(misfit)
         step = misfit.step
         worst = float(misfit.line.max(initial=0.0))
         if step and step.alone > _OF_LINE * worst and _is_knock(misfit, step):
-            fewer += _split(part, step, edges)
+            fewer += split(part, step.cell, edges)
         elif bad.any():
-            seen = _leave_out(part.seen, bad, misfit, edges)
-            fewer.append(_Part(part.given, seen))
+            seen = leave_out(part.seen, bad, misfit.off_mm, edges)
+            fewer.append(RunPart(part.given, seen))
         elif step and _is_knock(misfit, step):
-            fewer += _split(part, step, edges)
+            fewer += split(part, step.cell, edges)
         else:
             fewer.append(part)
     same = len(fewer) == len(parts) and all(
@@ -182,27 +187,36 @@ def _is_knock(misfit: Misfit, step: Step) -> bool:
 
 def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
     """Tell which cells, or else which whole lines, the others contradict."""
-    bad = _stand_out(misfit.cell)
+    bad = stand_out(misfit.cell)
     if not bad.any():
-        lines = _stand_out(misfit.line)
+        lines = stand_out(misfit.line)
         for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
             bad[first:last] = True
-    return bad if bad.mean() < _MOST else np.zeros_like(bad)
+    return bad if bad.mean() < MOST else np.zeros_like(bad)
 
 
-def _stand_out(square: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Tell which squares of three components are too large, by their own median."""
-    if not len(square):
-        return np.zeros(0, bool)
-    scale = max(1.0, float(np.median(square)) / 2.366)
-    limit = _MARGIN * scale * float(chdtri(3, _RISK / len(square)))
+def stand_out(
+    square: Float64[np.ndarray, " n"],
+    usual: Float64[np.ndarray, " m"] | None = None,
+    among: int = 0,
+) -> Bool[np.ndarray, " n"]:
+    """Tell which squares of three components are too large.
+
+    usual : squares whose median is that of noise; these where left out
+    among : how many are tested; these where there are more
+    """
+    usual = square if usual is None else usual
+    if not len(square) or not len(usual):
+        return np.zeros(len(square), bool)
+    scale = max(1.0, float(np.median(usual)) / 2.366)
+    limit = _MARGIN * scale * float(chdtri(3, _RISK / max(len(square), among)))
     return square > max(limit, _OF_LARGEST * float(square.max()))
 
 
-def _leave_out(
+def leave_out(
     seen: Observations,
     bad: Bool[np.ndarray, " n"],
-    misfit: Misfit,
+    off_mm: Float64[np.ndarray, " n"],
     edges: Int64[np.ndarray, " e"],
 ) -> Observations:
     """Return observations without some cells, and with what is said of these.
@@ -211,9 +225,9 @@ def _leave_out(
     """
     said: list[LeftOut] = []
     sizes = np.diff(edges)
-    bad, off_mm = np.repeat(bad, sizes), np.repeat(misfit.off_mm, sizes)
-    for first, last in zip(edges[misfit.begin], edges[misfit.end], strict=True):
-        part = slice(int(first), int(last))
+    bad, off_mm = np.repeat(bad, sizes), np.repeat(off_mm, sizes)
+    for first, last in seen.lines:
+        part = slice(first, last)
         if bad[part].any():
             said += describe_cells(
                 bad[part],
@@ -231,10 +245,12 @@ def _drop_remnants(seen: Observations, cells: Int64[np.ndarray, " n"]) -> Observ
     """Return some of the cells, without lines of which too little is left.
 
     Phase and speed of a line take two cells; what they leave of few tells nothing.
+    Cells on ramps are not timed.
     """
-    line = seen.at.line[cells]
-    own = np.bincount(line + 1, minlength=2)
-    before = np.bincount(seen.at.line + 1, minlength=len(own))[: len(own)]
+    line, timed = seen.at.line[cells], np.where(seen.is_ramp, -1, seen.at.line)
+    count = int(seen.at.line.max(initial=0)) + 2
+    own = np.bincount(timed[cells] + 1, minlength=count)
+    before = np.bincount(timed + 1, minlength=count)
     whole = (line < 0) | (own == before)[line + 1] | (own >= _FEWEST_CELLS)[line + 1]
     return seen.select(cells[whole])
 
@@ -243,22 +259,22 @@ def _order(each: LeftOut) -> tuple[float, int]:
     return float(np.nan_to_num(each.begin_s)), each.row
 
 
-def _split(part: _Part, step: Step, edges: Int64[np.ndarray, " e"]) -> list[_Part]:
-    """Return what is before a step and what is after it, as Runs of their own.
+def split(part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]) -> list[RunPart]:
+    """Return what is before a step at a cell, and what is after it, as two Runs.
 
     Where it is within a line, the cell that it may be in belongs to neither.
     edges : where the cells that were fitted begin among those of the part
     """
-    seen, cell = part.seen, int(edges[step.cell])
+    seen, joined, cell = part.seen, cell, int(edges[cell])
     within = seen.row[cell] == seen.row[cell - 1] and bool(
         seen.at.line[cell] == seen.at.line[cell - 1]
     )
     before, after = (cell, cell)
     if within:
-        before, after = edges[step.cell - 1], edges[step.cell + 1]
+        before, after = int(edges[joined - 1]), int(edges[joined + 1])
     halves = [np.arange(before), np.arange(after, len(seen))]
     time_s = 0.5 * float(seen.at.time_s[cell] + seen.at.time_s[cell - 1])
-    found: list[_Part] = []
+    found: list[RunPart] = []
     used = 0
     for number, cells in enumerate(halves):
         some = _drop_remnants(seen, cells)
@@ -272,28 +288,36 @@ def _split(part: _Part, step: Step, edges: Int64[np.ndarray, " e"]) -> list[_Par
             if is_late == bool(number)
         )
         own = replace(some, used=count, offered=offered, left_out=said)
-        found.append(_Part(part.given, own))
+        found.append(RunPart(part.given, own))
     return found
 
 
-def _list_knocks(parts: list[_Part], found: Estimate) -> list[Knock]:
+def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
     """Return the steps between parts of one Run, as large as the solve finds them."""
     knocks: list[Knock] = []
     for k in range(1, len(parts)):
         before, after = parts[k - 1], parts[k]
         if before.given != after.given:
             continue
-        a, b = found.runs[k - 1].pose, found.runs[k].pose
+        poses = found.runs[k - 1].pose, found.runs[k].pose
         middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
-        moved = b.apply(middle[None]) - a.apply(middle[None])
-        turned = 0.5 * float(np.linalg.norm(b.rotation @ a.rotation.T - np.eye(3)))
-        knocks.append(
-            Knock(
-                after.given,
-                int(after.seen.row[0]),
-                0.5 * float(before.seen.at.time_s[-1] + after.seen.at.time_s[0]),
-                float(np.linalg.norm(moved)),
-                turned * float(np.sqrt(2.0)),
-            )
-        )
+        knocks.append(measure_knock((before, after), poses, middle))
     return knocks
+
+
+def measure_knock(
+    parts: tuple[RunPart, RunPart],
+    poses: tuple[RigidTransform, RigidTransform],
+    middle_mm: Float64[np.ndarray, "3"],
+) -> Knock:
+    """Return the step between the poses before and after it."""
+    (before, after), (a, b) = parts, poses
+    moved = b.apply(middle_mm[None]) - a.apply(middle_mm[None])
+    turned = 0.5 * float(np.linalg.norm(b.rotation @ a.rotation.T - np.eye(3)))
+    return Knock(
+        after.given,
+        int(after.seen.row[0]),
+        0.5 * float(before.seen.at.time_s[-1] + after.seen.at.time_s[0]),
+        float(np.linalg.norm(moved)),
+        turned * float(np.sqrt(2.0)),
+    )

@@ -5,6 +5,9 @@ linearisation and one model of the noise. Both are updated whenever the number o
 has doubled, and at the end: then all cells are added anew, so that this costs, in the
 mean, no more than a second addition of each.
 
+What contradicts the rest does not go in (`live_gate`). Where the set-up has moved, what
+came before goes on as knowledge of the machine, its own pose integrated out.
+
 A weak prior keeps tables finite before the lines determine them: errors of a tenth of a
 millimetre and a milliradian, a hundred times what they are known to at the end.
 """
@@ -12,7 +15,7 @@ millimetre and a milliradian, a hundred times what they are known to at the end.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -22,17 +25,20 @@ from app.alignment.observations import Observations, add_surroundings
 from app.alignment.streaming import StreamingAlignment
 from app.errors import Unidentifiable
 from app.estimation.confounded_prior import WholePrior
-from app.estimation.design_matrix import Linearisation, linearise
-from app.estimation.information import Information, compute_posterior
+from app.estimation.design_matrix import Linearisation
+from app.estimation.information import Information, Posterior
 from app.estimation.knots import add_hidden_variance, join_cells
 from app.estimation.known_effects import KnownEffects
-from app.estimation.noise import NoiseModel
-from app.estimation.noise_fit import (
-    estimate_residual_noise,
-    guess_noise,
-    refine_runs,
+from app.estimation.live_gate import (
+    LineGate,
+    LiveCheck,
+    check_parts,
+    split_at,
+    weaken_prior,
 )
-from app.estimation.normal_equations import RecursiveEstimator, compute_information
+from app.estimation.noise import NoiseModel
+from app.estimation.noise_fit import guess_noise, refine_runs
+from app.estimation.normal_equations import RecursiveEstimator
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInput
 from app.files.model_file import EstimatedModel
@@ -55,6 +61,8 @@ from app.numerics.rigid import RigidTransform
 from drivers.interfaces.records import Path, TrackerSamples
 
 _FIRST_LOOK = 4  # stretches after which pose and noise are looked at first
+_FORETELL = 8  # lines or points; fewer foretell too little of the next
+_HELD = 3  # lines in a row that do not fit, or 6, 12 …: look at all lines together
 _WEAK = {"mm": 0.1, "rad": 1e-3}
 # Pose, placement and timing, in mm, rad, mm/s: as good as nothing, yet not so little
 # that it drowns in the rounding of what is known.
@@ -70,12 +78,14 @@ class LiveEstimate(EstimatedModel):
         uncertainty (k = 1) of the volumetric error vector of the first target, the
         rigid motion of the whole volume left out; `volumetric_uncertainty_um` outside
     done : finished lines or points; cells : of them; time_s : tracker's clock
+    check : what it says of itself
     """
 
     volumetric_sigma_mm: float
     done: int
     cells: int
     time_s: float
+    check: LiveCheck = field(default_factory=LiveCheck)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,10 +132,19 @@ class LiveEstimator:
         self._prior = WholePrior.guess(told, list_untold_effects(machine, offsets))
         self._model = self._prior.whole.model
         self._gram = compute_volumetric_gram(self._model)
+        self._tracker = TrackerPose(_middle_of_travel(machine))
+        effects = (*self._model.effects, self._tracker)
+        self._weak = np.array(
+            [_weak_sigma(e, p) ** -2 for e in effects for p in e.parameters]
+        )
         self._seats = self._alignment.seats  # that the sums are about
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
-        self._looked = 0  # stretches that pose and noise were last looked at with
+        self._earlier = Information.of_matrix(np.zeros((self._model.size,) * 2))
+        self._foretold: Posterior | None = None  # of machine and pose, about the sums
+        self._rows: frozenset[int] = frozenset()
+        self._check, self._gate = LiveCheck(), LineGate()
+        self._next_look = _FIRST_LOOK  # at so many stretches
 
     def extend(self, commanded: Path | Configurations) -> None:
         """Know of further rows; the earlier ones are among them as they were."""
@@ -141,8 +160,8 @@ class LiveEstimator:
             return None
         about = self._sums.linearisation
         station_mm = about.pose.invert().translation_mm
-        rows, precision = self._find_rows(), self._prior.told.precision
-        return LiveFindings(rows, station_mm, about.noise, precision)
+        precision = self._prior.told.precision
+        return LiveFindings(self._rows, station_mm, about.noise, precision)
 
     def take(self, block: TrackerSamples) -> bool:
         """Take the next samples; tell whether they have finished anything."""
@@ -161,53 +180,85 @@ class LiveEstimator:
         if self._sums is None:
             return None
         size = self._model.size
-        data = self._add_known(self._sums.information(), self._sums.linearisation)
+        data = self._add_known(self._sums.information())
         self._prior, result = self._prior.fit(data)
         prior = self._prior.whole
         widened = widen_by_unknown_precision(prior, result)
         hidden = add_hidden_variance(widened, self._model, prior.precision)
-        covariance = hidden.covariance[:size, :size]
+        self._foretold, covariance = hidden, hidden.covariance[:size, :size]
         mean_square = float(np.sum(self._gram * covariance))
         return LiveEstimate(
             self._model,
             result.theta[:size],
             covariance,
             float(np.sqrt(max(mean_square, 0.0))),
-            len(self._find_rows()),
-            self._sums.cells,
-            self._sums.time_s,
+            len(self._rows),
+            self._check.cells,
+            float(self._parts[-1].cells.time_s[-1]),
+            self._check,
         )
 
-    def _find_rows(self) -> frozenset[int]:
+    def _find_rows(self, seen: Observations) -> frozenset[int]:
         """Return the lines, or else points, that were measured.
 
         The standstill at the end of a line that was lost is no line.
         """
         is_path = isinstance(self._commanded, Path)
-        parts = (p for p in self._parts if p.line >= 0 or not is_path)
-        return frozenset(part.row for part in parts)
+        counted = (seen.at.line >= 0) | (not is_path)
+        return frozenset(seen.row[counted].tolist())
 
     def _add(self, parts: list[CellBlock]) -> bool:
         if not parts:
             return False
         self._parts += parts
-        due = len(self._parts) >= max(2 * self._looked, _FIRST_LOOK)
-        if self._sums is None or due or self._seats is not self._alignment.seats:
+        held, moved = len(self._gate.held), self._seats is not self._alignment.seats
+        if self._sums is None or moved or len(self._parts) >= self._next_look:
             self._look_again()
         else:
-            self._sums = self._sums.add(self._observations(parts))
+            self._let_in(self._sums, self._observations(parts))
+            if len(self._gate.held) > held and _is_due(len(self._gate.held)):
+                self._look_again()
         return True
+
+    def _let_in(self, sums: RecursiveEstimator, seen: Observations) -> None:
+        """Add lines, each as far as it goes on from those before."""
+        if self._foretold is None:
+            self.estimate()
+        assert self._foretold is not None  # noqa: S101 (the estimate has set it)
+        said, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
+        for first, last in seen.lines:
+            line = replace(seen.select(np.arange(first, last)), left_out=())
+            if len(self._rows) >= _FORETELL:
+                about = sums.linearisation
+                self._gate, line = self._gate.check(about, self._foretold, line)
+            said += line.left_out
+            if len(line):
+                sums = sums.add(line)
+                self._rows |= self._find_rows(line)
+                used, cells = used + int(line.count.sum()), cells + len(line)
+        self._sums = sums
+        self._check = replace(
+            self._check,
+            left_out=tuple(said),
+            used_samples=self._check.used_samples + used,
+            cells=self._check.cells + cells,
+            held=self._gate.held,
+            held_mm=self._gate.held_mm,
+        )
 
     def _observations(self, parts: list[CellBlock]) -> Observations:
         seen = self._alignment.observations(parts)
         (cells,) = join_cells([add_surroundings(seen, self._commanded)], self._model)
         return cells
 
-    def _add_known(self, data: Information, about: Linearisation) -> Information:
-        sigma = np.array(
-            [_weak_sigma(e, p) for e in about.model.effects for p in e.parameters]
-        )
-        data = replace(data, matrix=data.matrix + np.diag(sigma**-2))
+    def _add_known(self, data: Information) -> Information:
+        """Return what the newest part tells, and all that is known beside it."""
+        size, weak = self._model.size, self._weak
+        matrix, vector = data.matrix + np.diag(weak), data.vector.copy()
+        matrix[:size, :size] += self._earlier.matrix
+        vector[:size] += self._earlier.vector
+        square = data.square + self._earlier.square
+        data = replace(data, matrix=matrix, vector=vector, square=square)
         return self._known.add_to(data, self._model)
 
     def _look_again(self, *, thoroughly: bool = False) -> None:
@@ -216,24 +267,42 @@ class LiveEstimator:
         thoroughly : judge the noise as the batch does, which takes its time
         """
         self._seats = self._alignment.seats
-        observations = self._observations(self._parts)
-        noise = guess_noise(observations, perpendicular_only=self._perpendicular_only)
-        pose = observations.pose
+        seen = self._observations(self._parts)
+        noise = guess_noise(seen, perpendicular_only=self._perpendicular_only)
+        parts = split_at(seen, [knock.time_s for knock in self._check.knocks])
+        pose = seen.pose
+        check, self._gate = LiveCheck(left_out=seen.left_out), LineGate()
         if len(self._parts) >= _FIRST_LOOK:
-            self._looked = len(self._parts)
             if self._sums is not None:
                 noise = replace(self._sums.linearisation.noise, white=noise.white)
-            about = linearise(observations, self._model, pose, noise)
-            data = self._add_known(compute_information(observations, about), about)
-            precision = self._prior.precision_matrix(about.size)
-            theta = compute_posterior(data, precision).theta
-            pose = about.correct_pose(theta)
-            noise = estimate_residual_noise(observations, about, theta)
+            prior, weak = weaken_prior(self._prior.told, self._weak), self._weak[-6:]
+            found = check_parts(parts, pose, noise, prior, self._known, weak)
+            parts, noise = [*found.parts], found.estimate_noise(noise)
             if thoroughly:
-                noise = _refine_noise(observations, pose, noise, self._known)
-        tracker = TrackerPose(_middle_of_travel(self._model.machine))
-        about = Linearisation(self._model, tracker, pose, noise)
-        self._sums = RecursiveEstimator.start(about).add(observations)
+                main = found.parts[found.main].seen
+                own = found.find_pose(found.main)
+                noise = _refine_noise(main, own, noise, self._known)
+            pose = found.find_pose(len(parts) - 1)
+            check, self._gate = found.state(noise), found.start_gate(seen)
+            self._earlier = found.sum_up_earlier(self._model, noise, weak)
+            newest = int(parts[-1].seen.row.min())
+            fresh = sum(part.row >= newest for part in self._parts)
+            self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
+        about = Linearisation(self._model, self._tracker, pose, noise)
+        self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
+        self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
+        self._foretold = None  # the pose that it was about is another now
+        self._check = replace(
+            check,
+            used_samples=sum(int(part.seen.count.sum()) for part in parts),
+            cells=sum(len(part.seen) for part in parts),
+            held=self._gate.held,
+            held_mm=self._gate.held_mm,
+        )
+
+
+def _is_due(held: int) -> bool:
+    return held % _HELD == 0 and (held // _HELD).bit_count() == 1
 
 
 def _refine_noise(

@@ -89,7 +89,7 @@ class _Examination:
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
-        noise = _limit_noise(run.noise)
+        noise = limit_noise(run.noise)
         run = run if noise == run.noise else run.replace_noise(noise)
         self.seen, self.about = run.observations, run.linearisation
         self.machine = self.about.machine_model.size
@@ -117,18 +117,18 @@ class _Examination:
             rest = design.residual - design.columns @ self.theta
             S = self._drift_columns(design)
             all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
-            weighted = _weight(design, whitener, all_[:, :, self.machine : p])
+            weighted = weigh(design, whitener, all_[:, :, self.machine : p])
             for first, last in design.observations.lines:
                 part = all_[first:last].reshape(-1, all_.shape[2])
                 pose[len(shifts)] = part.T @ weighted[first:last].reshape(-1, 6)
                 shifts.append(self._shift(design, rest, slice(first, last)))
             flat = all_.reshape(-1, all_.shape[2])
-            smooth += flat.T @ _weight(design, whitener, S).reshape(len(flat), -1)
+            smooth += flat.T @ weigh(design, whitener, S).reshape(len(flat), -1)
             drift_square += np.einsum("nip,niq->pq", S, S)
             left = rest[:, :, None]
-            square += float(np.sum(left * _weight(design, whitener, left)))
+            square += float(np.sum(left * weigh(design, whitener, left)))
             freedom -= design.timing.shape[2] + _count_untimed(design, self.about)
-            rest = rest - _time(design, whitener, rest)
+            rest = rest - explain_timing(design, whitener, rest)
             squares.append(_cell_squares(design, rest, self.about.noise))
             off.append(np.linalg.norm(rest, axis=1))
         drift = _Gain(self, smooth, p)
@@ -160,10 +160,10 @@ class _Examination:
         kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
         own = replace(own, rows=own.rows[:, :, kept])
         P = own.columns[:, :, self.machine : self.machine + 3]
-        weighted = _weight(own, own.whiten(self.about.noise), P).reshape(-1, 3)
+        weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
         F = P.reshape(-1, 3).T @ weighted
         pulled = rest[cells].reshape(-1) @ weighted
-        return float(pulled @ _invert(F, np.diag(F)) @ pulled)
+        return float(pulled @ invert(F, np.diag(F)) @ pulled)
 
     def _drift_columns(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 s"]:
         """Return pose and strain, each growing with polynomials of time."""
@@ -211,7 +211,7 @@ class _Examination:
         all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
         P = all_[:, :, self.machine : p]
         # V⁻¹ is symmetric: weight what they are multiplied with, once for all steps.
-        weighted = _weight(design, whitener, all_)
+        weighted = weigh(design, whitener, all_)
         each = np.swapaxes(weighted, 1, 2) @ P
         sums = np.cumsum(each[::-1], axis=0)[::-1][1:]
         sums[:, self.machine : p] = _square_tails(design, whitener, P)
@@ -227,7 +227,7 @@ class _Gain:
         self.of, self.fixed = of, fixed
         self.columns = sums[:fixed]
         F = sums[fixed + 1 :] - self.columns.T @ of.solve(self.columns)
-        self.inverse = _invert(F, np.diag(sums[fixed + 1 :]))
+        self.inverse = invert(F, np.diag(sums[fixed + 1 :]))
         self.pulled = sums[fixed]
         self.size = self.inverse @ self.pulled
         self.gain = float(self.pulled @ self.size)
@@ -253,11 +253,11 @@ class _Gain:
         F = sums[of.machine : p] - columns.T @ solved
         cross = sums[p + 1 :] - self.columns.T @ solved
         raw = np.diag(sums[of.machine : p])
-        step = _invert(F, raw) @ pulled
+        step = invert(F, raw) @ pulled
         alone, moved_mm = float(pulled @ step), float(np.linalg.norm(step[:3]))
         beside = F - cross.T @ self.inverse @ cross
         pulled = pulled - cross.T @ self.size
-        return float(pulled @ _invert(beside, raw) @ pulled), alone, moved_mm
+        return float(pulled @ invert(beside, raw) @ pulled), alone, moved_mm
 
 
 def _solve(
@@ -277,13 +277,19 @@ def _solve(
     return factor, factor.solve(vector)
 
 
-def _limit_noise(noise: NoiseModel) -> NoiseModel:
+def limit_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise, of which more than is usual is for a test to show."""
     beam, across = noise.ou
     return replace(
         noise,
         ou=(min(beam, _MOST_OU), min(across, _MOST_OU)),
         ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S),
     )
+
+
+def raise_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise as loud as is usual: few lines do not tell how loud it is."""
+    return replace(noise, ou=(_MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)
 
 
 def _count_untimed(design: DesignMatrix, about: Linearisation) -> int:
@@ -293,7 +299,7 @@ def _count_untimed(design: DesignMatrix, about: Linearisation) -> int:
     return int((moves & (seen.is_ramp | (not about.has_timing))).sum())
 
 
-def _weight(
+def weigh(
     design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
 ) -> Float64[np.ndarray, "n 3 p"]:
     """Return V⁻¹ columns, the timing of the lines taken out."""
@@ -312,12 +318,12 @@ def _square_tails(
         after = number[:, None] >= begin
         tails = np.where(after[:, None, :, None], P[:, :, None, :], 0.0)
         flat = tails.reshape(len(P), 3, -1)
-        weighted = _weight(design, whitener, flat).reshape(tails.shape)
+        weighted = weigh(design, whitener, flat).reshape(tails.shape)
         squares.append(np.einsum("nick,nicl->ckl", tails, weighted))
     return np.concatenate(squares)
 
 
-def _time(
+def explain_timing(
     design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Return what the timing of the lines explains."""
@@ -333,14 +339,14 @@ def _cell_squares(
     return np.einsum("ni,nij,nj->n", rest, precision, rest)
 
 
-def _invert(
+def invert(
     F: Float64[np.ndarray, "p p"], raw: Float64[np.ndarray, " p"]
 ) -> Float64[np.ndarray, "p p"]:
     """Return the inverse of what the fit leaves of information on columns.
 
     raw : that before; directions of which the fit explains all have none
     """
-    scale = 1.0 / np.sqrt(np.maximum(raw, 1e-300))
+    scale = np.where(raw > 0.0, 1.0 / np.sqrt(np.maximum(raw, 1e-300)), 0.0)
     value, vector = np.linalg.eigh(F * scale[:, None] * scale)
     seen = value > _UNSEEN
     inverse = np.where(seen, 1.0 / np.where(seen, value, 1.0), 0.0)

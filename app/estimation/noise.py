@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
+from app.alignment.cell_gate import USUAL_OU
 from app.alignment.observations import Observations
 
 
@@ -27,6 +28,11 @@ class NoiseModel:
     ou_time_s: float
     along_sigma_mm: float
     ramp_sigma_mm: float = 0.0
+
+    @property
+    def usual(self) -> NoiseModel:
+        """The noise as the tracker states it, with the jitter of the feed."""
+        return replace(self, white=(1.0, 1.0), ou=(USUAL_OU, USUAL_OU))
 
 
 def cell_noise(

@@ -11,6 +11,7 @@ from typing import Any
 from app.errors import BundleError
 from app.estimation.known_effects import KnownEffects, extract_known_effects
 from app.files.result_file import LARGEST_BYTES, CalibrationResult, decode_result
+from app.files.verdict import Reason, Verdict
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
 
@@ -53,15 +54,33 @@ class PriorModel:
         digests : of the Runs to be analysed; where it was made from one of them its
             numbers are as good as unknown, for no Run counts twice
 
-        Raises BundleError if it is of another machine or of another target.
+        Raises BundleError if it is of another machine or of another target, NotUsable
+        if its numbers are not to be used.
         """
-        self.require_same(machine)
+        self._require_same(machine)
         own = self.result
         known = extract_known_effects(own.model, own.theta, own.covariance)
-        return known.loosen() if self.is_of(digests) else known
+        if self.is_of(digests):
+            return known.loosen()
+        own.verdict.require_usable(self.source)
+        return known
 
-    def require_same(self, machine: Machine) -> None:
-        """Raise BundleError if it is of another machine or of another target."""
+    def require_fit(self, machine: Machine) -> None:
+        """Raise unless its numbers may be held against a measurement of a machine.
+
+        BundleError if it is of another machine or of another target, NotUsable if it
+        is not to be used.
+        """
+        self._require_same(machine)
+        self.result.verdict.require_usable(self.source)
+
+    def judge_use(self) -> Verdict:
+        """Return what to know of whatever rests on it."""
+        if self.result.verdict.state == "usable":
+            return Verdict()
+        return Verdict((Reason("model-in-use", "doubtful", {"model": self.source}),))
+
+    def _require_same(self, machine: Machine) -> None:
         own = self.result.machine
         for field, mine, theirs in (
             ("kinematic_chain", own.chain, machine.chain),

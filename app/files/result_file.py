@@ -6,7 +6,7 @@ result does so from a model as well.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from app.files.file_model import FileModel, Text, parse_json, refuse, validate
 from app.files.machine_file import MachineFile
 from app.files.model_file import EstimatedModel, model_from_json
-from app.files.verdict import State, Value, Verdict, verdict_from_json
+from app.files.verdict import State, Verdict, verdict_from_json
 from app.files.whole_files import read_whole
 from app.kinematics.machine import Machine
 
@@ -98,17 +98,12 @@ class _Direction(FileModel):
     ]
 
 
-class _Reason(FileModel):
-    kind: Text
-    state: State
-    run: str = ""
-    values: dict[str, Value]
-
-
 class _Verdict(FileModel):
+    """What has to be right; details that are another's are left to its sentences."""
+
     state: State
     reasons: list[Text]
-    details: Sequence[_Reason] = ()
+    details: Any = ()
 
 
 class _Document(FileModel):

@@ -107,6 +107,13 @@ def summarize_run(run: Run) -> RunSummary:
     )
 
 
+def number_names(names: Sequence[str]) -> list[str]:
+    """Return the names of Runs, numbered where some have the same."""
+    if len(set(names)) == len(names):
+        return list(names)
+    return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+
+
 def digest_run(run: Run) -> str:
     """Return the SHA-256 of what an analysis reads of a Run."""
     machine = json.dumps(machine_to_json(run.machine), sort_keys=True)

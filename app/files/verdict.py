@@ -6,9 +6,11 @@ language. The unit of a value stands in its name, as everywhere in files.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
+
+from app.errors import NotUsable
 
 State = Literal["usable", "doubtful", "not-usable"]
 STATES: tuple[State, ...] = ("usable", "doubtful", "not-usable")  # from best to worst
@@ -83,6 +85,15 @@ SENTENCES: Mapping[str, Sentence] = {
         "were off by {distance_um}.",
         "Use a lower feed or gentler ramps, or look for a loose mount where it should "
         "be stiff.",
+    ),
+    "lines-off": Sentence(
+        "The newest lines or points ({lines}) do not fit what came before and are left "
+        "out: they lie up to {distance_um} aside.",
+        "Look at tracker and reflector; the next lines show whether these have moved.",
+    ),
+    "model-in-use": Sentence(
+        "It rests on the model {model}, which is doubtful itself.",
+        "Look at the reasons of the model; make it anew from a Run that is usable.",
     ),
     STATED: Sentence("{text}", ""),
 }
@@ -159,6 +170,18 @@ class Verdict:
         more = [f"And {len(grave) - _NAMED} more."] if len(grave) > _NAMED else []
         return f"{self.title.lower()}: {' '.join(grave[:_NAMED] + more)}"
 
+    def rank(self) -> Iterator[tuple[Reason, str]]:
+        """Yield the reasons, the worst first, each kind's remedy with its first."""
+        told: set[str] = set()
+        for reason in sorted(self.reasons, key=lambda reason: -reason.severity):
+            yield reason, "" if reason.kind in told else reason.remedy
+            told.add(reason.kind)
+
+    def require_usable(self, what: str) -> None:
+        """Raise NotUsable if it is not to be used; `what` names the result."""
+        if self.state == "not-usable":
+            raise NotUsable(f"{what} is {self.objection}")
+
     @staticmethod
     def merge(verdicts: Iterable[Verdict]) -> Verdict:
         """Return the verdict for the reasons of all."""
@@ -172,11 +195,9 @@ def verdict_from_json(content: Mapping[str, Any]) -> Verdict:
     said, or do not carry its state, its sentences are kept as they are.
     """
     state, texts = content["state"], list(content["reasons"])
-    names = "kind", "state", "values", "run"
-    details = ({n: detail[n] for n in names} for detail in content.get("details", ()))
-    reasons = tuple(Reason(**detail) for detail in details)
-    restored = Verdict(reasons)
-    if [_say(reason) for reason in reasons] == texts and restored.state == state:
+    restored = _restore(content.get("details"))
+    said = [_say(reason) for reason in restored.reasons]
+    if said == texts and restored.state == state:
         return restored
     texts = texts or ["The file states no reason."]
     return Verdict(tuple(Reason(STATED, state, {"text": text}) for text in texts))
@@ -200,10 +221,21 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
     }
 
 
+def _restore(details: Any) -> Verdict:
+    """Return the verdict of the reasons in a file; of none where they are others."""
+    names = "kind", "state", "values", "run"
+    try:
+        given = [{name: detail[name] for name in names} for detail in details or ()]
+        reasons = tuple(Reason(**each) for each in given)
+    except (KeyError, TypeError):
+        return Verdict()
+    return Verdict(tuple(r for r in reasons if r.state in STATES))
+
+
 def _say(reason: Reason) -> str | None:
     try:
         return str(reason)
-    except (KeyError, ValueError):
+    except (AttributeError, KeyError, TypeError, ValueError):
         return None
 
 

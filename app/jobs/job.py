@@ -158,7 +158,7 @@ class Job:
         named; of extra lines, those of the discovery that asks for them
     target_um : volumetric uncertainty (k = 1) at which the measurement may end early
     monte_carlo : the trials that an analysis holds its uncertainty against
-    verdict : state of its result, once that stands: usable, doubtful or not-usable
+    verdict : state of its result or discovery, once that stands
     station : of a measurement from several places of the tracker
     """
 

@@ -158,7 +158,7 @@ class LiveSteering:
     """Steers a measurement by its live estimate: further parts, or an early end.
 
     Where the estimate has nothing to add, or says nothing in time, the measurement ends
-    in order. One thread.
+    in order; one that is not simply usable has reached no target. One thread.
 
     commanded : the first part of an adaptive measurement; None for one planned whole
     target_um : volumetric uncertainty (k = 1) at which the rest is left out
@@ -192,13 +192,17 @@ class LiveSteering:
         if self._is_concluded:
             return
         newest = self.live.newest if may_conclude else None
-        target_um = self.target_um or 0.0
-        if newest and newest["volumetric_uncertainty_um"] <= target_um:
+        if newest and self._has_reached(newest):
             self._is_concluded = True
             self.cell.send(CellVerb.CONCLUDE)
             self.on_target(newest)
         elif self._answer_by is not None and self.commanded is not None:
             self._pass_on_part(self.commanded, self._answer_by)
+
+    def _has_reached(self, estimate: Mapping[str, Any]) -> bool:
+        reached_um = estimate["volumetric_uncertainty_um"]
+        is_usable = estimate["verdict"]["state"] == "usable"
+        return is_usable and reached_um <= (self.target_um or 0.0)
 
     def _pass_on_part(self, commanded: Commanded, answer_by: float) -> None:
         part = self.live.take_part()

@@ -14,6 +14,7 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
+from app.files.verdict import verdict_json
 from app.kinematics.machine import Machine
 from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
@@ -180,12 +181,14 @@ class _Stream:
 def estimate_json(now: Any) -> dict[str, Any]:
     """Return a LiveEstimate in the words of `result.json`."""
     from app.results.error_tables import build_error_tables
+    from app.results.verdict import judge_live
 
     tables = build_error_tables(now)
     places = {
         place.symbol: _number(place, f"_{place.unit}") for place in tables.locations
     }
     return {
+        "verdict": verdict_json(judge_live(now.check, now.done)),
         "volumetric_uncertainty_um": round(_MICRO * now.volumetric_sigma_mm, 4),
         "done": now.done,
         "cells": now.cells,

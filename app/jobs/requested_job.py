@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.errors import IllegalTransition, NotFound, PlanningError
+from app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
 from app.files.commanded_file import encode_commanded_json
 from app.jobs.context import JobContext
 from app.jobs.job import Job, JobKind, Json
@@ -56,7 +56,7 @@ class RequestedJob:
 def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
     """Return the job that a request asks for, and its plan as the store keeps it.
 
-    Raises BadInput, NotFound, NoMachine.
+    Raises BadInput (NotUsable of a model), NotFound, NoMachine.
     """
     kind, only = request.kind, request.perpendicular_only
     if kind is JobKind.MEASURE_EXTRA:
@@ -152,12 +152,17 @@ def _make_extra_job(request: RequestedJob, context: JobContext) -> tuple[Job, Js
 
 
 def _make_plan_order(request: RequestedJob, context: JobContext) -> Json:
-    """Return what is asked beside the rows; a model that is named has to exist."""
+    """Return what is asked beside the rows; a model that is named has to be usable.
+
+    An analysis decides itself: of a model of its own Runs it takes no numbers.
+    """
     order = dict(request.plan_request or {})
     if request.feed_mm_min is not None:
         order["feeds_mm_min"] = [request.feed_mm_min]
     if request.model_id is not None:
         job = context.store.get(request.model_id)
         find_model_file(context.results, job.id)
+        if job.verdict == "not-usable" and request.kind is not JobKind.ANALYSE:
+            raise NotUsable(f"the model {job.id} is not to be used; see its reasons")
         order["model_id"] = job.id
     return order

@@ -68,8 +68,10 @@ def discover_recorded(
     model_id: str | None,
     *,
     on_progress: Progress,
-) -> None:
+) -> State:
     """Find what a model of Runs lacks and write the answer, whole or not at all.
+
+    Returns the state of its verdict.
 
     model_file, model_id : the model; the rigid-body model fitted to the Runs if None
     """
@@ -83,6 +85,7 @@ def discover_recorded(
     runs = read_runs(run_files, open_recorded)
     found = discover_runs(runs, model, on_progress)
     _replace(Path(folder), lambda part: write_discovery(found, part))
+    return found.model.verdict.state
 
 
 def check_station(

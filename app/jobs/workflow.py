@@ -114,8 +114,7 @@ class _JobSteps:
             run_ids = tuple(dict.fromkeys((*run_ids, *made)))
         if job.kind.analyses:
             how = job.perpendicular_only, job.monte_carlo, context.workers
-            verdict = self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
-            self.active.store_values(verdict=verdict)
+            self._conclude(run_ids, Stage.ALIGNING, context.science, *how)
         if job.kind.discovers:
             self._conclude(run_ids, Stage.DISCOVERING, context.discoverer)
 
@@ -236,15 +235,16 @@ class _JobSteps:
 
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
-    ) -> Any:
+    ) -> None:
         """Let a task write its files about Runs and, where one is named, a model.
 
-        Returns what the task does.
+        The state of the verdict that it returns is stored with the job.
         """
         files = [str(self.context.runs.file(run_id)) for run_id in run_ids]
         folder = str(self.context.results / self.job.id)
         model = self._find_model()
-        return self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+        verdict = self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+        self.active.store_values(verdict=verdict)
 
     def _find_model(self) -> tuple[str | None, str | None]:
         """Return file and identifier of the model that the job builds on, if any."""

@@ -55,6 +55,7 @@ def render_discovery_report(
         {
             "machine": discovery.baseline.model.machine.name,
             "names": discovery.run_names,
+            "verdict": model.verdict,
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
             "titles": [write_title(f.candidate) for f in named],

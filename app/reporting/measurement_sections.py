@@ -22,8 +22,8 @@ _HOW = {"otf": "on the fly", "standstill": "at standstill"}
 
 
 def name_runs(findings: Findings) -> str:
-    """Return the Runs and their modes in a line."""
-    runs = [run.summary for run in findings.runs]
+    """Return the Runs and their modes in a line; one that was split once."""
+    runs = findings.provenance.runs
     if len(runs) == 1:
         return f"Run {runs[0].name}, measured {_HOW[runs[0].mode]}"
     named = ", ".join(f"{run.name} ({_HOW[run.mode]})" for run in runs)

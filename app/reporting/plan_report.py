@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from app.files.commanded_file import encode_commanded
 from app.files.file_model import encode_json
+from app.files.verdict import verdict_from_json
 from app.files.whole_files import write_files
 from app.kinematics.effects.catalogue import find_family
 from app.motion.nc_programs.programs import (
@@ -47,6 +48,7 @@ def render_plan_report(document: Mapping[str, Any]) -> str:
         "plan.html",
         {
             "machine": document["machine"]["name"],
+            "verdict": verdict_from_json(document["verdict"]),
             "mode": document["mode"],
             "rows": document["rows"],
             "minutes": f"{document['duration_s'] / 60.0:.1f}",

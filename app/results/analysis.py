@@ -18,7 +18,7 @@ from app.estimation.disturbances import estimate_checked
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
 from app.files.one_machine import one_machine
-from app.files.run import Run, RunSummary, summarize_run
+from app.files.run import Run, RunSummary, number_names, summarize_run
 from app.kinematics.coarse_model import build_run_models
 from app.numerics.adaptive_trials import Mapper, TrialPlan
 from app.planning.grade import SetUp, grade_together
@@ -93,13 +93,6 @@ def analyse(
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
     return replace(found, contributions=brought)
-
-
-def number_names(names: Sequence[str]) -> list[str]:
-    """Return the names of Runs, numbered where some have the same."""
-    if len(set(names)) == len(names):
-        return list(names)
-    return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
 
 
 def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:

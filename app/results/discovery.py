@@ -54,6 +54,7 @@ def discover_runs(
     asked = design_discrimination(found)
     content = discovery_json(found) | {
         "model": {k: model.content[k] for k in ("version", "parent", "difference")},
+        "verdict": model.content["verdict"],
         "ask": None if asked is None else ask_json(asked, ASK),
     }
     return Discovered(found, content, model, asked)

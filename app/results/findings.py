@@ -45,6 +45,12 @@ class Provenance:
         digests = [run.digest for run in self.runs]
         return self.model is not None and self.model.is_of(digests)
 
+    def judge_model(self) -> Verdict:
+        """Return what to know of a result for which the model's numbers were used."""
+        if self.model is None or self.repeats_model:
+            return Verdict()
+        return self.model.judge_use()
+
 
 @dataclass(frozen=True, slots=True)
 class LineResiduals:
@@ -137,9 +143,10 @@ def state_checked_findings(
 ) -> Findings:
     """Return what is stated of an estimate, and its verdict."""
     found = state_findings(checked.estimate, provenance, trials, grade, checked.given)
+    own = judge(checked, [run.name for run in provenance.runs])
     return replace(
         found,
-        verdict=judge(checked, [run.name for run in provenance.runs]),
+        verdict=Verdict.merge([own, provenance.judge_model()]),
         left_out=checked.left_out,
         knocks=checked.knocks,
     )

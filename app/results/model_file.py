@@ -29,20 +29,23 @@ from app.files.model_file import EstimatedModel, model_to_json
 from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run, digest_run
 from app.files.units import unit_of
+from app.files.verdict import Verdict, verdict_json
 from app.kinematics.effects.nuisance import list_target_seats
 from app.kinematics.volumetric_map import build_shape_model
 from app.results.discovery_json import effect_json
 from app.results.error_table_files import observability_json, tables_json
 from app.results.error_tables import build_error_tables, compute_half_differences
 from app.results.model_difference import list_differences
+from app.results.verdict import judge_discovery
 
 
 def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
     """Return an earlier model as the base that explains a Run.
 
-    Raises BundleError if it is of another machine or of another target.
+    Raises BundleError if it is of another machine or of another target, NotUsable if it
+    is not to be used.
     """
-    earlier.require_same(run.machine)
+    earlier.require_fit(run.machine)
     loaded = earlier.result
     model = replace(loaded.model, machine=run.machine)
     seats = list_target_seats([run.machine.targets])
@@ -57,9 +60,10 @@ def build_reference(earlier: PriorModel, run: Run) -> EstimatedModel:
 
 @dataclass(frozen=True)
 class NextModel:
-    """A model with what was found in it, and its content as a file."""
+    """A model with what was found in it, its verdict, and its content as a file."""
 
     extended: ExtendedModel
+    verdict: Verdict
     content: dict[str, Any]
 
 
@@ -68,7 +72,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
 
     parent : what the Run was held against; None for the rigid-body model fitted to it
     """
-    grown = extend_model(found)
+    grown, verdict = extend_model(found), judge_discovery(found, parent)
     machine = grown.model.machine
     before, origin = _describe_parent(found, parent)
     measured = find_measured_ranges(*(one.observations for one in found.aligned))
@@ -81,6 +85,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     ]
     return NextModel(
         grown,
+        verdict,
         {
             "schema": MODEL_SCHEMA,
             "version": origin["version"] + 1,
@@ -88,6 +93,7 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
             "difference": [asdict(c) for c in list_differences(before, grown)],
             "machine": machine_to_json(machine),
             "mode": found.aligned[0].run.mode,
+            "verdict": verdict_json(verdict),
             "effects": [_effect_json(f, grown) for f in found.findings],
             **tables_json(
                 build_error_tables(grown, measured),

@@ -8,6 +8,7 @@ from typing import Any
 
 from app.files.machine_file import machine_to_json
 from app.files.units import scale_of
+from app.files.verdict import Verdict, verdict_json
 from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.planning.plan import Plan
@@ -34,6 +35,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "motion": _state_motion(planned.machine),
         "feed_choice": _explain_feeds(planned),
         "model": model and prior_model_json(model),
+        "verdict": verdict_json(Verdict() if model is None else model.judge_use()),
         "tracker": {
             "position_mm": [round(float(v), 3) for v in planned.station_mm],
             "assumed": order.workspace.tracker_mm is None,

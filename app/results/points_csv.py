@@ -2,7 +2,8 @@
 
 In: a column for every axis (`x_mm,y_mm,z_mm`), and whatever else. A machine with named
 targets may name one a point in the column `target`. Out: the same columns as they came,
-then the volumetric error with its standard uncertainty (k = 1).
+then the volumetric error with its standard uncertainty (k = 1). Where the result is not
+simply usable each row says so in a last column, `verdict`: rows are copied elsewhere.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from app.motion.configurations import name_columns
 from app.results.prediction import Prediction, predict
 
 PREDICTED = ("dx_um", "dy_um", "dz_um", "ux_um", "uy_um", "uz_um")
+VERDICT = "verdict"
 _FARTHEST = 1e6  # mm or deg: what lies farther is not a position of a machine tool
 
 
@@ -66,12 +68,14 @@ def encode_predictions(points: Points, predicted: Prediction) -> str:
     """Return the file of predictions at the points."""
     sink = io.StringIO()
     writer = csv.writer(sink, lineterminator="\n")
-    kept = [name for name in points.table.names if name not in PREDICTED]
-    writer.writerow([*kept, *PREDICTED])
+    mark = [predicted.verdict.state] if predicted.verdict.objection else []
+    own = {*PREDICTED, VERDICT}
+    kept = [name for name in points.table.names if name not in own]
+    writer.writerow([*kept, *PREDICTED, *([VERDICT] if mark else [])])
     given = [points.table.cells(name) for name in kept]
     numbers = np.hstack([predicted.error_um, predicted.uncertainty_um]).tolist()
     for *words, row in zip(*given, numbers, strict=True):
-        writer.writerow([*words, *(f"{value:z.5f}" for value in row)])
+        writer.writerow([*words, *(f"{value:z.5f}" for value in row), *mark])
     return sink.getvalue()
 
 

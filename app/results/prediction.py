@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -16,6 +16,7 @@ from app.estimation.extrapolation import (
 )
 from app.files.result_file import CalibrationResult
 from app.files.units import UM_PER_MM
+from app.files.verdict import Verdict
 from app.kinematics.conditions import make_standstill
 from app.kinematics.machine import Machine
 from app.kinematics.volumetric_map import VolumetricMap, build_volumetric_map
@@ -30,11 +31,13 @@ class Prediction:
 
     error_um : (n, 3); uncertainty_um : (n, 3), standard uncertainty (k = 1)
     warnings : what a user should know about it, a sentence each
+    verdict : of the result that it is from
     """
 
     error_um: Float64[np.ndarray, "n 3"]
     uncertainty_um: Float64[np.ndarray, "n 3"]
     warnings: tuple[str, ...]
+    verdict: Verdict = field(default_factory=Verdict)
 
 
 def predict(
@@ -63,7 +66,10 @@ def predict(
                 result, found, known, position[block], name
             )
     return Prediction(
-        error, uncertainty, tuple(_list_warnings(result, position, targets))
+        error,
+        uncertainty,
+        tuple(_list_warnings(result, position, targets)),
+        result.verdict,
     )
 
 
@@ -96,8 +102,6 @@ def _list_warnings(
     position: Float64[np.ndarray, "n a"],
     targets: Sequence[str],
 ) -> Iterator[str]:
-    if result.verdict.objection:
-        yield f"the result is {result.verdict.objection}"
     outside = int(_find_outside(result.machine, position).sum())
     if outside:
         travel = ", ".join(

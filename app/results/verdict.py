@@ -9,15 +9,22 @@ set-up during the Run, to which places that are measured early and late add.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.alignment.left_out import LeftOut
 from app.estimation.batch import RunEstimate
-from app.estimation.disturbances import CheckedEstimate
+from app.estimation.disturbances import CheckedEstimate, Knock
 from app.estimation.misfit import Misfit
+from app.estimation.prior_model import PriorModel
+from app.files.run import number_names
 from app.files.units import UM_PER_MM
 from app.files.verdict import Reason, State, Value, Verdict
+
+if TYPE_CHECKING:
+    from app.discovery.discover import Discovery
+    from app.estimation.live_gate import LiveCheck
 
 _SENTENCES = 12  # on what is left out of one Run; the rest is counted
 _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
@@ -41,18 +48,17 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
     for number, name in enumerate(names):
         own = [k for k, given in enumerate(checked.given) if given == number]
         said = [
-            *_judge_left_out(checked.left_out[number], [runs[k] for k in own]),
-            *(
-                Reason(
-                    "set-up-moved",
-                    "usable",
-                    {"distance_um": UM_PER_MM * k.moved_mm, "at_s": k.time_s},
-                )
-                for k in checked.knocks
-                if k.run == number
+            *_judge_left_out(
+                checked.left_out[number],
+                sum(runs[k].lines for k in own),
+                sum(runs[k].used_samples for k in own),
+            ),
+            *_judge_knocks([k for k in checked.knocks if k.run == number]),
+            *_judge_noise(
+                max(_compare_residual(runs[k]) for k in own),
+                max(max(runs[k].noise.white) for k in own),
             ),
             *_judge_ramps([runs[k] for k in own]),
-            *_judge_noise([runs[k] for k in own]),
             *_judge_drift([checked.misfits[k] for k in own]),
         ]
         reasons += [
@@ -61,9 +67,58 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
     return Verdict(tuple(reasons))
 
 
+def judge_live(check: LiveCheck, lines: int) -> Verdict:
+    """Return what a measurement under way says of itself.
+
+    lines : that the estimate is made from
+    """
+    settled = [each for each in check.left_out if each.row not in check.held]
+    reasons = [
+        *_judge_left_out(settled, lines, check.used_samples),
+        *_judge_knocks(check.knocks),
+        *_judge_noise(check.residual, check.white),
+    ]
+    if check.held:
+        values: dict[str, Value] = {
+            "lines": _list_lines(check.held),
+            "distance_um": UM_PER_MM * check.held_mm,
+        }
+        reasons.append(Reason("lines-off", "not-usable", values))
+    return Verdict(tuple(reasons))
+
+
+def judge_discovery(found: Discovery, parent: PriorModel | None) -> Verdict:
+    """Return what a discovery, and the model that it has made, say of themselves.
+
+    What was found is in the model, so that what is left counts: on lines held out of
+    the fit, over what a complete model would leave there, and the noise that was found,
+    over what the tracker states.
+
+    parent : what the Runs were held against
+    """
+    names = number_names([one.run.name for one in found.aligned])
+    reasons: list[Reason] = []
+    for name, one in zip(names, found.aligned, strict=True):
+        seen = one.coarse
+        said = _judge_left_out(seen.left_out, len(seen.measured_rows), seen.used)
+        own = name if len(names) > 1 else ""
+        reasons += [Reason(r.kind, r.state, r.values, own) for r in said]
+    gap = found.gap
+    noise = gap.noise_floor_um / gap.usual_um
+    left = max(gap.after_um / max(gap.expected_um, 1e-12), 1.0)
+    white = max(max(run.noise.white) for run in found.baseline.runs)
+    reasons += _judge_noise(noise * left, white)
+    used = Verdict() if parent is None else parent.judge_use()
+    return Verdict.merge([Verdict(tuple(reasons)), used])
+
+
 def _judge_left_out(
-    left_out: Sequence[LeftOut], runs: Sequence[RunEstimate]
+    left_out: Sequence[LeftOut], measured: int, used: int
 ) -> Iterator[Reason]:
+    """Yield what to know of samples that are not used.
+
+    measured : lines with data; used : samples
+    """
     silent = ("spikes", "astray", *_WITHOUT_DATA)
     lost = [each for each in left_out if each.cause not in silent]
     worst = sorted(lost, key=lambda each: -each.samples)[:_SENTENCES]
@@ -96,14 +151,11 @@ def _judge_left_out(
     for cause, kind in _WITHOUT_DATA.items():
         rows = [each.row for each in left_out if each.cause == cause]
         if rows:
-            lines = sum(run.lines for run in runs) + len(rows)
-            state = _grade(len(rows) / lines, _LINES)
-            shown = ", ".join(map(str, rows[:_SENTENCES]))
-            more = ", …" if len(rows) > _SENTENCES else ""
-            yield Reason(kind, state, {kind.split("-")[0]: shown + more})
+            state = _grade(len(rows) / (measured + len(rows)), _LINES)
+            yield Reason(kind, state, {kind.split("-")[0]: _list_lines(rows)})
     # What is astray is judged by the lines that it leaves without data.
     share = sum(each.samples for each in left_out if each.cause != "astray")
-    share /= max(share + sum(run.used_samples for run in runs), 1)
+    share /= max(share + used, 1)
     if share > _LEFT_OUT[0]:
         yield Reason(
             "much-left-out",
@@ -122,12 +174,24 @@ def _judge_ramps(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
         yield Reason("ramps-swing", "usable", values)
 
 
-def _judge_noise(runs: Sequence[RunEstimate]) -> Iterator[Reason]:
-    residual = max(
-        max(run.residuals.rms_mm, run.residuals.floor_mm) / run.usual_floor_mm
-        for run in runs
-    )
-    white = max(max(run.noise.white) for run in runs)
+def _list_lines(rows: Sequence[int]) -> str:
+    more = ", …" if len(rows) > _SENTENCES else ""
+    return ", ".join(map(str, rows[:_SENTENCES])) + more
+
+
+def _judge_knocks(knocks: Sequence[Knock]) -> Iterator[Reason]:
+    for knock in knocks:
+        distance_um = UM_PER_MM * knock.moved_mm
+        values = {"distance_um": distance_um, "at_s": knock.time_s}
+        yield Reason("set-up-moved", "usable", values)
+
+
+def _compare_residual(run: RunEstimate) -> float:
+    """Return the residual over what noise would leave if it were as stated."""
+    return max(run.residuals.rms_mm, run.residuals.floor_mm) / run.usual_floor_mm
+
+
+def _judge_noise(residual: float, white: float) -> Iterator[Reason]:
     for kind, ratio, limits in (
         ("fit-beyond-noise", residual, _RESIDUAL),
         ("noise-beyond-stated", white, _WHITE),

@@ -7,6 +7,7 @@ from scripted_cell import wait_until
 
 from app.files.commanded_file import encode_commanded_json
 from app.files.machine_file import machine_to_json
+from app.files.verdict import Reason, Verdict
 from app.planning.default_path import default_path
 
 JOBS, PLANS = "/api/v1/jobs", "/api/v1/plans"
@@ -59,6 +60,33 @@ def test_an_analysis_takes_the_model_that_it_names(client, run, model, science):
     assert without == (None, None)
     assert name == model
     assert file.endswith(f"{model}/model.json")
+
+
+@pytest.fixture
+def refused(client, run, explorer):
+    """A model that is not to be used."""
+    explorer.verdict = Verdict((Reason("stated", "not-usable", {"text": "Odd."}),))
+    model = done(client, {"kind": "discover", "run_id": run["id"]})
+    explorer.verdict = Verdict()
+    return model
+
+
+def test_the_verdict_of_a_discovery_stands_in_its_job_and_its_model(client, refused):
+    assert client.get(f"{JOBS}/{refused}").json()["verdict"] == "not-usable"
+    (listed,) = client.get("/api/v1/models").json()["items"]
+    assert listed["verdict"] == "not-usable"
+    stated = client.get(f"{JOBS}/{refused}/discovery").json()["verdict"]
+    assert stated["reasons"] == ["Odd."]
+
+
+def test_a_model_that_is_not_to_be_used_steers_no_job(client, run, refused, is_problem):
+    for kind in ("measure-otf", "measure-standstill", "measure-adaptive", "discover"):
+        order = {"kind": kind, "model_id": refused}
+        if kind == "discover":
+            order["run_id"] = run["id"]
+        is_problem(client.post(JOBS, json=order), 422, "not-usable")
+    order = {"mode": "otf", "minutes": 0.5, "model_id": refused}
+    is_problem(client.post(PLANS, json=order), 422, "not-usable")
 
 
 def test_a_result_serves_as_a_model(client, run, science):

@@ -116,13 +116,64 @@ def test_a_comparison_says_it_of_the_result(
     assert "<strong>Not to be used</strong>" in page
 
 
-def test_a_prediction_says_it_of_the_result(judged, points, tmp_path, capsys):
-    out = tmp_path / "out.csv"
-    arguments = ["--points", str(points), "-o", str(out)]
-    assert run(["predict", str(judged("doubtful")), *arguments]) == 0
-    assert f"note: the result is doubtful: {OPEN}" in capsys.readouterr().err
-    assert run(["predict", str(judged("usable")), *arguments]) == 0
-    assert "doubtful" not in capsys.readouterr().err
+@pytest.mark.parametrize("state", VERDICTS)
+def test_a_prediction_says_it_of_the_result(judged, points, tmp_path, capsys, state):
+    out, objection = tmp_path / "out.csv", VERDICTS[state].objection
+    arguments = ["--points", str(points), "-o", str(out), "--json"]
+    assert run(["predict", str(judged(state)), *arguments]) == 0
+    said = capsys.readouterr()
+    assert (f"warning: the result is {objection}" in said.err) == bool(objection)
+    assert json.loads(said.out)["verdict"] == verdict_json(VERDICTS[state])
+    head, *rows = out.read_text().splitlines()
+    assert head.endswith("uz_um,verdict" if objection else "uz_um")
+    assert all(row.endswith(f",{state}") == bool(objection) for row in rows)
+
+
+def of_another_run(file):
+    """Let a result be made from a Run that nobody analyses here."""
+    content = json.loads(file.read_text())
+    for one in content["provenance"]["runs"]:
+        one["input_sha256"] = "f" * 64
+    file.write_text(json.dumps(content))
+    return file
+
+
+@pytest.mark.parametrize("command", ["analyse", "discover", "plan"])
+def test_a_model_that_is_not_to_be_used_is_refused(
+    judged, recorded, tmp_path, capsys, command
+):
+    model = of_another_run(judged("not-usable"))
+    given = recorded / "machine.json" if command == "plan" else recorded
+    out = tmp_path / "out"
+    assert run([command, str(given), "--model", str(model), "-o", str(out)]) == 2
+    assert f"not-usable.json is not to be used: {OPEN} {BEYOND}" in (
+        capsys.readouterr().err
+    )
+    assert not list(out.rglob("*.json"))
+
+
+def test_what_rests_on_a_doubtful_model_is_doubtful(judged, recorded, tmp_path, capsys):
+    model = str(of_another_run(judged("doubtful")))
+    said = f"doubtful: It rests on the model {model}, which is doubtful itself."
+    out = tmp_path / "out"
+    assert run(["analyse", str(recorded), "--model", model, "-o", str(out)]) == 0
+    assert f"warning: the result is {said}" in capsys.readouterr().err
+    content = json.loads((out / "result.json").read_text())
+    assert content["verdict"]["state"] == "doubtful"
+    machine, plan = str(recorded / "machine.json"), str(tmp_path / "plan")
+    assert run(["plan", machine, "--minutes", "0.3", "--model", model, "-o", plan]) == 0
+    assert f"warning: the plan is {said}" in capsys.readouterr().err
+    page = (tmp_path / "plan" / "plan.html").read_text()
+    assert 'class="verdict doubtful"' in page
+
+
+def test_a_model_of_the_same_run_gives_no_numbers_and_is_taken(
+    judged, recorded, tmp_path
+):
+    model, out = str(judged("not-usable")), tmp_path / "out"
+    assert run(["analyse", str(recorded), "--model", model, "-o", str(out)]) == 0
+    content = json.loads((out / "result.json").read_text())
+    assert content["verdict"]["state"] == "usable"
 
 
 def test_the_terminal_begins_with_the_worst(judged, tmp_path, capsys):

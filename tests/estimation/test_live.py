@@ -1,6 +1,7 @@
 """The estimate while the machine moves: it tightens, and ends where the batch does."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from app.alignment.align import align
 from app.estimation.live import LiveEstimator
 from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.results.error_tables import build_error_tables
+from app.results.verdict import judge_live
 from drivers.interfaces.records import TrackerSamples
 from tests.estimation.estimating import estimate
 
@@ -77,6 +79,62 @@ def test_lines_are_counted_as_they_are_finished(moving):
     done = [now.done for now, _ in on_the_way]
     assert done == sorted(done)
     assert last.done == len(run.commanded) - 1
+
+
+def spoilt(run, first, last, shift_mm):
+    """Return a Run with some of its valid samples in the wrong place."""
+    moved = run.tracker.position_mm.copy()
+    moved[first:last] += shift_mm
+    return replace(run, tracker=replace(run.tracker, position_mm=moved))
+
+
+def compare(live, clean):
+    """Return how far tables are off those of a clean measurement, in u."""
+    tables = build_error_tables(clean)
+    return np.concatenate(
+        [
+            (table.value - tables.table(table.symbol).value)
+            / np.maximum(table.uncertainty, 0.05)
+            for table in build_error_tables(live).tables
+        ]
+    )
+
+
+def test_a_clean_measurement_says_nothing_against_itself_on_the_way(moving):
+    _, on_the_way, last = moving
+    for now in [*(now for now, _ in on_the_way), last]:
+        assert judge_live(now.check, now.done).state == "usable"
+        assert now.check.knocks == ()
+        assert now.check.held == ()
+
+
+def test_a_knock_is_held_back_until_both_places_are_solved(moving):
+    run, _, clean = moving
+    first = int(0.6 * len(run.tracker))
+    on_the_way, last = followed(spoilt(run, first, None, [0.03, -0.03, 0.02]))
+    states = [judge_live(now.check, now.done).state for now, _ in on_the_way]
+    assert "not-usable" in states
+    for (now, _), state in zip(on_the_way, states, strict=True):
+        after = now.time_s > run.tracker.device_time_s[first] + 3.0
+        assert not after or state != "usable" or now.check.knocks
+    (knock,) = last.check.knocks
+    assert abs(knock.time_s - run.tracker.device_time_s[first]) < 3.0
+    assert 1e3 * knock.moved_mm == pytest.approx(46.9, abs=2.0)
+    assert judge_live(last.check, last.done).state == "usable"
+    assert np.sqrt(np.mean(compare(last, clean) ** 2)) < 0.7
+
+
+def test_samples_in_the_wrong_place_are_left_out_at_once(moving):
+    run, _, clean = moving
+    first = int(0.6 * len(run.tracker))
+    on_the_way, last = followed(spoilt(run, first, first + 300, [0.0, 0.05, 0.0]))
+    disturbed_s = run.tracker.device_time_s[first]
+    told = [now for now, _ in on_the_way if now.time_s > disturbed_s + 3.0]
+    for now in [*told, last]:
+        said = judge_live(now.check, now.done).reasons
+        assert "are left out" in " ".join(map(str, said))
+    for now in [*told, last]:
+        assert np.sqrt(np.mean(compare(now, clean) ** 2)) < 1.5
 
 
 def test_nothing_is_said_before_the_pose_is_known(record):

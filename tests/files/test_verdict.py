@@ -6,6 +6,7 @@ from string import Formatter
 
 import pytest
 
+from app.errors import NotUsable
 from app.files.verdict import (
     SENTENCES,
     Reason,
@@ -70,6 +71,38 @@ def test_a_state_stands_whatever_its_reasons_are(state, texts, known):
     assert [str(r) for r in restored.reasons] == (
         texts or ["The file states no reason."]
     )
+
+
+@pytest.mark.parametrize(
+    "details",
+    [
+        None,
+        7,
+        ["Line 3 is odd."],
+        [{"kind": "loop-open"}],
+        [{"kind": 3, "state": "fine", "run": "", "values": {}}],
+        [{"kind": "loop-open", "state": "doubtful", "run": "", "values": [1.0]}],
+    ],
+)
+def test_a_verdict_of_others_stands_without_their_details(details):
+    stated = {"state": "not-usable", "reasons": ["Odd."], "details": details}
+    assert verdict_from_json(stated).objection == "not to be used: Odd."
+
+
+def test_the_worst_comes_first_and_what_to_do_is_said_once():
+    ranked = list(Verdict((LEFT_OUT, LEFT_OUT, BEYOND)).rank())
+    assert ranked == [
+        (BEYOND, BEYOND.remedy),
+        (LEFT_OUT, LEFT_OUT.remedy),
+        (LEFT_OUT, ""),
+    ]
+
+
+def test_what_is_not_to_be_used_is_refused_by_name():
+    Verdict((LEFT_OUT,)).require_usable("the result")
+    with pytest.raises(NotUsable) as caught:
+        Verdict((LEFT_OUT, BEYOND)).require_usable("model.json")
+    assert str(caught.value) == f"model.json is not to be used: {BEYOND}"
 
 
 @pytest.mark.parametrize("kind", sorted(SENTENCES))

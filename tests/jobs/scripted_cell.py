@@ -255,9 +255,10 @@ class ScriptedLive:
     def close(self):
         self.heard.append("close")
 
-    def publish(self, volumetric_uncertainty_um, done, total=10):
+    def publish(self, volumetric_uncertainty_um, done, total=10, verdict=None):
         """Be told a newer estimate."""
         self.newest = {
+            "verdict": verdict_json(verdict or Verdict()),
             "volumetric_uncertainty_um": volumetric_uncertainty_um,
             "done": done,
             "total": total,
@@ -359,9 +360,11 @@ class Explorer:
     raises : what the task ends with instead
     machine : content of the machine file of the Runs
     rows : of the lines that it asks for; nothing is asked without them
+    verdict : of the discovery and of its model
     """
 
     def __init__(self):
+        self.verdict = Verdict()
         self.hold: threading.Event | None = None
         self.raises: Exception | None = None
         self.machine = load_machine("demo")
@@ -390,6 +393,7 @@ class Explorer:
             "effects": [{"name": "backlash", "axis": "X"}],
             "gap": {"unit": "um", "before": 2.0, "after": 1.0, "noise_floor": 1.0},
             "model": grown,
+            "verdict": verdict_json(self.verdict),
             "ask": {"rows": self.rows} if self.rows else None,
         }
         place = FilePath(folder)
@@ -400,3 +404,4 @@ class Explorer:
         (place / "model.json").write_text(json.dumps(model))
         (place / "report.html").write_text(page)
         on_progress(1.0, "reporting")
+        return self.verdict.state

@@ -11,6 +11,7 @@ from sqlalchemy import text
 
 from app.errors import IllegalTransition, NotFound, OutOfTravel, PlanningError
 from app.files.commanded_file import decode_commanded_json, encode_commanded_json
+from app.files.verdict import Reason, Verdict
 from app.jobs import cell_measurement
 from app.jobs.dispatcher import Dispatcher
 from app.jobs.errors import (
@@ -84,6 +85,18 @@ def test_a_measurement_says_why_it_ended_at_its_target(followed, make_cell, unti
     assert ended.target_um == 2.0
     assert ended.early_end == EarlyEnd(1.9, 5, 10)
     assert live.heard[-2:] == ["finish", "close"]
+
+
+def test_an_estimate_that_contradicts_itself_ends_nothing(followed, make_cell, until):
+    job, live = followed(replace(OTF, target_um=2.0))
+    values = {"lines": "4", "distance_um": 50.0}
+    off = Verdict((Reason("lines-off", "not-usable", values),))
+    live.publish(0.001, done=3, verdict=off)
+    make_cell.cell.record(50)
+    live.publish(0.001, done=3, verdict=off)
+    make_cell.cell.record(50)
+    live.publish(1.9, done=5)
+    assert until(job, "succeeded").early_end == EarlyEnd(1.9, 5, 10)
 
 
 def test_a_measurement_without_a_target_goes_to_its_end(followed, make_cell, until):

@@ -8,9 +8,10 @@ import pytest
 
 from app.errors import AlignmentError, BundleError
 from app.files.result_file import result_from_json
+from app.files.run import number_names
 from app.kinematics.machine import Target
 from app.reporting.analysis_files import render_analysis
-from app.results.analysis import analyse, number_names
+from app.results.analysis import analyse
 from app.results.result_json import result_json
 
 

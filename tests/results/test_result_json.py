@@ -68,8 +68,24 @@ def test_the_verdict_comes_back_as_it_was_stated(found):
 
 
 def test_a_file_of_old_says_nothing_against_its_result(content):
-    del content["verdict"]
-    assert result_from_json(content).verdict == Verdict()
+    for key in ("verdict", "left_out", "setup_steps", "runs"):
+        del content[key]
+    del content["model"]["confounded"]
+    for target in content["machine"].get("targets", []):
+        target.pop("seat_sigma_mm", None)
+    loaded = result_from_json(content)
+    assert loaded.verdict == Verdict()
+    assert loaded.model.confounded == frozenset()
+    middle = np.array([[0.5 * (a.low + a.high) for a in loaded.machine.axes]])
+    assert np.isfinite(predict(loaded, middle).uncertainty_um).all()
+
+
+def test_a_verdict_that_others_have_written_counts(content):
+    content["verdict"] = {"state": "not-usable", "reasons": ["The door was open."]}
+    loaded = result_from_json(content)
+    assert loaded.verdict.objection == "not to be used: The door was open."
+    content["verdict"]["details"] = [{"why": "door"}]
+    assert result_from_json(content).verdict == loaded.verdict
 
 
 def test_the_machine_is_that_of_the_machine_file(estimate, content):

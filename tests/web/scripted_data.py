@@ -231,6 +231,7 @@ def estimate(done: int, total: int = 22) -> dict[str, Any]:
         for name in [name for name in table if name.startswith("uncertainty")]:
             table[name] = [round(wider * u, 3) for u in table[name]]
     return {
+        "verdict": {"state": "usable", "reasons": [], "details": []},
         "error_tables": tables,
         "squareness_urad": {
             symbol: {"value": s["value"], "uncertainty": wider * s["uncertainty"]}

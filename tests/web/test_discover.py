@@ -8,6 +8,7 @@ import pytest
 from playwright.sync_api import expect
 from scripted_data import ASK, DISCOVERY
 
+from app.files.verdict import Reason, Verdict, verdict_json
 from app.kinematics.effects.catalogue import list_families
 from app.web.pages import catalogue
 
@@ -42,6 +43,22 @@ def test_a_discovery_is_asked_for_after_the_result_and_shows_its_findings(
     expect(step).to_contain_text("moment 40.020 ± 0.060 s")
     expect(step).to_contain_text("step X 4.00 ± 0.20, Y −3.00 ± 0.20, Z 0.10 ± 0.20 µm")
     expect(step).to_contain_text("nothing else explains it as well")
+
+
+def test_a_discovery_that_is_not_to_be_used_says_so_first(panel, service):
+    reason = Reason(
+        "fit-beyond-noise", "not-usable", {"ratio": 6.0, "limit_ratio": 1.6}
+    )
+    stated = verdict_json(Verdict((reason,)))
+    service.discovery = {**DISCOVERY, "verdict": stated}
+    job = discovered(service)
+    service.jobs[job]["verdict"] = "not-usable"
+    page = panel.open(f"#/discover/{job}")
+    band = page.locator(".verdict-band")
+    expect(band.get_by_role("heading")).to_have_text("Not to be used")
+    expect(band.locator("li")).to_contain_text("6.00 times that of noise")
+    link = page.locator("a[download]")
+    expect(link).to_have_attribute("download", "not-to-be-used-model.json")
 
 
 def test_the_gap_is_drawn_against_the_noise_floor(panel, service):

@@ -8,7 +8,10 @@ import re
 import pytest
 from PIL import Image, ImageStat
 from playwright.sync_api import Page, expect
-from scripted_data import TURNTABLE, turntable_estimate
+from scripted_data import TURNTABLE, estimate, turntable_estimate
+
+from app.files.verdict import Reason, Verdict, verdict_json
+from app.web.pages import catalogue
 
 pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
@@ -31,6 +34,38 @@ def test_the_tables_tighten_with_each_line(panel, service):
     assert drawn(page, "EXX") != before
     expect(page.locator(".estimate-singles tbody tr").first).to_contain_text(
         "23.4 ± 1.7 µrad"
+    )
+
+
+@pytest.mark.parametrize(
+    ("language", "title", "said"),
+    [
+        ("en", "These numbers do not count", "do not fit what came before"),
+        ("de", "Diese Zahlen gelten nicht", "passen nicht zu dem, was vorher war"),
+    ],
+)
+def test_numbers_that_do_not_count_say_so(panel, service, language, title, said):
+    job = measuring(service)
+    page = tables(panel, language=language)
+    values = {"lines": "9, 10", "distance_um": 48.0}
+    verdict = Verdict((Reason("lines-off", "not-usable", values),))
+    service.estimate(job, {**estimate(8), "verdict": verdict_json(verdict)})
+    notice = page.locator(".notice.is-fault")
+    expect(notice).to_contain_text(title)
+    expect(notice).to_contain_text(said)
+    expect(page.locator(".estimate-content")).to_have_class(re.compile("stale"))
+    service.estimate(job, 11)
+    expect(notice).to_have_count(0)
+
+
+def test_what_is_left_out_on_the_way_is_said_quietly(panel, service):
+    job = measuring(service)
+    page = tables(panel)
+    values = {"samples": 3, "distance_um": 48.0}
+    verdict = Verdict((Reason("spikes-left-out", "usable", values),))
+    service.estimate(job, {**estimate(8), "verdict": verdict_json(verdict)})
+    expect(page.get_by_role("status").filter(has_text="left out")).to_have_text(
+        "3 lone samples are left out: they lie up to 48.0 µm aside."
     )
 
 
@@ -225,10 +260,11 @@ def measuring(service, **more) -> str:
     return job["id"]
 
 
-def tables(panel) -> Page:
+def tables(panel, language="en") -> Page:
     """Open the page and turn to the tables."""
-    page = panel.open()
-    page.get_by_role("button", name="Error tables").click()
+    page = panel.open(language=language)
+    name = catalogue(language)["run.tables"]
+    page.get_by_role("button", name=name).click()
     return page
 
 

@@ -7,6 +7,7 @@ import { t } from "../texts.js";
 import { quantity } from "../units.js";
 import { extraCard, extraLead } from "./extra-card.js";
 import { effectCard, structureCard } from "./finding-card.js";
+import { verdictBand } from "./verdict-band.js";
 import { whereCard } from "./where-card.js";
 
 /** Button that leads on. */
@@ -57,16 +58,17 @@ function prospect(job) {
   return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
 }
 
-function found(job, { effects, unnamed, gap, ask, explained_by: explained }) {
+function found(job, { verdict, effects, unnamed, gap, ask, explained_by: explained }) {
   const cards = [...effects.map(effectCard), ...unnamed.map(structureCard)];
   const findings = cards.length ? cards : [notice(null, t("discover.none"), t("discover.none_text"))];
-  return [downloads(job), ...findings, extraCard(ask), gapCard(gap), whereCard(explained)].filter(Boolean);
+  return [verdictBand(verdict), downloads(job), ...findings, extraCard(ask), gapCard(gap), whereCard(explained)].filter(Boolean);
 }
 
-function downloads({ id }) {
+function downloads({ id, verdict }) {
+  const file = verdict === "not-usable" ? "not-to-be-used-model.json" : "model.json";
   return h("div", { class: "downloads", role: "group", "aria-label": t("result.downloads") },
     linkButton(links.discoveryReport(id), "report", t("discover.report"), { target: "_blank", rel: "noopener" }),
-    linkButton(links.model(id), "download", t("discover.model"), { download: "model.json" }));
+    linkButton(links.model(id), "download", t("discover.model"), { download: file }));
 }
 
 function gapCard(gap) {

@@ -44,7 +44,7 @@ export function estimateCard() {
     write(waiting, isMoving(job) ? t("estimate.waiting") : t("estimate.none"));
     stamp.hidden = !estimateStale;
     write(stamp, estimateStale ? t("estimate.stale", { since: clock(estimateStale) }) : "");
-    content.classList.toggle("is-stale-data", Boolean(estimateStale));
+    content.classList.toggle("is-stale-data", Boolean(estimateStale) || estimate?.verdict?.state === "not-usable");
     write(age, estimate ? ageText(estimate, job) : "");
     if (!estimate || estimate === drawn) return;
     drawn = estimate;

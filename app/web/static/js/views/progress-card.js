@@ -5,6 +5,7 @@ import { card } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, known, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { liveVerdict } from "./verdict-band.js";
 
 /** Stages, share, time left, and how well the machine is known by now. */
 export function progressCard(stages) {
@@ -19,8 +20,10 @@ export function progressCard(stages) {
     "aria-label": t("run.progress") }, bar);
   const count = h("span", { class: "quiet number" });
   const uncertainty = h("span", { class: "number", id: "uncertainty" });
+  const said = h("div", { role: "status" });
+  let told = "";
   const element = card(null, list,
-    h("div", { class: "big-progress" }, percent, left), meter, h("p", { class: "beside" }, count, uncertainty));
+    h("div", { class: "big-progress" }, percent, left), meter, h("p", { class: "beside" }, count, uncertainty), said);
   element.style.display = "grid";
   return { element, update };
 
@@ -41,6 +44,15 @@ export function progressCard(stages) {
       ? t("run.count", { done: number(now.done), total: number(now.total),
         unit: known(`unit.${now.unit}`, now.unit ?? "") }) : "");
     write(uncertainty, isActive(job) ? uncertaintyText(job, estimate) : "");
+    showVerdict(isActive(job) ? estimate?.verdict : null);
+  }
+
+  /** Drawn anew only where it has changed: it is read aloud. */
+  function showVerdict(verdict) {
+    const now = JSON.stringify(verdict ?? null);
+    if (now === told) return;
+    told = now;
+    said.replaceChildren(...[liveVerdict(verdict)].filter(Boolean));
   }
 
   function markStages(job, stage) {

@@ -61,12 +61,13 @@ function heading(job, result) {
 
 function downloads({ id, run_id }, state) {
   // What is taken away says in its name what its columns say: nobody reads it by mistake.
-  const csv = state === "not-usable" ? [links.acceptedCsv(id), `not-to-be-used-${id}.csv`]
-    : [links.csv(id), `error_tables-${id}.csv`];
+  const refused = state === "not-usable";
+  const name = refused ? ["not-to-be-used", "not-to-be-used"] : ["error_tables", "result"];
+  const csv = [refused ? links.acceptedCsv(id) : links.csv(id), `${name[0]}-${id}.csv`];
   return h("div", { class: "downloads", "aria-label": t("result.downloads"), role: "group" },
     linkButton(links.report(id), "report", t("result.report"), { target: "_blank", rel: "noopener" }),
     linkButton(csv[0], "download", "CSV", { download: csv[1] }),
-    linkButton(links.json(id), "download", "JSON", { download: `result-${id}.json` }),
+    linkButton(links.json(id), "download", "JSON", { download: `${name[1]}-${id}.json` }),
     run_id && linkButton(links.bundle(run_id), "download", t("result.bundle"), { download: `${run_id}.zip` }));
 }
 

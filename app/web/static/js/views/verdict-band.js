@@ -39,8 +39,12 @@ export function verdictBand(verdict) {
     return { rank: STATES.indexOf(detail.state), text, remedy };
   });
   lines.sort((a, b) => b.rank - a.rank);
-  const list = h("ul", {}, lines.map(({ rank, text, remedy }) =>
-    h("li", { class: rank > 0 ? "is-grave" : null }, text, remedy && h("span", {}, ` ${remedy}`))));
+  const told = new Set();  // what to do is said once
+  const list = h("ul", {}, lines.map(({ rank, text, remedy }) => {
+    const more = remedy && !told.has(remedy) && h("span", {}, ` ${remedy}`);
+    told.add(remedy);
+    return h("li", { class: rank > 0 ? "is-grave" : null }, text, more);
+  }));
   return h("section", { class: "verdict-band", "data-verdict": state, role: state === "usable" ? "note" : "alert" },
     icon(state === "usable" ? "info" : "warning"),
     h("div", {}, h("h2", {}, t(`verdict.${state}`)), h("p", {}, t(`verdict.${state}_means`)), list));
@@ -50,6 +54,18 @@ export function verdictBand(verdict) {
 export function verdictMark({ verdict }) {
   if (!verdict || verdict === "usable") return null;
   return h("span", { class: "verdict-mark", "data-verdict": verdict }, icon("warning"), t(`verdict.${verdict}`));
+}
+
+/** What a measurement under way says of itself: loud where its numbers do not count; null where it says nothing. */
+export function liveVerdict(verdict) {
+  const { state = "usable", reasons = [], details = [] } = verdict ?? {};
+  const isLoud = state !== "usable";
+  const texts = details.map((detail, i) => ({ grave: detail.state !== "usable", text: sentence(detail, reasons[i])[0] }))
+    .filter(({ grave }) => grave === isLoud).map(({ text }) => text);
+  if (isLoud) return notice(state === "doubtful" ? "held" : "fault", t(`verdict.live_${state}`), texts.join(" "));
+  if (!texts.length) return null;
+  const more = texts.length > 1 ? ` ${t("verdict.live_more", { count: number(texts.length - 1) })}` : "";
+  return h("p", { class: "quiet" }, texts.at(-1) + more);
 }
 
 /** The same as a notice on the run that has ended. */
