@@ -29,7 +29,7 @@ from app.planning.planner import (
     plan_in_turn,
     wait_for_tracker,
 )
-from app.planning.target_shares import expect_legs
+from app.planning.target_shares import ExpectedLegs
 from drivers.interfaces.records import Path
 
 DEFAULT_LINES = 22  # a minute and a half on a small mill
@@ -82,8 +82,8 @@ def default_path(
 
 
 def _share_legs(planner: Planner, legs: int, seed: int) -> PlanShare:
-    precision, _ = expect_legs(planner, seed)
-    return PlanShare(planner, legs=legs, expected=legs * precision)
+    expected = ExpectedLegs.draw(planner, seed).inform(legs)
+    return PlanShare(planner, legs=legs, expected=expected)
 
 
 def _make_planner(machine: Machine, target: Target, feed_mm_min: float) -> Planner:

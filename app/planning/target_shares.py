@@ -9,6 +9,7 @@ target whose share is not worth turning the tracker to is left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
@@ -17,9 +18,9 @@ from app.motion.motion_times import Legs
 from app.planning.design_state import inverse
 from app.planning.planner import Planner, PlanShare
 
-_LEGS = 60  # of each target, before those are left out that cannot be measured
+_LEGS = 40  # of each target, before those are left out that cannot be measured
 _LEAST_S = 10.0  # of a target: a few legs
-_ROUNDS = 30
+_ROUNDS = 20
 
 
 def share_among_targets(
@@ -31,8 +32,8 @@ def share_among_targets(
     """
     if len(planners) == 1:
         return [PlanShare(planners[0], budget_s)]
-    expected = [expect_legs(planner, seed) for planner in planners]
-    rates = [precision / leg_s for precision, leg_s in expected]
+    drawn = [ExpectedLegs.draw(planner, seed) for planner in planners]
+    rates = [legs.rate for legs in drawn]
     kept = list(range(len(planners)))
     while True:
         time_s = max(budget_s - change_s * (len(kept) - 1), 0.0)
@@ -42,25 +43,49 @@ def share_among_targets(
             break
         del kept[least]
     return [
-        PlanShare(planners[k], part * time_s, expected=part * time_s * rates[k])
+        PlanShare(
+            planners[k],
+            part * time_s,
+            expected=drawn[k].inform(part * time_s / drawn[k].leg_s),
+        )
         for k, part in zip(kept, share.tolist(), strict=True)
     ]
 
 
-def expect_legs(
-    planner: Planner, seed: int
-) -> tuple[Float64[np.ndarray, "p p"], float]:
-    """Return the precision that a leg anywhere brings, and how long it takes."""
-    rng, region, design = np.random.default_rng(seed), planner.region(), planner.design
-    begin, end = rng.uniform(region.low, region.high, (2, _LEGS, len(region.low)))
-    end = design.hold(end, begin)
-    legs = Legs(begin, end, np.full(_LEGS, planner.feeds_mm_min[0]))
-    ok = region.allows(legs)
-    if not ok.any():
-        return np.zeros_like(design.precision), 1.0
-    legs = Legs(begin[ok], end[ok], legs.feed_mm_min[ok])
-    time_s = float(design.drive.times_s(legs).mean())
-    return design.information(legs) / len(legs), time_s
+@dataclass(frozen=True, slots=True)
+class ExpectedLegs:
+    """Some legs anywhere of one target.
+
+    rows : of each leg, as the design has them; leg_s : how long one takes
+    """
+
+    rows: Float64[np.ndarray, "n r p"]
+    leg_s: float
+
+    @classmethod
+    def draw(cls, planner: Planner, seed: int) -> ExpectedLegs:
+        """Return legs drawn at random, less those that cannot be measured."""
+        rng, region = np.random.default_rng(seed), planner.region()
+        design, feed = planner.design, np.full(_LEGS, planner.feeds_mm_min[0])
+        begin, end = rng.uniform(region.low, region.high, (2, _LEGS, len(region.low)))
+        legs = Legs(begin, design.hold(end, begin), feed)
+        ok = region.allows(legs)
+        if not ok.any():
+            return cls(np.zeros((1, 1, len(design.precision))), 1.0)
+        legs = Legs(legs.begin[ok], legs.end[ok], feed[ok])
+        return cls(design.rows(legs), float(design.drive.times_s(legs).mean()))
+
+    @property
+    def rate(self) -> Float64[np.ndarray, "p p"]:
+        """Precision that a second brings."""
+        count = len(self.rows)
+        return self.inform(count) / (count * self.leg_s)
+
+    def inform(self, count: float) -> Float64[np.ndarray, "p p"]:
+        """Return the precision of so many of them; few leave much unseen."""
+        some = max(1, min(round(count), len(self.rows)))
+        flat = self.rows[:some].reshape(-1, self.rows.shape[2])
+        return count / some * (flat.T @ flat)
 
 
 def _share(

@@ -59,8 +59,7 @@ def tables_json(
     model = "constant" if halves and direction == "none" else direction
     return {
         "error_tables": {
-            t.symbol: _columns_json(t, t.position_unit)
-            | {"extrapolated": t.extrapolated.tolist()}
+            t.symbol: _columns_json(t) | {"extrapolated": t.extrapolated.tolist()}
             for t in tables.tables
         },
         "squareness_urad": {
@@ -70,7 +69,7 @@ def tables_json(
         **_locations_json(tables),
         "direction": {
             "model": model,
-            "half_difference": {h.symbol: _columns_json(h, "mm") for h in halves},
+            "half_difference": {h.symbol: _columns_json(h) for h in halves},
         },
         "measured_range": {
             axis.name: dict(
@@ -96,9 +95,9 @@ def observability_json(found: Observability) -> dict[str, Any]:
     }
 
 
-def _columns_json(table: ErrorTable, position: str) -> dict[str, Any]:
+def _columns_json(table: ErrorTable) -> dict[str, Any]:
     return {
-        f"position_{position}": table.position_mm.tolist(),
+        f"position_{table.position_unit}": table.position_mm.tolist(),
         f"value_{table.unit}": table.value.tolist(),
         f"uncertainty_{table.unit}": table.uncertainty.tolist(),
     }

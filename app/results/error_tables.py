@@ -157,7 +157,8 @@ def compute_half_differences(estimated: EstimatedModel) -> tuple[ErrorTable, ...
             if half.symbol == symbol:
                 rows[:, model.slices[name]] = half.rows(at_mm)
         stated = evaluate(symbol, rows, estimated.theta, estimated.covariance)
-        tables.append(ErrorTable(symbol, find_unit(symbol), at_mm, *stated))
+        unit = position_unit(axis)
+        tables.append(ErrorTable(symbol, find_unit(symbol), at_mm, *stated, unit))
     return tuple(tables)
 
 

@@ -14,6 +14,7 @@ from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.hidden.turning import GearCyclic, TurningBacklash
 from simulators.scenario import load_machine
 from simulators.timeline import Program
 
@@ -41,6 +42,10 @@ def found_in(name: str, hidden: tuple[HiddenEffect, ...]) -> Discovery:
         pytest.param("trunnion", None, marks=pytest.mark.long),
         pytest.param("head-table", None, marks=pytest.mark.long),
         pytest.param("head-table", ServoMismatch("Y", 0.3), marks=pytest.mark.long),
+        pytest.param("trunnion", TurningBacklash("C", 60.0), marks=pytest.mark.long),
+        pytest.param(
+            "head-table", GearCyclic("C", 5.0, 25.0, 1.0), marks=pytest.mark.long
+        ),
     ],
 )
 def test_what_is_hidden_in_a_machine_with_rotary_axes_is_named_alone(name, hidden):
