@@ -29,7 +29,7 @@ from simulators.profile import Limits
 from simulators.timeline import Program
 from simulators.tracker_head import random_pose
 
-MACHINES, FAST_MACHINES = 4, 4
+MACHINES, FAST_MACHINES = 2, 2
 FEEDS_MM_MIN = (6000.0, 10_000.0, 16_000.0)
 LIMITS = Limits(1500.0, 3e4)
 _FASTEST_MM_MIN, _FAST = 40_000.0, Limits(3000.0, 1e5)
@@ -142,7 +142,7 @@ def main() -> None:
         seeds = range(options.first, options.first + MACHINES)
         write_section("fast-feeds", tabulate_feeds([compare_feeds(s) for s in seeds]))
     if options.only != "feeds":
-        seeds = range(options.first, options.first + FAST_MACHINES)
+        seeds = range(options.first + 100, options.first + 100 + FAST_MACHINES)
         write_section("fast-ramps", tabulate_ramps([compare_ramps(s) for s in seeds]))
 
 
