@@ -18,7 +18,6 @@ from app.alignment.cell_blocks import (
 from app.alignment.cleaning import find_valid_samples, require_units
 from app.alignment.left_out import LeftOut, describe_unusable
 from app.alignment.nominal_path import (
-    MIN_MOTION_MM,
     NominalPath,
     compute_nominal_path,
 )
@@ -33,6 +32,7 @@ from app.files.run import Run
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _FEWEST_ASTRAY = 3  # standstills that a machine may make by itself
+_SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
@@ -145,10 +145,10 @@ def _list_astray(
 def _list_lines_without_pass(
     nominal: NominalPath, passes: tuple[Pass, ...]
 ) -> list[LeftOut]:
-    """Return the lines on which nothing was measured although axes move."""
+    """Return the lines on which nothing was measured although axes move for a while."""
     seen = {each.row for each in passes}
-    moves = (nominal.length_mm >= MIN_MOTION_MM) | (nominal.turn_deg > _TURN_DEG)
-    rows = np.flatnonzero(moves)
+    takes = nominal.length_mm >= _SHORTEST_LINE_S * nominal.speed_mm_s
+    rows = np.flatnonzero(takes | (nominal.turn_deg > _TURN_DEG))
     missing = [int(row) for row in rows if row and int(row) not in seen]
     return [LeftOut("no-pass", row, np.nan, np.nan, 0, 0.0) for row in missing]
 

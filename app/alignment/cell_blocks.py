@@ -104,6 +104,9 @@ def _reduce_ramp(
     count = count_cells(span, fastest, cell_mm=cell_mm)
     cells = reduce_to_cells(time, tracker_mm, way, run.machine.tracker.sigma_mm, count)
     cells = replace(cells, scatter_square=np.zeros(2), freedom=np.zeros(2))
+    left_out += _describe_outliers(cells, time, each.row)
+    tracker, expected = run.machine.tracker, way(cells.time_s)
+    cells, off = leave_out_cells(cells, expected, tracker, each.row)
     place = np.interp(cells.time_s, time, share)
     rate, change = _follow(time, share, cells.time_s, span / count)
     rows = run.commanded.position[each.row - 1 : each.row + 1]
@@ -114,7 +117,7 @@ def _reduce_ramp(
         curve.chord_mm * rate[:, None],
         rows[0] + place[:, None] * (rows[1] - rows[0]),
         np.zeros(len(place)),
-        left_out=tuple(left_out),
+        left_out=(*left_out, *off),
         acceleration=change[:, None] * (rows[1] - rows[0]),
     )
 

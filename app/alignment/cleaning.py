@@ -13,10 +13,13 @@ from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
 
 _SPIKE_MM = 0.03  # well above the noise of any tracker within its range
+_FASTEST_MM_S2 = 5000.0  # acceleration of a machine: no spike, however rare samples are
 _AROUND_S, _FEWEST = 0.042, 5  # of samples: hardly changes the speed of a machine
 _BESIDE = 0.1  # of the largest step nearby
 _CLOSED = 0.3  # of the jumps: what may be left of a way that goes on
-_REPEATED = 5  # times in a row the same value: not measured
+_REPEATED = 5  # times in a row the same value, or next to one time: not measured
+STALLED = 0.1  # of the usual time from sample to sample
+_MOSTLY = 0.2  # of the samples: so the stamps are, nothing stalls
 _NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 GoesOn = Callable[
@@ -28,11 +31,14 @@ GoesOn = Callable[
 def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
     """Tell which samples are measurements: status 0, finite, on a way that goes on.
 
-    Not a lone spike, nor a burst that jumps aside and back, nor what is repeated.
+    Not a lone spike, nor a burst that jumps aside and back, nor what is repeated, nor
+    what is stamped in a heap.
     """
     valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
     kept = np.flatnonzero(valid)
     valid[kept[_frozen(samples.position_mm[kept])]] = False
+    kept = np.flatnonzero(valid)
+    valid[kept[_stalled(samples.device_time_s[kept])]] = False
     for _ in range(_ROUNDS):
         kept = np.flatnonzero(valid)
         spikes = _spikes(samples.device_time_s[kept], samples.position_mm[kept])
@@ -56,11 +62,31 @@ def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     step = np.diff(position_mm, axis=0)
     if np.median(np.linalg.norm(np.diff(step, axis=0), axis=1)) < _NOISELESS_MM:
         return frozen
-    step = np.abs(step).max(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], step == 0.0, [0]])))
+    return _find_repeats(np.abs(step).max(axis=1) == 0.0)
+
+
+def _stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Tell which samples follow one another at next to one time, unlike the others.
+
+    They were stamped late, when they arrived, and tell no place at that time.
+    """
+    if len(time_s) < 4 * _REPEATED:
+        return np.zeros(len(time_s), bool)
+    step = np.diff(time_s)
+    short = step < STALLED * float(np.median(step))
+    return _find_repeats(short & bool(short.mean() < _MOSTLY))
+
+
+def _find_repeats(same: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+    """Tell which samples are the same as their neighbours, several in a row.
+
+    same : whether each but the first is as the one before
+    """
+    repeats = np.zeros(len(same) + 1, bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same, [0]])))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
-        frozen[first : last + 1] = last - first >= _REPEATED
-    return frozen
+        repeats[first : last + 1] = last - first >= _REPEATED
+    return repeats
 
 
 def _aside(
@@ -81,7 +107,7 @@ def _aside(
     speed = np.diff(position_mm, axis=0) / step_s[:, None]
     usual = _usual(speed, around)
     off = np.linalg.norm(speed - usual, axis=1) * step_s
-    limit = max(_SPIKE_MM, 10.0 * float(np.median(off)))
+    limit = _limit_mm(off, time_s)
     # The usual speed is off as well beside a jump, by far less.
     nearby = maximum_filter1d(off, 2 * around + 1)
     jumps = np.flatnonzero((off > limit) & (off > _BESIDE * nearby))
@@ -133,6 +159,14 @@ def _list_aside(
             heappush(queue, (after[a] - first[a], first[a], a))
 
 
+def _limit_mm(
+    off_mm: Float64[np.ndarray, " m"], time_s: Float64[np.ndarray, " n"]
+) -> float:
+    """Return how far a sample may lie off the motion of its neighbours."""
+    bent = 0.5 * _FASTEST_MM_S2 * float(np.median(np.diff(time_s))) ** 2
+    return max(_SPIKE_MM, 10.0 * float(np.median(off_mm)), bent)
+
+
 def _usual(
     speed: Float64[np.ndarray, "m 3"], around: int
 ) -> Float64[np.ndarray, "m 3"]:
@@ -167,7 +201,7 @@ def _spikes(
     share = (time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2])
     between = position_mm[:-2] + share[:, None] * (position_mm[2:] - position_mm[:-2])
     off = np.linalg.norm(position_mm[1:-1] - between, axis=1)
-    limit = max(_SPIKE_MM, 10.0 * float(np.median(off)))
+    limit = _limit_mm(off, time_s)
     around = np.pad(off, 1)
     spikes[1:-1] = (off > limit) & (off >= around[:-2]) & (off >= around[2:])
     return spikes

@@ -13,12 +13,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from app.alignment.cleaning import STALLED
 from drivers.interfaces.records import TrackerSamples
 
 Cause = Literal[
     "spikes",
     "burst",
     "frozen",
+    "stalled",
     "off-line",
     "outliers",
     "cells",
@@ -71,6 +73,7 @@ def describe_unusable(
     a = kept[np.clip(after - 1, 0, len(kept) - 2)]
     b = kept[np.clip(after, 1, len(kept) - 1)]
     share = (time_s[lost] - time_s[a]) / np.maximum(time_s[b] - time_s[a], 1e-9)
+    stalled_s = STALLED * float(np.median(np.diff(time_s)))
     between = position_mm[a] + share[:, None] * (position_mm[b] - position_mm[a])
     off = np.linalg.norm(position_mm[lost] - between, axis=1)
     found: list[LeftOut] = []
@@ -81,6 +84,8 @@ def describe_unusable(
         same = np.diff(position_mm[stretch], axis=0).any(axis=1) == 0
         frozen = len(stretch) > 1 and bool(same.mean() > _MOSTLY)
         cause: Cause = "frozen" if frozen else "burst"
+        if len(stretch) > 1 and np.diff(time_s[stretch]).mean() < stalled_s:
+            cause = "stalled"
         if len(stretch) <= _LONGEST_SPIKE:
             cause = "spikes"
         found.append(_describe(cause, -1, time_s[stretch], mine))

@@ -159,7 +159,7 @@ class NominalPath:
 
     begin_mm, end_mm : (w, 3) ends of the line towards each row, of that row's target
     length_mm, turn_deg : (w,); bends : curves of the rows that are not straight
-    slowest_mm_s : mean speed of the slowest line
+    speed_mm_s : (w,) mean speed to each row; infinite where the target hardly moves
     first, last : (p,) rows at each place, in order: on rows between them the target
         hardly moves, so that one standstill is seen
     """
@@ -169,9 +169,14 @@ class NominalPath:
     length_mm: Float64[np.ndarray, " w"]
     turn_deg: Float64[np.ndarray, " w"]
     bends: dict[int, Curve]
-    slowest_mm_s: float
+    speed_mm_s: Float64[np.ndarray, " w"]
     first: Int64[np.ndarray, " p"]
     last: Int64[np.ndarray, " p"]
+
+    @property
+    def slowest_mm_s(self) -> float:
+        """Mean speed of the slowest line."""
+        return float(self.speed_mm_s.min())
 
     @property
     def place_mm(self) -> Float64[np.ndarray, "p 3"]:
@@ -218,8 +223,8 @@ def compute_nominal_path(
     end_mm = _compute_target_mm(machine, commanded, np.arange(n), commanded.position)
     if isinstance(commanded, Configurations):
         rows, none = np.arange(n), np.zeros(n)
-        slowest = _SLOWEST_TRAVERSE_MM_S
-        return NominalPath(end_mm, end_mm, none, none, {}, slowest, rows, rows)
+        speed = none + _SLOWEST_TRAVERSE_MM_S
+        return NominalPath(end_mm, end_mm, none, none, {}, speed, rows, rows)
     before = np.concatenate([commanded.position[:1], commanded.position[:-1]])
     begin_mm = _compute_target_mm(machine, commanded, np.arange(n), before)
     length_mm = np.linalg.norm(end_mm - begin_mm, axis=1)
@@ -235,9 +240,7 @@ def compute_nominal_path(
         moved[1:] |= np.array(commanded.target[1:]) != np.array(commanded.target[:-1])
     first = np.flatnonzero(moved) if first is None else first
     last = np.append(first[1:], n) - 1
-    return NominalPath(
-        begin_mm, end_mm, length_mm, turn_deg, bends, float(speed.min()), first, last
-    )
+    return NominalPath(begin_mm, end_mm, length_mm, turn_deg, bends, speed, first, last)
 
 
 def _compute_target_mm(

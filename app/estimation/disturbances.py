@@ -22,7 +22,13 @@ from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.batch import Estimate, RunEstimate, estimate
 from app.estimation.known_effects import KnownEffects
-from app.estimation.misfit import Misfit, Step, assess_misfit
+from app.estimation.misfit import (
+    OF_LINE,
+    Misfit,
+    assess_misfit,
+    compute_step_limit,
+)
+from app.estimation.setup_steps import Step
 from app.kinematics.coarse_model import RunModels
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
@@ -30,12 +36,12 @@ from app.progress import ShareProgress, ignore_progress
 _ROUNDS = 8
 _RISK = 0.003  # of a clean measurement, for each kind of test
 _MARGIN = 1.5  # noise has longer tails than χ²
-_STEP_MARGIN = 1.7
 _LEAST_MM = 0.002  # of a knock; less is the air's
 _OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
-_OF_LINE = 0.3  # of the worst line's gain, for a step to come first
+_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more beside them
 MOST = 0.2  # of the cells of a Run; more are no disturbance
 _FEWEST_CELLS = 4  # of a line that was cut
+_LEAST_SPREAD_MM = 10.0  # root mean square, of points that tell a pose
 _OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
 
 
@@ -109,9 +115,8 @@ def estimate_checked(
         )
 
     found = solve(parts, 0.0, 0.8)
-    misfits: tuple[Misfit, ...] = ()
+    misfits = _assess(found)
     for turn in range(_ROUNDS):
-        misfits = _assess(found)
         fewer = remove_plainest(parts, _list_fitted(found), misfits)
         if fewer is None:
             break
@@ -120,6 +125,7 @@ def estimate_checked(
         except Unidentifiable:
             break  # too little is left: the verdict says what contradicts
         parts = fewer
+        misfits = _assess(found)
     on_progress(1.0)
     return CheckedEstimate(
         found,
@@ -156,15 +162,15 @@ def remove_plainest(
     for part, joined, misfit in zip(parts, fitted, misfits, strict=True):
         edges = part.seen.find_edges(joined)
         bad = _find_bad_cells(misfit)
-        step = misfit.step
-        worst = float(misfit.line.max(initial=0.0))
-        if step and step.alone > _OF_LINE * worst and _is_knock(misfit, step):
-            fewer += split(part, step.cell, edges)
+        knocks = _find_knocks(misfit)
+        gain = max((step.alone for step in knocks), default=0.0)
+        if knocks and gain > OF_LINE * float(misfit.line.max(initial=0.0)):
+            fewer += _split_at_all(part, knocks, edges, misfit)
         elif bad.any():
             seen = leave_out(part.seen, bad, misfit.off_mm, edges)
             fewer.append(RunPart(part.given, seen))
-        elif step and _is_knock(misfit, step):
-            fewer += split(part, step.cell, edges)
+        elif knocks:
+            fewer += _split_at_all(part, knocks, edges, misfit)
         else:
             fewer.append(part)
     same = len(fewer) == len(parts) and all(
@@ -173,16 +179,25 @@ def remove_plainest(
     return None if same else fewer
 
 
-def _is_knock(misfit: Misfit, step: Step) -> bool:
-    """Tell whether a step is there that neither noise nor drift explains."""
-    limit = float(chdtri(6, _RISK / max(len(misfit.line), 1))) * _STEP_MARGIN
-    if step.gain < limit * misfit.rest or step.alone < 0.5 * step.gain:
-        return False
-    if step.moved_mm < _LEAST_MM:
-        return False
+def _find_knocks(misfit: Misfit) -> list[Step]:
+    """Return the steps that neither noise nor drift explains.
+
+    All together explain much of what noise does not; else an effect that the model
+    lacks may look like steps.
+    """
+    limit = compute_step_limit(len(misfit.line)) * misfit.rest
+    found = [
+        step for step in misfit.steps if step.gain > limit and step.moved_mm > _LEAST_MM
+    ]
     excess = misfit.square - misfit.freedom
-    of_all = step.alone > _OF_EXCESS * excess
-    return of_all or step.gain > 2.0 * _OF_EXCESS * (excess - misfit.drift)
+    alone = max((step.alone for step in found), default=0.0)
+    beside = sum(step.gain for step in found)
+    if misfit.drift_left < _NO_DRIFT * beside:
+        return found
+    if alone < 0.5 * max((step.gain for step in found), default=0.0):
+        return []
+    is_most = beside > 2.0 * _OF_EXCESS * (excess - misfit.drift)
+    return found if alone > _OF_EXCESS * excess or is_most else []
 
 
 def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
@@ -292,6 +307,64 @@ def split(part: RunPart, cell: int, edges: Int64[np.ndarray, " e"]) -> list[RunP
     return found
 
 
+def _split_at_all(
+    part: RunPart, knocks: list[Step], edges: Int64[np.ndarray, " e"], misfit: Misfit
+) -> list[RunPart]:
+    """Return what is before, between and after knocks, as Runs of their own."""
+    found = [part]
+    off_mm = np.repeat(misfit.off_mm, np.diff(edges))
+    for step in reversed(knocks):  # the cells before it keep their numbers
+        if edges[step.cell + 1] <= len(found[0].seen):
+            halves = split(found[0], step.cell, edges)
+            found[:1] = _join_scraps(halves, part.seen.at.time_s, off_mm)
+    return found
+
+
+def _join_scraps(
+    halves: list[RunPart],
+    time_s: Float64[np.ndarray, " n"],
+    off_mm: Float64[np.ndarray, " n"],
+) -> list[RunPart]:
+    """Return the halves of which a pose can be told; what is of the others is said.
+
+    time_s, off_mm : of the cells of both, how far they lie aside
+    """
+    kept = [part for part in halves if _tells_pose(part.seen)]
+    halves = [part for part in halves if len(part.seen)]
+    if len(kept) != 1:
+        return halves
+    scraps = [part.seen for part in halves if part is not kept[0]]
+    if not scraps:
+        return kept
+    (scrap,) = scraps
+    off_mm = off_mm[np.searchsorted(time_s, scrap.at.time_s)]
+    said = [
+        describe_cells(
+            np.ones(last - first, bool),
+            scrap.at.time_s[first:last],
+            scrap.count[first:last],
+            off_mm[first:last],
+            int(scrap.row[first]),
+        )[0]
+        for first, last in scrap.lines
+    ]
+    seen = kept[0].seen
+    left_out = sorted([*seen.left_out, *scrap.left_out, *said], key=_order)
+    offered = seen.offered + scrap.offered
+    return [
+        RunPart(kept[0].given, replace(seen, offered=offered, left_out=tuple(left_out)))
+    ]
+
+
+def _tells_pose(seen: Observations) -> bool:
+    """Tell whether points lie on no straight line."""
+    if len(seen) < _FEWEST_CELLS:
+        return False
+    away = seen.at.point_mm - seen.at.point_mm.mean(axis=0)
+    spread = np.linalg.svd(away, compute_uv=False) / np.sqrt(len(seen))
+    return bool(spread[1] > _LEAST_SPREAD_MM)
+
+
 def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
     """Return the steps between parts of one Run, as large as the solve finds them."""
     knocks: list[Knock] = []
@@ -301,7 +374,10 @@ def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
             continue
         poses = found.runs[k - 1].pose, found.runs[k].pose
         middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
-        knocks.append(measure_knock((before, after), poses, middle))
+        knock = measure_knock((before, after), poses, middle)
+        reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
+        if knock.moved_mm + knock.turned_rad * reach > _LEAST_MM:
+            knocks.append(knock)  # else what was between is left out, and all as before
     return knocks
 
 

@@ -7,46 +7,48 @@ what might be added, the gain is gᵀF⁻¹g with g = BᵀWr and F = BᵀWB − 
 
 A step of the tracker's or the reflector's place has the columns of the pose for all
 that comes after it. Sums over lines, accumulated from the end, give B for all moments
-at once. A step counts only as far as slow drift of pose and size does not explain it as
-well, and as far as it stands out from what no step explains: a machine that warms, or
-an effect that the model lacks, is no knock.
+at once. Steps count only as far as slow drift of pose and size does not explain them as
+well, and as far as they stand out from what they do not explain: a machine that warms,
+or an effect that the model lacks, is no knock.
 
 The noise is at most what is usual here: it must not explain what it should show.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.special import chdtri
 
 from app.estimation.design_matrix import DesignMatrix, Linearisation
 from app.estimation.direction import Fit
 from app.estimation.information import Information, add_information
 from app.estimation.noise import NoiseModel, total_precision
-from app.estimation.runs import RunInformation
+from app.estimation.setup_steps import (
+    UNSEEN,
+    Drift,
+    Prospects,
+    Shared,
+    Step,
+    StepSearch,
+    StepSums,
+    compute_score,
+    find_steps,
+)
 from app.numerics.correlated_noise import Whitener
 from app.numerics.scaled_cholesky import ScaledCholesky
 
 _MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
 _DRIFTS = 36  # pose and strain, each with three polynomials of time
-_AT_ONCE = 64  # steps within a line
-_UNSEEN = 0.02  # of a column's information: the fit explains it all
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A step of the pose before one cell.
-
-    cell : the first after it; gain : of −2 log likelihood, beyond that of a drift
-    alone : gain where there is no drift; moved_mm : by how far, at the middle
-    """
-
-    cell: int
-    gain: float
-    alone: float
-    moved_mm: float
+_RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
+_MOST_STEPS = 5
+OF_LINE = 0.3  # of the worst line's gain, for a step to come first
+_CELLS = 500  # of a block
+_STRIDE = 12  # cells from one step that is tried to the next
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,8 @@ class Misfit:
     line : (l,) gain of a shift of each
     square : of all residuals, whitened; freedom : what noise alone would make of it
     drift : gain of a drift of pose and size; drift_mm : root mean square of it
-    step : the best, None where none can be told
+    steps : in the order of time; at least the best, where one can be told
+    explained : gain of steps and drift; drift_left : of a drift beside the steps
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -70,22 +73,91 @@ class Misfit:
     freedom: float
     drift: float
     drift_mm: float
-    step: Step | None
+    steps: tuple[Step, ...]
+    explained: float
+    drift_left: float
 
     @property
     def rest(self) -> float:
-        """What neither step nor drift explains, of what noise alone would leave."""
-        explained = self.drift + (self.step.gain if self.step else 0.0)
-        return max(1.0, (self.square - explained) / self.freedom)
+        """What neither steps nor drift explain, of what noise alone would leave."""
+        return max(1.0, (self.square - self.explained) / self.freedom)
+
+    @property
+    def ratio(self) -> float:
+        """Root mean square of the residuals, of what noise alone would leave."""
+        return float(np.sqrt(self.square / self.freedom))
 
 
 def assess_misfit(fit: Fit, number: int) -> Misfit:
     """Return what the fit leaves of one of its Runs."""
-    return _Examination(fit, number).assess()
+    examination = _Examination(fit, number)
+    found = examination.assess()
+    limit = 0.7 * compute_step_limit(len(found.line))
+    limit = max(limit, OF_LINE * float(found.line.max(initial=0.0)))
+    if any(step.alone > limit for step in found.steps):
+        # Of large steps each digit counts.
+        examination.settle()
+        found = examination.assess()
+    return found
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Some whole lines of a Run, with the columns of fit, residual and drift.
+
+    pose : where the columns of the pose are
+    """
+
+    cells: slice
+    design: DesignMatrix
+    whitener: Whitener
+    columns: Float64[np.ndarray, "n 3 q"]
+    pose: slice
+
+    @property
+    def rest(self) -> Float64[np.ndarray, "n 3"]:
+        """What the fit leaves, phase and speed of the lines still in it."""
+        return self.columns[:, :, self.pose.stop]
+
+    @property
+    def drift(self) -> Float64[np.ndarray, "n 3 s"]:
+        """Columns of the drift."""
+        return self.columns[:, :, self.pose.stop + 1 :]
+
+    def multiply(
+        self, columns: Float64[np.ndarray, "n 3 k"]
+    ) -> Float64[np.ndarray, "q k"]:
+        """Return the products of all columns with others."""
+        weighted = weigh(self.design, self.whitener, columns)
+        flat = self.columns.reshape(-1, self.columns.shape[2])
+        return flat.T @ weighted.reshape(len(flat), -1)
+
+    def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
+        """Return the sums of steps of the pose before some cells of the Run."""
+        inside = np.arange(self.cells.start, self.cells.stop)
+        after = (inside[:, None] >= cell)[:, None, :, None]
+        steps = self.columns[:, :, None, self.pose] * after
+        flat = steps.reshape(len(inside), 3, -1)
+        weighted = weigh(self.design, self.whitener, flat)
+        rows = self.columns.reshape(-1, self.columns.shape[2])
+        sums = (rows.T @ weighted.reshape(len(rows), -1)).reshape(-1, len(cell), 6)
+        each, own = (
+            c.reshape(len(rows), len(cell), 6).transpose(1, 2, 0)
+            for c in (flat, weighted)
+        )
+        return StepSums(cell, sums.transpose(1, 0, 2), each @ np.swapaxes(own, 1, 2))
+
+    def share_step(self, cell: int) -> Float64[np.ndarray, "n 6 6"]:
+        """Return products of a step with steps before each of the block's cells."""
+        pose = self.columns[:, :, self.pose]
+        after = np.arange(self.cells.start, self.cells.stop) >= cell
+        weighted = weigh(self.design, self.whitener, pose * after[:, None, None])
+        each = np.swapaxes(weighted, 1, 2) @ pose
+        return np.cumsum(each[::-1], axis=0)[::-1]
 
 
 class _Examination:
-    """One Run about the solution under the usual noise, and its sums by line."""
+    """One Run about the solution under the usual noise."""
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
@@ -93,46 +165,77 @@ class _Examination:
         run = run if noise == run.noise else run.replace_noise(noise)
         self.seen, self.about = run.observations, run.linearisation
         self.machine = self.about.machine_model.size
-        factor, self.theta = _solve(fit, run, number)
-        self.solve = factor.solve
+        self.known, self.is_settled = _collect_known(fit, number), False
+        self._solve(run.data.matrix, run.data.vector)
         time_s = self.seen.at.time_s
         middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
         self.span_s = float(middle), max(float(half), 1e-9)
         self.centre = self.seen.at.point_mm.mean(axis=0)
+        self.starts = np.array(self.seen.lines, np.int64)[:, 0]
+
+    def _solve(
+        self, matrix: Float64[np.ndarray, "p p"], vector: Float64[np.ndarray, " p"]
+    ) -> None:
+        """Solve for machine and pose, what else is known of the machine given."""
+        own = slice(self.machine)
+        matrix, vector = matrix.copy(), vector.copy()
+        matrix[own, own] += self.known.matrix
+        vector[own] += self.known.vector
+        self.factor = ScaledCholesky.of(matrix)
+        self.theta = self.factor.solve(vector)
+
+    def settle(self) -> None:
+        """Solve again with noise that is correlated within blocks alone, as here."""
+        p = self.about.size
+        total = np.zeros((p, p + 1))
+        for cells in self._cut():
+            block = self._build(cells)
+            total += block.multiply(block.columns[:, :, : p + 1])[:p]
+        matrix = total[:, :p]
+        self._solve(matrix, total[:, p] + matrix @ self.theta)
+        self.is_settled = True
+        self.starts = np.concatenate(
+            [np.arange(*line, _STRIDE) for line in self.seen.lines]
+        )
 
     def assess(self) -> Misfit:
         """Return what the fit leaves."""
         begin, end = np.array(self.seen.lines, np.int64).T
-        p, drifts = self.about.size, _DRIFTS
-        # By line: columns of fit, residual and drift, times those of the pose.
-        pose = np.zeros((len(begin), p + 1 + drifts, 6))
-        smooth = np.zeros((p + 1 + drifts, drifts))
         squares: list[Float64[np.ndarray, " k"]] = []
         off: list[Float64[np.ndarray, " k"]] = []
-        drift_square = np.zeros((drifts, drifts))
         shifts: list[float] = []
+        sums: list[StepSums] = []
+        products: list[Float64[np.ndarray, "q s"]] = []
+        drift_square = np.zeros((_DRIFTS, _DRIFTS))
         square, freedom = 0.0, 3.0 * len(self.seen)
-        for design in self.about.split(self.seen):
-            whitener = design.whiten(self.about.noise)
-            rest = design.residual - design.columns @ self.theta
-            S = self._drift_columns(design)
-            all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
-            weighted = weigh(design, whitener, all_[:, :, self.machine : p])
-            for first, last in design.observations.lines:
-                part = all_[first:last].reshape(-1, all_.shape[2])
-                pose[len(shifts)] = part.T @ weighted[first:last].reshape(-1, 6)
-                shifts.append(self._shift(design, rest, slice(first, last)))
-            flat = all_.reshape(-1, all_.shape[2])
-            smooth += flat.T @ weigh(design, whitener, S).reshape(len(flat), -1)
-            drift_square += np.einsum("nip,niq->pq", S, S)
-            left = rest[:, :, None]
-            square += float(np.sum(left * weigh(design, whitener, left)))
+        for cells in self._cut():
+            block = self._build(cells)
+            design, rest, noise = block.design, block.rest, self.about.noise
+            inside = self.starts[self.starts >= cells.start]
+            sums.append(block.sum_steps(inside[inside < cells.stop]))
+            products.append(block.multiply(block.drift))
+            drift_square += np.einsum("nip,niq->pq", block.drift, block.drift)
+            weighted = weigh(design, block.whitener, rest[:, :, None])
+            square += float(np.sum(rest[:, :, None] * weighted))
             freedom -= design.timing.shape[2] + _count_untimed(design, self.about)
-            rest = rest - explain_timing(design, whitener, rest)
-            squares.append(_cell_squares(design, rest, self.about.noise))
+            shifts += [
+                self._shift(design, rest, slice(*line))
+                for line in design.observations.lines
+            ]
+            rest = rest - explain_timing(design, block.whitener, rest)
+            squares.append(_cell_squares(design, rest, noise))
             off.append(np.linalg.norm(rest, axis=1))
-        drift = _Gain(self, smooth, p)
+        drift = Drift(self.factor, np.sum(products, axis=0))
         size = drift.size @ drift_square @ drift.size / max(len(self.seen), 1)
+        limit = compute_step_limit(len(begin))
+        search = StepSearch(
+            *self._prepare_steps(sums, drift),
+            np.repeat(np.arange(len(begin)), end - begin),
+            self.seen.at.time_s,
+            lambda gain: limit * max(1.0, (square - gain) / freedom),
+            drift.gain,
+        )
+        found = find_steps(search, _MOST_STEPS if self.is_settled else 0)
         return Misfit(
             np.concatenate(squares),
             np.concatenate(off),
@@ -143,8 +246,26 @@ class _Examination:
             freedom,
             drift.gain,
             float(np.sqrt(max(size, 0.0))),
-            self._best_step(pose, drift, begin, end),
+            found.steps,
+            found.explained,
+            found.drift_left,
         )
+
+    def _cut(self) -> Iterator[slice]:
+        """Yield the cells of blocks of whole lines."""
+        first = 0
+        for _, last in self.seen.lines:
+            if last - first >= _CELLS or last == len(self.seen):
+                yield slice(first, last)
+                first = last
+
+    def _build(self, cells: slice) -> _Block:
+        design = self.about.build(self.seen.select(np.r_[cells]))
+        rest = design.residual - design.columns @ self.theta
+        parts = [design.columns, rest[:, :, None], self._drift_columns(design)]
+        pose = slice(self.machine, self.about.size)
+        whitener = design.whiten(self.about.noise)
+        return _Block(cells, design, whitener, np.concatenate(parts, axis=2), pose)
 
     def _shift(
         self, design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], cells: slice
@@ -163,7 +284,7 @@ class _Examination:
         weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
         F = P.reshape(-1, 3).T @ weighted
         pulled = rest[cells].reshape(-1) @ weighted
-        return float(pulled @ invert(F, np.diag(F)) @ pulled)
+        return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
 
     def _drift_columns(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 s"]:
         """Return pose and strain, each growing with polynomials of time."""
@@ -178,103 +299,57 @@ class _Examination:
         time = (u, 1.5 * u**2 - 0.5, 2.5 * u**3 - 1.5 * u)  # Legendre's
         return np.concatenate([columns * t[:, None, None] for t in time], axis=2)
 
-    def _best_step(
-        self,
-        pose: Float64[np.ndarray, "l q 6"],
-        drift: _Gain,
-        begin: Int64[np.ndarray, " l"],
-        end: Int64[np.ndarray, " l"],
-    ) -> Step | None:
-        after = np.cumsum(pose[::-1], axis=0)[::-1]
-        steps = drift.add(begin[1:], after[1:])
-        if not steps:
-            return None
-        best = max(range(len(steps)), key=lambda k: steps[k].gain)
-        later = np.concatenate([after[1:], np.zeros_like(after[:1])])
-        for line in (best, best + 1):
-            inside = np.arange(int(begin[line]), int(end[line]))
-            sums = self._sum_within(inside) + later[line]
-            steps += drift.add(inside[1:], sums)
-        return max(steps, key=lambda step: step.gain)
+    def _prepare_steps(
+        self, sums: Sequence[StepSums], drift: Drift
+    ) -> tuple[Prospects, Callable[[int], Prospects], Callable[[int], Shared]]:
+        """Return steps all over the Run, those from one to the next, what they share.
 
-    def _sum_within(
-        self, inside: Int64[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, "s q 6"]:
-        """Return the sums over a line for steps before its second cell and later.
-
-        inside : its cells
+        sums : of steps, by block
         """
-        design = self.about.build(self.seen.select(inside))
-        whitener, p = design.whiten(self.about.noise), self.about.size
-        rest = design.residual - design.columns @ self.theta
-        S = self._drift_columns(design)
-        all_ = np.concatenate([design.columns, rest[:, :, None], S], axis=2)
-        P = all_[:, :, self.machine : p]
-        # V⁻¹ is symmetric: weight what they are multiplied with, once for all steps.
-        weighted = weigh(design, whitener, all_)
-        each = np.swapaxes(weighted, 1, 2) @ P
-        sums = np.cumsum(each[::-1], axis=0)[::-1][1:]
-        sums[:, self.machine : p] = _square_tails(design, whitener, P)
-        return sums
+        later = [sums[k + 1 :] for k in range(len(sums))]
+        whole = [each.go_on(more) for each, more in zip(sums, later, strict=True)]
+        # A step before all cells is a matter of the pose.
+        steps = drift.prepare(StepSums.join(whole).select(slice(1, None)))
+        ends = np.append(self.starts[1:], len(self.seen))
+
+        @lru_cache(maxsize=2)
+        def build(first: int, last: int) -> _Block:
+            return self._build(slice(first, last))
+
+        @cache
+        def near(k: int) -> Prospects:
+            cells = np.arange(ends[k], ends[k + 1])
+            found: list[StepSums] = []
+            for block, more in zip(self._cut(), later, strict=True):
+                inside = cells[(cells >= block.start) & (cells < block.stop)]
+                if len(inside):
+                    own = build(block.start, block.stop).sum_steps(inside)
+                    found.append(own.go_on(more))
+            return drift.prepare(StepSums.join(found))
+
+        @cache
+        def share(cell: int) -> Shared:
+            blocks = list(self._cut())
+            number = next(k for k, each in enumerate(blocks) if cell < each.stop)
+            block = build(blocks[number].start, blocks[number].stop)
+            own = sum((each.own[0] for each in later[number]), np.zeros((6, 6)))
+            return Shared(block.cells.start, block.share_step(cell) + own)
+
+        return steps, near, share
 
 
-class _Gain:
-    """The gain of a drift, and that of a step beside it."""
-
-    def __init__(
-        self, of: _Examination, sums: Float64[np.ndarray, "q s"], fixed: int
-    ) -> None:
-        self.of, self.fixed = of, fixed
-        self.columns = sums[:fixed]
-        F = sums[fixed + 1 :] - self.columns.T @ of.solve(self.columns)
-        self.inverse = invert(F, np.diag(sums[fixed + 1 :]))
-        self.pulled = sums[fixed]
-        self.size = self.inverse @ self.pulled
-        self.gain = float(self.pulled @ self.size)
-
-    def add(
-        self, cells: Int64[np.ndarray, " s"], sums: Float64[np.ndarray, "s q 6"]
-    ) -> list[Step]:
-        """Return steps before some cells, beside the drift."""
-        p, count = self.fixed, len(cells)
-        columns = np.moveaxis(sums[:, :p], 0, 1).reshape(p, 6 * count)
-        solved = self.of.solve(columns).reshape(p, count, 6)
-        return [
-            Step(int(cell), *self._add(sums[k], solved[:, k]))
-            for k, cell in enumerate(cells)
-        ]
-
-    def _add(
-        self, sums: Float64[np.ndarray, "q 6"], solved: Float64[np.ndarray, "p 6"]
-    ) -> tuple[float, float, float]:
-        """Return the gain of a step beside the drift, and alone, and its size in mm."""
-        of, p = self.of, self.fixed
-        columns, pulled = sums[:p], sums[p]
-        F = sums[of.machine : p] - columns.T @ solved
-        cross = sums[p + 1 :] - self.columns.T @ solved
-        raw = np.diag(sums[of.machine : p])
-        step = invert(F, raw) @ pulled
-        alone, moved_mm = float(pulled @ step), float(np.linalg.norm(step[:3]))
-        beside = F - cross.T @ self.inverse @ cross
-        pulled = pulled - cross.T @ self.size
-        return float(pulled @ invert(beside, raw) @ pulled), alone, moved_mm
+def compute_step_limit(lines: int) -> float:
+    """Return the gain of a step that chance seldom makes in so many lines."""
+    return float(chdtri(6, _RISK / max(lines, 1))) * _STEP_MARGIN
 
 
-def _solve(
-    fit: Fit, run: RunInformation, number: int
-) -> tuple[ScaledCholesky, Float64[np.ndarray, " p"]]:
-    """Return factor and solution of a Run, what else is known of the machine given."""
-    size = fit.model.size
+def _collect_known(fit: Fit, number: int) -> Information:
+    """Return what is known of the machine without one of the Runs."""
     others = [r for k, r in enumerate(fit.runs) if k != number]
-    prior = Information.of_matrix(fit.prior.precision_matrix(size))
-    known = add_information(
+    prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
+    return add_information(
         [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
     )
-    matrix, vector = run.data.matrix.copy(), run.data.vector.copy()
-    matrix[:size, :size] += known.matrix
-    vector[:size] += known.vector
-    factor = ScaledCholesky.of(matrix)
-    return factor, factor.solve(vector)
 
 
 def limit_noise(noise: NoiseModel) -> NoiseModel:
@@ -307,22 +382,6 @@ def weigh(
     return whitener.apply(columns) - weighted @ timing
 
 
-def _square_tails(
-    design: DesignMatrix, whitener: Whitener, P: Float64[np.ndarray, "n 3 6"]
-) -> Float64[np.ndarray, "s 6 6"]:
-    """Return PᵀV⁻¹P of the cells from the second on, from the third on, and so on."""
-    number = np.arange(len(P))
-    squares: list[Float64[np.ndarray, "c 6 6"]] = [np.zeros((0, 6, 6))]
-    for first in range(1, len(P), _AT_ONCE):
-        begin = number[first : first + _AT_ONCE]
-        after = number[:, None] >= begin
-        tails = np.where(after[:, None, :, None], P[:, :, None, :], 0.0)
-        flat = tails.reshape(len(P), 3, -1)
-        weighted = weigh(design, whitener, flat).reshape(tails.shape)
-        squares.append(np.einsum("nick,nicl->ckl", tails, weighted))
-    return np.concatenate(squares)
-
-
 def explain_timing(
     design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
@@ -348,6 +407,6 @@ def invert(
     """
     scale = np.where(raw > 0.0, 1.0 / np.sqrt(np.maximum(raw, 1e-300)), 0.0)
     value, vector = np.linalg.eigh(F * scale[:, None] * scale)
-    seen = value > _UNSEEN
+    seen = value > UNSEEN
     inverse = np.where(seen, 1.0 / np.where(seen, value, 1.0), 0.0)
     return (vector * inverse) @ vector.T * scale[:, None] * scale

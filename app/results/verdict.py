@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _SENTENCES = 12  # on what is left out of one Run; the rest is counted
 _LEFT_OUT = 0.05, 0.25  # of the samples: doubtful, not usable
 _RESIDUAL = 1.6, 4.0  # times what the tracker's noise would leave
+_FIT = 1.25, 4.0  # root of χ² over its freedom
 _RAMP_MM = 0.002  # less is no matter
 _WHITE = 1.6, 4.0  # times the tracker's stated noise of a sample
 _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
@@ -55,8 +56,9 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             ),
             *_judge_knocks([k for k in checked.knocks if k.run == number]),
             *_judge_noise(
-                max(_compare_residual(runs[k]) for k in own),
+                max(checked.misfits[k].ratio for k in own),
                 max(max(runs[k].noise.white) for k in own),
+                _FIT,
             ),
             *_judge_ramps([runs[k] for k in own]),
             *_judge_drift([checked.misfits[k] for k in own]),
@@ -186,14 +188,11 @@ def _judge_knocks(knocks: Sequence[Knock]) -> Iterator[Reason]:
         yield Reason("set-up-moved", "usable", values)
 
 
-def _compare_residual(run: RunEstimate) -> float:
-    """Return the residual over what noise would leave if it were as stated."""
-    return max(run.residuals.rms_mm, run.residuals.floor_mm) / run.usual_floor_mm
-
-
-def _judge_noise(residual: float, white: float) -> Iterator[Reason]:
+def _judge_noise(
+    residual: float, white: float, of_fit: tuple[float, float] = _RESIDUAL
+) -> Iterator[Reason]:
     for kind, ratio, limits in (
-        ("fit-beyond-noise", residual, _RESIDUAL),
+        ("fit-beyond-noise", residual, of_fit),
         ("noise-beyond-stated", white, _WHITE),
     ):
         if ratio > limits[0]:

@@ -1,0 +1,60 @@
+"""Knocks of the set-up are told apart from drift and from one another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.alignment.align import align_all
+from app.estimation.disturbances import estimate_checked
+from app.kinematics.coarse_model import build_run_models
+
+
+@pytest.fixture(scope="module")
+def standing(record):
+    return record(31, "standstill", rows=60)[0]
+
+
+def check(run, shift_mm):
+    """Estimate from a Run whose set-up is shifted as a function of its share done."""
+    time_s = run.tracker.device_time_s
+    share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
+    moved = run.tracker.position_mm + shift_mm(share)
+    run = replace(run, tracker=replace(run.tracker, position_mm=moved))
+    (seen,) = align_all([run], ["run"])
+    found = estimate_checked(build_run_models(run.machine, [seen.at.offset_mm]), [seen])
+    return found, time_s[0] + np.array([0.3, 0.65]) * (time_s[-1] - time_s[0])
+
+
+def test_two_knocks_are_found_where_they_are(standing):
+    found, time_s = check(
+        standing,
+        lambda share: (
+            np.outer(share > 0.3, [0.03, -0.02, 0.01])
+            + np.outer(share > 0.65, [-0.01, -0.03, 0.03])
+        ),
+    )
+    told = [knock.time_s for knock in found.knocks]
+    assert told == pytest.approx(time_s, abs=2.5)
+    moved_um = [1e3 * knock.moved_mm for knock in found.knocks]
+    assert moved_um == pytest.approx([37.4, 43.6], abs=3.0)
+
+
+def test_a_small_knock_is_no_drift(standing):
+    found, time_s = check(
+        standing, lambda share: np.outer(share > 0.65, [0.006, -0.006, 0.004])
+    )
+    assert [knock.time_s for knock in found.knocks] == pytest.approx(
+        time_s[1:], abs=2.5
+    )
+
+
+def test_a_drift_is_no_row_of_knocks(standing):
+    found, _ = check(standing, lambda share: np.outer(share, [0.02, -0.01, 0.01]))
+    assert found.knocks == ()
+
+
+def test_nothing_is_left_out_of_what_is_clean(standing):
+    found, _ = check(standing, lambda share: np.zeros((len(share), 3)))
+    assert found.knocks == ()
+    assert found.left_out == ((),)
