@@ -21,6 +21,7 @@ from app.estimation.knots import (
     refine_motions,
 )
 from app.estimation.known_effects import KnownEffects
+from app.estimation.large_errors import is_linear, linearise_about
 from app.estimation.noise import NoiseModel, floor_mm
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.observability import (
@@ -191,6 +192,17 @@ def estimate(
         inputs = refine_runs(models.coarse, inputs, known=known)
         on_progress(0.5)
         fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
+        if not all(is_linear(each, fit.model, fit.result) for each in seen):
+            seen = [
+                linearise_about(each, run, fit.model, fit.result)
+                for each, run in zip(seen, fit.runs, strict=True)
+            ]
+            cells = zip(inputs, join_cells(seen, models.nested.alone), strict=True)
+            inputs = tuple(
+                replace(run, observations=each, pose=each.pose) for run, each in cells
+            )
+            inputs = refine_runs(models.coarse, inputs, known=known)
+            fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
     except Unidentifiable as error:
         undetermined = name_undetermined(models.shapes, inputs)
         if not undetermined:

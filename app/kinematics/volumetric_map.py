@@ -17,6 +17,7 @@ from app.kinematics.effects.base import Role
 from app.kinematics.identifiable import Confounded, build_identifiable_model
 from app.kinematics.machine import Machine
 from app.kinematics.model import MachineModel
+from app.kinematics.second_order import adds_up, compute_second_order_mm
 from app.numerics.rigid import cross_matrix
 
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
@@ -30,11 +31,14 @@ class VolumetricMap:
     """Linear map from θ to the volumetric error less its rigid motion.
 
     rigid : (6, p) rigid motion of the whole volume that each parameter brings with it
+    volume, weight : points all over the travel, and what each counts
     """
 
     model: MachineModel
     rigid: Float64[np.ndarray, "6 p"]
     centre_mm: Float64[np.ndarray, "3"]
+    volume: Conditions
+    weight: Float64[np.ndarray, " n"]
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return ∂(volumetric error, mm)/∂θ."""
@@ -46,8 +50,14 @@ class VolumetricMap:
     def error_mm(
         self, at: Conditions, theta: Float64[np.ndarray, " p"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Return the volumetric error δ = actual − nominal."""
-        return self.jacobian(at) @ theta
+        """Return the volumetric error δ = actual − nominal, of motions composed."""
+        linear = self.jacobian(at) @ theta
+        if adds_up(self.model, self.volume, theta):
+            return linear
+        added = compute_second_order_mm(self.model, at, theta)
+        everywhere = compute_second_order_mm(self.model, self.volume, theta)
+        rigid = _fit_rigid(self.volume, self.weight, self.centre_mm, everywhere)
+        return linear + added - _rigid_columns(at, self.centre_mm) @ rigid
 
     def sigma_mm(
         self, at: Conditions, covariance: Float64[np.ndarray, "p p"]
@@ -63,12 +73,8 @@ def build_volumetric_map(model: MachineModel, target: str = "") -> VolumetricMap
     """Return the map of one target's volumetric error over the axis travel."""
     at, weight = _quadrature(model.machine, target)
     centre = weight @ at.point_mm
-    columns = _machine_columns(model, at) * np.sqrt(weight)[:, None, None]
-    rigid = _rigid_columns(at, centre) * np.sqrt(weight)[:, None, None]
-    fit, *_ = np.linalg.lstsq(
-        rigid.reshape(-1, 6), columns.reshape(-1, model.size), rcond=None
-    )
-    return VolumetricMap(model, fit, centre)
+    fit = _fit_rigid(at, weight, centre, _machine_columns(model, at))
+    return VolumetricMap(model, fit, centre, at, weight)
 
 
 def compute_volumetric_gram(
@@ -155,6 +161,20 @@ def _evenly_spread(
     offset = np.tile(np.array(machine.target(target).offset_mm, float), (len(unit), 1))
     at = make_standstill(machine, low + unit * (high - low), offset)
     return at, np.full(len(unit), 1.0 / len(unit))
+
+
+def _fit_rigid(
+    at: Conditions,
+    weight: Float64[np.ndarray, " n"],
+    centre_mm: Float64[np.ndarray, "3"],
+    moved: Float64[np.ndarray, "n 3 ..."],
+) -> Float64[np.ndarray, "6 ..."]:
+    """Return the rigid motions that fit displacements best."""
+    root = np.sqrt(weight)
+    rigid = _rigid_columns(at, centre_mm) * root[:, None, None]
+    right = moved * root.reshape(-1, *(1,) * (moved.ndim - 1))
+    right = right.reshape(3 * len(at), *moved.shape[2:])
+    return np.linalg.lstsq(rigid.reshape(-1, 6), right, rcond=None)[0]
 
 
 def _rigid_columns(
