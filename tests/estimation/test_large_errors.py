@@ -8,7 +8,6 @@ from app.kinematics.volumetric_map import build_volumetric_map
 from simulators.synthetic import Setting
 from tests.estimation.estimating import estimate
 
-
 FAR_OFF = Setting(error_scale=25.0)
 
 
