@@ -21,6 +21,7 @@ from app.alignment.left_out import LeftOut
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.batch import Estimate, RunEstimate, estimate
+from app.estimation.direction import Fit
 from app.estimation.known_effects import KnownEffects
 from app.estimation.misfit import (
     OF_LINE,
@@ -29,6 +30,12 @@ from app.estimation.misfit import (
     compute_step_limit,
 )
 from app.estimation.setup_steps import Step
+from app.estimation.usual_machine import (
+    find_shifted_lines,
+    fit_as_learnt,
+    fit_usual_machine,
+    is_doubtful,
+)
 from app.kinematics.coarse_model import RunModels
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
@@ -114,7 +121,14 @@ def estimate_checked(
             on_progress=lambda share: on_progress(begin + share * (end - begin)),
         )
 
-    found = solve(parts, 0.0, 0.8)
+    found = solve(parts, 0.0, 0.7)
+    suspects = _find_shifted(found, models)
+    if suspects:
+        without = solve(_leave_out_lines(parts, suspects, found), 0.7, 0.75)
+        confirmed = _confirm(suspects, without, found)
+        if any(each.any() for each in confirmed):
+            parts = _leave_out_lines(parts, confirmed, found)
+            found = solve(parts, 0.75, 0.8)
     misfits = _assess(found)
     for turn in range(_ROUNDS):
         fewer = remove_plainest(parts, _list_fitted(found), misfits)
@@ -139,14 +153,54 @@ def estimate_checked(
     )
 
 
-def _assess(found: Estimate) -> tuple[Misfit, ...]:
+def _fit_of(found: Estimate) -> Fit:
     assert found.fit is not None  # noqa: S101 (it was asked to be kept)
-    return tuple(assess_misfit(found.fit, k) for k in range(len(found.runs)))
+    return found.fit
+
+
+def _assess(found: Estimate) -> tuple[Misfit, ...]:
+    return tuple(assess_misfit(_fit_of(found), k) for k in range(len(found.runs)))
 
 
 def _list_fitted(found: Estimate) -> list[Observations]:
-    assert found.fit is not None  # noqa: S101 (it was asked to be kept)
-    return [run.observations for run in found.fit.runs]
+    return [run.observations for run in _fit_of(found).runs]
+
+
+def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
+    """Return the lines of each Run that a usual machine cannot follow; or nothing."""
+    fit = _fit_of(found)
+    if not is_doubtful(fit):
+        return []
+    names = {effect.name for effect in models.nested.alone.effects}
+    usual = fit_usual_machine(fit, names)
+    lines = [find_shifted_lines(usual, k) for k in range(len(fit.runs))]
+    return lines if any(each.any() for each in lines) else []
+
+
+def _confirm(
+    suspects: list[Bool[np.ndarray, " l"]], without: Estimate, found: Estimate
+) -> list[Bool[np.ndarray, " l"]]:
+    """Return the suspects that contradict what is learnt without them."""
+    fit = fit_as_learnt(_fit_of(without), _list_fitted(found))
+    return [
+        lines & find_shifted_lines(fit, k) if lines.any() else lines
+        for k, lines in enumerate(suspects)
+    ]
+
+
+def _leave_out_lines(
+    parts: list[RunPart], lines: list[Bool[np.ndarray, " l"]], found: Estimate
+) -> list[RunPart]:
+    """Return the parts without some of their lines."""
+    fewer: list[RunPart] = []
+    for part, fitted, misfit, chosen in zip(
+        parts, _list_fitted(found), _assess(found), lines, strict=True
+    ):
+        bad = _spread_over_cells(misfit, chosen)
+        edges = part.seen.find_edges(fitted)
+        seen = leave_out(part.seen, bad, misfit.off_mm, edges)
+        fewer.append(RunPart(part.given, seen) if bad.any() else part)
+    return fewer
 
 
 def remove_plainest(
@@ -204,10 +258,17 @@ def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
     """Tell which cells, or else which whole lines, the others contradict."""
     bad = stand_out(misfit.cell)
     if not bad.any():
-        lines = stand_out(misfit.line)
-        for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
-            bad[first:last] = True
+        bad = _spread_over_cells(misfit, stand_out(misfit.line))
     return bad if bad.mean() < MOST else np.zeros_like(bad)
+
+
+def _spread_over_cells(
+    misfit: Misfit, lines: Bool[np.ndarray, " l"]
+) -> Bool[np.ndarray, " n"]:
+    cells = np.zeros(len(misfit.cell), bool)
+    for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
+        cells[first:last] = True
+    return cells
 
 
 def stand_out(

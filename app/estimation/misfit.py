@@ -165,7 +165,7 @@ class _Examination:
         run = run if noise == run.noise else run.replace_noise(noise)
         self.seen, self.about = run.observations, run.linearisation
         self.machine = self.about.machine_model.size
-        self.known, self.is_settled = _collect_known(fit, number), False
+        self.known, self.is_settled = collect_known(fit, number), False
         self._solve(run.data.matrix, run.data.vector)
         time_s = self.seen.at.time_s
         middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
@@ -343,7 +343,7 @@ def compute_step_limit(lines: int) -> float:
     return float(chdtri(6, _RISK / max(lines, 1))) * _STEP_MARGIN
 
 
-def _collect_known(fit: Fit, number: int) -> Information:
+def collect_known(fit: Fit, number: int) -> Information:
     """Return what is known of the machine without one of the Runs."""
     others = [r for k, r in enumerate(fit.runs) if k != number]
     prior = Information.of_matrix(fit.prior.precision_matrix(fit.model.size))
