@@ -93,7 +93,7 @@ def compare_stations(
     """
     motion = fit_rigid(now.tracker_mm, before.tracker_mm)
     left = motion.apply(now.tracker_mm) - before.tracker_mm
-    residual_mm = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    residual_mm = float(np.linalg.norm(left)) / float(np.sqrt(len(left)))
     variance = before.sigma_mm**2 + now.sigma_mm**2
     allowed_mm = _LIMIT * float(np.sqrt(np.mean(variance)))
     moved_mm = float(np.linalg.norm(motion.translation_mm))

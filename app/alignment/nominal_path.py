@@ -195,8 +195,10 @@ class NominalPath:
         """
         off = seen_mm - self.place_mm[place]
         at = np.searchsorted(self.first, np.arange(len(self.end_mm)), "right") - 1
-        shift = np.column_stack([np.interp(at, place, one) for one in off.T])
-        before = np.concatenate([shift[:1], shift[:-1]])
+        shift = np.empty_like(self.end_mm)
+        for k in range(3):
+            shift[:, k] = np.interp(at, place, off[:, k])
+        before: Float64[np.ndarray, "w 3"] = np.concatenate([shift[:1], shift[:-1]])
         bends = {
             row: bend.move_ends(before[row], shift[row])
             for row, bend in self.bends.items()

@@ -65,7 +65,7 @@ def _find_lead(
         way_mm = float(np.diff(at.point_mm[ends], axis=0)[0] @ seen.direction[first])
         if at.line[first] < 0 or last - first < 3 or moved[is_rotary].any():
             continue
-        own = ahead[first:last]
+        own: Float64[np.ndarray, " k"] = ahead[first:last]
         if not seen.is_ramp[first]:
             root = np.sqrt(seen.count[first:last])
             law = np.column_stack([np.ones(last - first), at.line_time_s[first:last]])

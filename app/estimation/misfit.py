@@ -134,9 +134,11 @@ class _Block:
 
     def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
         """Return the sums of steps of the pose before some cells of the Run."""
-        inside = np.arange(self.cells.start, self.cells.stop)
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
         after = (inside[:, None] >= cell)[:, None, :, None]
-        steps = self.columns[:, :, None, self.pose] * after
+        steps: Float64[np.ndarray, "n 3 l 6"] = (
+            self.columns[:, :, None, self.pose] * after
+        )
         flat = steps.reshape(len(inside), 3, -1)
         weighted = weigh(self.design, self.whitener, flat)
         rows = self.columns.reshape(-1, self.columns.shape[2])
@@ -150,7 +152,8 @@ class _Block:
     def share_step(self, cell: int) -> Float64[np.ndarray, "n 6 6"]:
         """Return products of a step with steps before each of the block's cells."""
         pose = self.columns[:, :, self.pose]
-        after = np.arange(self.cells.start, self.cells.stop) >= cell
+        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
+        after = inside >= cell
         weighted = weigh(self.design, self.whitener, pose * after[:, None, None])
         each = np.swapaxes(weighted, 1, 2) @ pose
         return np.cumsum(each[::-1], axis=0)[::-1]
@@ -318,7 +321,7 @@ class _Examination:
 
         @cache
         def near(k: int) -> Prospects:
-            cells = np.arange(ends[k], ends[k + 1])
+            cells = np.arange(ends[k], ends[k + 1], dtype=np.int64)
             found: list[StepSums] = []
             for block, more in zip(self._cut(), later, strict=True):
                 inside = cells[(cells >= block.start) & (cells < block.stop)]

@@ -205,5 +205,5 @@ def _pool_precision(free: float, energy: float, centre: float) -> float:
     relative = 0.5 * _SPREAD**2 * free
     pull = 0.5 * _SPREAD**2 * centre * energy
     # x + pull exp(x) = relative for x = log(λ / centre)
-    x = relative - wrightomega(relative + np.log(pull))
+    x = relative - float(wrightomega(relative + float(np.log(pull))))
     return centre * float(np.exp(x))

@@ -103,7 +103,8 @@ class Drive:
 
     def turns(self, legs: Legs) -> Bool[np.ndarray, " n"]:
         """Tell on which legs a rotary axis turns."""
-        return legs.step[:, ~np.asarray(self.linear)].any(axis=1)
+        turned = legs.step[:, ~np.asarray(self.linear)] != 0.0
+        return np.asarray(turned.any(axis=1), np.bool_)
 
     def length(self, legs: Legs) -> Float64[np.ndarray, " n"]:
         """Return the length of legs, mm; deg where rotary axes turn alone."""
