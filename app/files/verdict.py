@@ -86,6 +86,11 @@ SENTENCES: Mapping[str, Sentence] = {
         "Use a lower feed or gentler ramps, or look for a loose mount where it should "
         "be stiff.",
     ),
+    "little-gained": Sentence(
+        "The mean error found is {found_um}; a compensation with it is expected to "
+        "leave {left_um}.",
+        "Measure more lines, or from a nearer place; or leave the machine as it is.",
+    ),
     "lines-off": Sentence(
         "The newest lines or points ({lines}) do not fit what came before and are left "
         "out: they lie up to {distance_um} aside.",

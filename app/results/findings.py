@@ -20,7 +20,7 @@ from app.files.verdict import Verdict
 from app.planning.grade import Grade
 from app.results.error_tables import ErrorTables, build_error_tables
 from app.results.trial_results import TrialResults
-from app.results.verdict import judge
+from app.results.verdict import judge, judge_gain
 from app.results.volumetric_error import VolumetricError, compute_volumetric_error
 
 
@@ -146,7 +146,9 @@ def state_checked_findings(
     own = judge(checked, [run.name for run in provenance.runs])
     return replace(
         found,
-        verdict=Verdict.merge([own, provenance.judge_model()]),
+        verdict=Verdict.merge(
+            [own, provenance.judge_model(), judge_gain(found.volumetric)]
+        ),
         left_out=checked.left_out,
         knocks=checked.knocks,
     )

@@ -21,6 +21,7 @@ from app.estimation.prior_model import PriorModel
 from app.files.run import number_names
 from app.files.units import UM_PER_MM
 from app.files.verdict import Reason, State, Value, Verdict
+from app.results.volumetric_error import VolumetricError
 
 if TYPE_CHECKING:
     from app.discovery.discover import Discovery
@@ -36,6 +37,7 @@ _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
 _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
 _LINES = 0.1, 0.5  # of the lines without data
+_GAIN = 0.5, 1.0  # expected to be left, of the mean error found
 
 
 def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
@@ -67,6 +69,16 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             Reason(r.kind, r.state, r.values, name if several else "") for r in said
         ]
     return Verdict(tuple(reasons))
+
+
+def judge_gain(volumetric: VolumetricError) -> Verdict:
+    """Return whether a compensation is expected to make the machine better."""
+    left_um, found_um = volumetric.after.mean.value_um, volumetric.before.mean.value_um
+    state = _grade(left_um / max(found_um, 1e-9), _GAIN)
+    if state == "usable":
+        return Verdict()
+    values: dict[str, Value] = {"left_um": left_um, "found_um": found_um}
+    return Verdict((Reason("little-gained", state, values),))
 
 
 def judge_live(check: LiveCheck, lines: int) -> Verdict:
