@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from document import table
+from document import table, write_section
 from information_bound import true_noise
 from target_seats import remove_rigid_motion
 
@@ -41,7 +41,7 @@ from simulators.machine_file import MachineFile, parse_machine
 from simulators.paths import standstill_points
 from simulators.truth_machine import TruthMachine, perfect, random_machine
 
-MACHINES, FIRST_SEED, POINTS, GRID = 20, 1001, 200, 300
+MACHINES, FIRST_SEED, POINTS, GRID = 4, 1001, 200, 300
 OFF_MM, OTHER = 0.02, "another"
 SHAPES = 8  # of an error motion here: four harmonics, a sine and a cosine each
 DRAWS = 200  # of machines of the same make, for what the ideal estimator knows
@@ -302,7 +302,7 @@ def merge_turns(found: Estimate, truth: TruthMachine) -> tuple[Any, dict[str, fl
 
 
 def main() -> None:
-    """Judge the machines and print the table."""
+    """Judge the machines and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=MACHINES)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
@@ -322,7 +322,7 @@ def main() -> None:
         "bound µm",
         "map in 2u",
     ]
-    print(table(head, rows))
+    write_section("five-axes", table(head, rows))
 
 
 def make_row(kind: str, outcomes: list[Outcome]) -> list[str]:

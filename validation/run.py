@@ -23,6 +23,7 @@ SCRIPTS = (
     "fast_machines",
     "disturbed_runs",
     "target_seats",
+    "five_axes",
 )
 
 
