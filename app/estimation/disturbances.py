@@ -31,7 +31,7 @@ from app.estimation.misfit import (
 )
 from app.estimation.setup_steps import Step
 from app.estimation.usual_machine import (
-    find_shifted_lines,
+    find_shifted_stops,
     fit_as_learnt,
     fit_usual_machine,
     is_doubtful,
@@ -167,13 +167,13 @@ def _list_fitted(found: Estimate) -> list[Observations]:
 
 
 def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
-    """Return the lines of each Run that a usual machine cannot follow; or nothing."""
+    """Return the stops of each Run that a usual machine cannot follow; or nothing."""
     fit = _fit_of(found)
     if not is_doubtful(fit):
         return []
     names = {effect.name for effect in models.nested.alone.effects}
     usual = fit_usual_machine(fit, names)
-    lines = [find_shifted_lines(usual, k) for k in range(len(fit.runs))]
+    lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
     return lines if any(each.any() for each in lines) else []
 
 
@@ -183,7 +183,7 @@ def _confirm(
     """Return the suspects that contradict what is learnt without them."""
     fit = fit_as_learnt(_fit_of(without), _list_fitted(found))
     return [
-        lines & find_shifted_lines(fit, k) if lines.any() else lines
+        lines & find_shifted_stops(fit, k) if lines.any() else lines
         for k, lines in enumerate(suspects)
     ]
 

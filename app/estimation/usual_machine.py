@@ -1,13 +1,14 @@
-"""Lines that a machine of usual errors cannot follow: one wrong point, found in time.
+"""Standstills that a machine of usual errors cannot follow: one wrong point is found.
 
 Precisions of the prior, noise and the direction of approach are learnt from all data,
 those that are wrong among them. One standstill that is 20 µm off lets error motions
 bend until it fits, and then nothing contradicts it. A machine that bends as usual, and
-whose direction of approach does not matter, cannot follow it: there the line asks for a
-shift of its own (score test, Rao 1948), beside those of other such lines.
+whose direction of approach does not matter, cannot follow it: there the standstill asks
+for a shift of its own (score test, Rao 1948), beside those of others.
 
-Whether the machine is usual nobody knows: lines are left out only if they contradict
-what is learnt without them as well.
+Whether the machine is usual nobody knows: standstills are left out only if they
+contradict what is learnt without them as well. Lines have many cells, which tell
+themselves where one of them is wrong.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MEDIAN = 2.366  # of χ² of three
 
 
 def is_doubtful(fit: Fit) -> bool:
-    """Tell whether wrong lines may have made motions bend, or be too few to see."""
+    """Tell whether wrong points may have made motions bend, or are too few to show."""
     usual, found = guess_prior(fit.model).precision, fit.prior.precision
     is_weak = any(found[name] < _UNUSUAL * usual[name] for name in usual)
     cells = sum(len(run.observations) for run in fit.runs)
@@ -70,21 +71,25 @@ def _solve(fit: Fit) -> Fit:
     return replace(fit, result=compute_posterior(fit.data, precision))
 
 
-def find_shifted_lines(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
-    """Tell which lines or standstills of a Run ask for a shift of their own.
+def find_shifted_stops(fit: Fit, number: int) -> Bool[np.ndarray, " l"]:
+    """Tell which standstills of a Run, of all its lines, ask for a shift of their own.
 
     The plainest first, the others beside it; measured by what most lines ask for.
     """
+    seen = fit.runs[number].observations
+    moves = np.array([seen.at.line[first] >= 0 for first, _ in seen.lines])
+    lines = len(moves)
+    if moves.all():
+        return np.zeros(lines, bool)
     left, raw, pulled = _list_shifts(fit, number)
-    lines = len(raw)
     limit = _MARGIN * float(chdtri(3, _RISK / max(lines, 1)))
     found = np.zeros(lines, bool)
     own = np.arange(lines)
     for _ in range(int(_MOST * lines)):
         gain = np.sum(compute_score(left[own, :, own], raw, pulled)[1] ** 2, axis=1)
-        gain[found] = 0.0
-        best = int(np.argmax(gain))
         scale = max(1.0, float(np.median(gain)) / _MEDIAN)
+        gain[found | moves] = 0.0
+        best = int(np.argmax(gain))
         if gain[best] < limit * scale:
             return found
         found[best] = True

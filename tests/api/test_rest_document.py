@@ -303,6 +303,6 @@ def test_the_example_of_a_refusal_is_what_is_answered(client, order, is_problem)
 
 def test_every_state_of_the_document_exists():
     body = TEXT.split("\n## States of a job\n")[1].split("\n## ")[0]
-    assert {f"`{state}`" for state in State} <= set(re.findall(r"`\w+`", body))
+    assert {f"`{state}`" for state in State} <= set(re.findall(r"`[\w-]+`", body))
     ends = set(re.findall(r"^\| `(\w+)` \|", body, re.MULTILINE))
     assert ends == {str(state) for state in FINAL}
