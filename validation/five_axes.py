@@ -41,7 +41,7 @@ from simulators.machine_file import MachineFile, parse_machine
 from simulators.paths import standstill_points
 from simulators.truth_machine import TruthMachine, perfect, random_machine
 
-MACHINES, FIRST_SEED, POINTS, GRID = 4, 1001, 200, 300
+MACHINES, FIRST_SEED, POINTS, GRID = 20, 1001, 200, 300
 OFF_MM, OTHER = 0.02, "another"
 SHAPES = 8  # of an error motion here: four harmonics, a sine and a cosine each
 DRAWS = 200  # of machines of the same make, for what the ideal estimator knows
