@@ -63,7 +63,9 @@ def true_theta(model, truth):
     at = make_standstill(model.machine, np.vstack([q, corners]))
     free = model.with_effects(TrackerPose(tuple(at.point_mm.mean(axis=0).tolist())))
     columns = free.jacobian(at).reshape(-1, free.size)
-    norm = np.linalg.norm(columns, axis=0)  # 0 for what acceleration does
+    for name in model.confounded:  # what one target sees of it, others take up
+        columns[:, model.slices[name]] = 0.0
+    norm = np.linalg.norm(columns, axis=0)  # 0 for what acceleration does, too
     scale = 1.0 / np.where(norm > 0.0, norm, 1.0)
     error = truth.deviation_mm(at.position_mm).reshape(-1)
     found = np.linalg.lstsq(columns * scale, error, rcond=1e-12)[0] * scale
