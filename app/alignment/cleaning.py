@@ -38,7 +38,7 @@ def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
     kept = np.flatnonzero(valid)
     valid[kept[_frozen(samples.position_mm[kept])]] = False
     kept = np.flatnonzero(valid)
-    valid[kept[_stalled(samples.device_time_s[kept])]] = False
+    valid[kept[_find_stalled(samples.device_time_s[kept])]] = False
     for _ in range(_ROUNDS):
         kept = np.flatnonzero(valid)
         spikes = _spikes(samples.device_time_s[kept], samples.position_mm[kept])
@@ -65,7 +65,7 @@ def _frozen(position_mm: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     return _find_repeats(np.abs(step).max(axis=1) == 0.0)
 
 
-def _stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _find_stalled(time_s: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Tell which samples follow one another at next to one time, unlike the others.
 
     They were stamped late, when they arrived, and tell no place at that time.

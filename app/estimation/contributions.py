@@ -42,15 +42,17 @@ def find_contributions(estimate: Estimate, given: Sequence[int]) -> Contribution
     number = len(set(given))
     if number < 2:
         return Contributions(sigma_mm, ())
-    every = _left_mm(fit, range(len(given)))
+    every = _predict_left_mm(fit, range(len(given)))
     without = [
-        _left_mm(fit, [k for k, source in enumerate(given) if source != left_out])
+        _predict_left_mm(
+            fit, [k for k, source in enumerate(given) if source != left_out]
+        )
         for left_out in range(number)
     ]
     return Contributions(sigma_mm, tuple(sigma_mm * one / every for one in without))
 
 
-def _left_mm(fit: Fit, runs: Sequence[int]) -> float:
+def _predict_left_mm(fit: Fit, runs: Sequence[int]) -> float:
     """Return what some of the Runs leave."""
     data = fit.known.add_to(combine_runs([fit.runs[k] for k in runs]), fit.model)
     precision = fit.prior.precision_matrix(fit.model.size)

@@ -22,7 +22,7 @@ from drivers.interfaces.records import Path, TrackerSamples
 if TYPE_CHECKING:
     from app.estimation.live import LiveEstimator
     from app.planning.adaptive_plan import AdaptivePlanner, Part
-    from app.planning.plan import PlanOrder
+    from app.planning.plan_order import PlanOrder
 
 _GATHER_S = 0.2
 """Blocks of this time are taken before the tables are solved for once."""

@@ -37,7 +37,8 @@ from app.results.model_history import DISCOVERY, find_model_file
 from drivers.interfaces.records import Path
 
 if TYPE_CHECKING:
-    from app.planning.plan import Plan, PlanOrder
+    from app.planning.plan import Plan
+    from app.planning.plan_order import PlanOrder
 
 _PLAIN = ("mode", "minutes", "target_um", "dwell_s")
 _PLAIN += ("perpendicular_only", "corner_path", "seed", "turns", "stations")
@@ -119,7 +120,7 @@ def _default_path(machine: Machine, feed_mm_min: float | None) -> Path:
 def read_plan_order(order: Json) -> PlanOrder:
     """Return what an order in JSON asks of a plan."""
     from app.estimation.prior_model import read_prior_model
-    from app.planning.plan import PlanOrder
+    from app.planning.plan_order import PlanOrder
 
     given = {name: order[name] for name in _PLAIN if order.get(name) is not None}
     if order.get("feeds_mm_min"):

@@ -153,7 +153,7 @@ class Workspace:
             f"takes the target {most:.0f} mm away, farther than the tracker sees",
         )
         for box in self.blocks_sight:
-            share = _carried_share(machine, box.carried_by)
+            share = _compute_share(machine, box.carried_by)
             moved = begin @ share, end @ share
             behind = _beam_touches(
                 (tracker - moved[0], tracker - moved[1]),
@@ -215,7 +215,7 @@ def _angles_deg(
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _carried_share(machine: Machine, carrier: str) -> Float64[np.ndarray, "a 3"]:
+def _compute_share(machine: Machine, carrier: str) -> Float64[np.ndarray, "a 3"]:
     """Return how far a body moves where the tracker stands, by the axes' positions.
 
     carrier : axis whose carriage carries it, or `base`; it stands where left out

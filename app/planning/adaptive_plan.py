@@ -20,7 +20,7 @@ from app.motion.configurations import Commanded, append_part, select_rows
 from app.motion.motion_times import Legs, row_times_s
 from app.planning.design_state import DesignState
 from app.planning.initial_design import start_design
-from app.planning.plan import PlanOrder
+from app.planning.plan_order import PlanOrder
 from app.planning.planner import Planner
 from app.planning.predicted_cells import EXPECTED_NOISE
 

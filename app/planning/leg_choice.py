@@ -89,7 +89,7 @@ class LegChoice:
                 stops = self._reorder(stops)
             stops = self._fill(stops, budget_s, legs)
             # Legs that no longer fit are gone: what is left may tell less.
-            best = min(best, stops, key=self._left)
+            best = min(best, stops, key=self._predict_left)
             if gained < _WORTH:
                 break
         return best
@@ -257,9 +257,9 @@ class LegChoice:
 
     def _cost(self, stops: Stops) -> float:
         """Return J · T."""
-        return self._left(stops) * self._duration_s(stops)
+        return self._predict_left(stops) * self._duration_s(stops)
 
-    def _left(self, stops: Stops) -> float:
+    def _predict_left(self, stops: Stops) -> float:
         """Return J."""
         return self.design.add(self._inform(stops)).integrated_variance
 

@@ -137,7 +137,7 @@ class StationChoice:
         scale : by which the uncertainty of the survey is corrected
         """
 
-        def left(
+        def predict_left(
             stations: Sequence[StationInformation], seconds: float
         ) -> StationVariance:
             return self.judge.evaluate(stations, seconds).scale_random(scale)
@@ -149,7 +149,8 @@ class StationChoice:
             if count > 1:
                 chosen = self._add(chosen)
             total_s = time_s + (count - 1) * self.move_s
-            several, one = left(chosen, time_s), left([self.first], total_s)
+            several = predict_left(chosen, time_s)
+            one = predict_left([self.first], total_s)
             weakest = self._find_weakest(one, several)
             place_mm = np.stack([one.place_mm for one in chosen])
             options.append(StationOption(place_mm, total_s, several, one, weakest))
@@ -159,8 +160,8 @@ class StationChoice:
             self.stated is None,
             len(self.judged),
             best.place_mm,
-            left([best], time_s),
-            left([worst], time_s),
+            predict_left([best], time_s),
+            predict_left([worst], time_s),
             self.move_s,
         )
 
@@ -177,7 +178,7 @@ class StationChoice:
         return found
 
     def _best_beside(self, others: Sequence[StationInformation]) -> StationInformation:
-        def left_mm(one: StationInformation) -> float:
+        def predict_left_mm(one: StationInformation) -> float:
             return self.judge.evaluate([*others, one], self.time_s).sigma_mm
 
         free = self._beside(others)
@@ -186,7 +187,7 @@ class StationChoice:
                 f"the tracker's areas have no {len(others) + 1} places that are "
                 f"{_APART_MM:g} mm apart; widen them, or plan fewer stations"
             )
-        return min(free, key=left_mm)
+        return min(free, key=predict_left_mm)
 
     def _beside(self, others: Sequence[StationInformation]) -> list[StationInformation]:
         """Return the places that are apart from others."""
@@ -242,7 +243,7 @@ class _StationSearch:
         return [one for one in found if one is not None]
 
     def rank(self, judged: Sequence[StationInformation]) -> list[StationInformation]:
-        return sorted(judged, key=self._left_mm)
+        return sorted(judged, key=self._predict_left_mm)
 
     def climb(self, start: StationInformation) -> list[StationInformation]:
         """Return what is judged on the way from a place to better ones near it."""
@@ -256,10 +257,10 @@ class _StationSearch:
             elsewhere = (near_mm != best.place_mm).any(axis=1)
             near = self.judge_places(near_mm[elsewhere])
             found += near
-            best = min([best, *near], key=self._left_mm)
+            best = min([best, *near], key=self._predict_left_mm)
         return found
 
-    def _left_mm(self, one: StationInformation) -> float:
+    def _predict_left_mm(self, one: StationInformation) -> float:
         return self.judge.evaluate([one], self.time_s).sigma_mm
 
 

@@ -44,7 +44,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         "mode": found.main.summary.mode,
         "verdict": verdict_json(found.verdict),
         "left_out": [
-            _left_out_json(number, each)
+            _encode_left_out(number, each)
             for number, own in enumerate(found.left_out)
             for each in own
         ],
@@ -147,7 +147,7 @@ def _provenance_json(found: Findings) -> dict[str, Any]:
     }
 
 
-def _left_out_json(run: int, each: LeftOut) -> dict[str, Any]:
+def _encode_left_out(run: int, each: LeftOut) -> dict[str, Any]:
     """Return samples that were not used; `run` counts the Runs given."""
     measured = each.samples > 0
     return {
