@@ -30,7 +30,7 @@ from simulators.profile import Limits
 from simulators.timeline import Program
 from simulators.tracker_head import random_pose
 
-MACHINES, FAST_MACHINES = 2, 2
+MACHINES, FAST_MACHINES = 5, 5
 FEEDS_MM_MIN = (6000.0, 10_000.0, 16_000.0)
 LIMITS = Limits(1500.0, 3e4)
 _FASTEST_MM_MIN, _FAST = 40_000.0, Limits(3000.0, 1e5)
