@@ -325,8 +325,8 @@ def rms_over_worlds(values: np.ndarray) -> np.ndarray:
 def compare_to_best(left: np.ndarray) -> float:
     """Return what the first place leaves against the best of the others.
 
-    The best is the best in half of the worlds, and is compared in the other half: in the
-    worlds that it was picked by, it is also the luckiest.
+    The best is the best in half of the worlds, and is compared in the other half: in
+    the worlds that it was picked by, it is also the luckiest.
 
     left : (places, worlds), worlds at least 2
     """
