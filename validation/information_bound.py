@@ -1,9 +1,9 @@
 """The best that any estimator could do with a recording, on average.
 
-The ideal estimator is ours told two things that no real one knows: the noise (level,
+The ideal estimator is ours told three things that no real one knows: the noise (level,
 correlated share, correlation time: the simulator's own figures, and that the feed is
-exact) and how strongly each error motion bends (prior precisions fitted to the true
-error motions, (K − 2) / ∫ bending). Its posterior covariance is the bound: the root
+exact), that carriages do not lean under acceleration, and how strongly each error
+motion bends (prior precisions fitted to the true ones, (K − 2) / ∫ bending). Its posterior covariance is the bound: the root
 mean square, over the volume, of the error that it would leave on average. It can be
 beaten on one machine by luck, not on average by a machine of these errors.
 """
@@ -22,6 +22,7 @@ from app.estimation.information import compute_posterior
 from app.estimation.noise import NoiseModel
 from app.estimation.normal_equations import compute_information
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.effects.inertial_bend import InertialBend
 from app.kinematics.model import MachineModel
 from simulators.recording import Recording
 from simulators.tracker_head import Air
@@ -49,7 +50,9 @@ def ideal(
     What the target does not tell merges with what it does.
     """
     whole = found.model
-    told = [e for e in whole.effects if e.name not in whole.confounded]
+    leaning = {e.name for e in whole.effects if isinstance(e, InertialBend)}
+    left_out = whole.confounded | leaning
+    told = [e for e in whole.effects if e.name not in left_out]
     model = MachineModel(whole.machine, tuple(told))
     about = linearise(seen, model, found.runs[0].pose, true_noise(air))
     data = compute_information(seen, about)
