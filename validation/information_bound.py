@@ -3,9 +3,10 @@
 The ideal estimator is ours told three things that no real one knows: the noise (level,
 correlated share, correlation time: the simulator's own figures, and that the feed is
 exact), that carriages do not lean under acceleration, and how strongly each error
-motion bends (prior precisions fitted to the true ones, (K − 2) / ∫ bending). Its posterior covariance is the bound: the root
-mean square, over the volume, of the error that it would leave on average. It can be
-beaten on one machine by luck, not on average by a machine of these errors.
+motion bends (prior precisions fitted to the true error motions, (K − 2) / ∫ bending).
+Its posterior covariance is the bound: the root mean square, over the volume, of the
+error that it would leave on average. It can be beaten on one machine by luck, not on
+average by a machine of these errors.
 """
 
 from __future__ import annotations
