@@ -17,8 +17,9 @@ from jaxtyping import Float64
 from app.alignment.observations import Observations
 from app.estimation.design_matrix import Linearisation
 from app.estimation.information import Posterior
-from app.estimation.misfit import explain_timing, invert, raise_noise, weigh
-from app.estimation.noise import total_precision
+from app.estimation.misfit_blocks import explain_timing, weigh
+from app.estimation.noise import raise_noise, total_precision
+from app.estimation.score import compute_score
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +52,17 @@ def compute_innovation(
     weighted = weigh(design, whitener, shift).reshape(-1, 3)
     F = shift.reshape(-1, 3).T @ weighted
     G = weighted.T @ A.reshape(len(weighted), -1)
-    raw, pulled = np.diag(F), rest.reshape(-1) @ weighted
+    pulled = rest.reshape(-1) @ weighted
+    root, own = compute_score(F[None], F[None], pulled[None])
+    _, score = compute_score((F + G @ P @ G.T)[None], F[None], pulled[None])
     left = rest - explain_timing(design, whitener, rest)
     along = np.where(seen.is_ramp, np.einsum("ni,ni->n", left, design.travel), 0.0)
     left -= along[:, None] * design.travel  # a ramp tells nothing along its way
     return Innovation(
         _measure_cells(left, total_precision(seen, noise, design.travel), A, P),
         np.linalg.norm(left, axis=1),
-        float(pulled @ invert(F + G @ P @ G.T, raw) @ pulled),
-        float(np.linalg.norm(invert(F, raw) @ pulled)),
+        float(np.sum(score**2)),
+        float(np.linalg.norm(root[0] @ own[0])),
     )
 
 

@@ -23,12 +23,7 @@ from app.estimation.design_matrix import Linearisation
 from app.estimation.direction import Fit
 from app.estimation.disturbances import (
     MOST,
-    Knock,
-    RunPart,
-    leave_out,
-    measure_knock,
     remove_plainest,
-    split,
     stand_out,
 )
 from app.estimation.information import (
@@ -39,10 +34,17 @@ from app.estimation.information import (
 )
 from app.estimation.innovation import compute_innovation
 from app.estimation.known_effects import KnownEffects
-from app.estimation.misfit import Misfit, assess_misfit, raise_noise
-from app.estimation.noise import NoiseModel, floor_mm
+from app.estimation.misfit import Misfit, assess_misfit
+from app.estimation.noise import NoiseModel, floor_mm, raise_noise
 from app.estimation.noise_fit import estimate_residual_noise
 from app.estimation.prior import BendingPrior
+from app.estimation.run_parts import (
+    Knock,
+    RunPart,
+    leave_out,
+    measure_knock,
+    split,
+)
 from app.estimation.runs import (
     RunInformation,
     RunInput,

@@ -1,9 +1,6 @@
 """What a fit leaves that noise does not explain: of cells, of lines, of time.
 
-Everything here is a score test (Rao 1948): how far would the fit improve if a parameter
-were added, told by the residuals of the fit as it is, without another solve. With
-r = y − Aθ, W = V⁻¹ (timing of the lines taken out), H = AᵀWA + prior and columns B of
-what might be added, the gain is gᵀF⁻¹g with g = BᵀWr and F = BᵀWB − BᵀWA H⁻¹ AᵀWB.
+Everything here is a score test (`score`), of columns B that might be added.
 
 A step of the tracker's or the reflector's place has the columns of the pose for all
 that comes after it. Sums over lines, accumulated from the end, give B for all moments
@@ -24,25 +21,22 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
-from app.estimation.design_matrix import DesignMatrix, Linearisation
+from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit
 from app.estimation.information import Information, add_information
-from app.estimation.noise import NoiseModel, total_precision
-from app.estimation.setup_steps import (
-    UNSEEN,
-    Drift,
-    Prospects,
-    Shared,
-    Step,
-    StepSearch,
-    StepSums,
-    compute_score,
-    find_steps,
+from app.estimation.misfit_blocks import (
+    MisfitBlock,
+    count_untimed,
+    explain_timing,
+    square_cells,
+    weigh,
 )
-from app.numerics.correlated_noise import Whitener
+from app.estimation.noise import limit_noise
+from app.estimation.score import compute_score
+from app.estimation.setup_steps import Step, StepSearch, find_steps
+from app.estimation.step_candidates import Drift, Prospects, Shared, StepSums
 from app.numerics.scaled_cholesky import ScaledCholesky
 
-_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
 _DRIFTS = 36  # pose and strain, each with three polynomials of time
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST_STEPS = 5
@@ -99,64 +93,6 @@ def assess_misfit(fit: Fit, number: int) -> Misfit:
         examination.settle()
         found = examination.assess()
     return found
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Some whole lines of a Run, with the columns of fit, residual and drift.
-
-    pose : where the columns of the pose are
-    """
-
-    cells: slice
-    design: DesignMatrix
-    whitener: Whitener
-    columns: Float64[np.ndarray, "n 3 q"]
-    pose: slice
-
-    @property
-    def rest(self) -> Float64[np.ndarray, "n 3"]:
-        """What the fit leaves, phase and speed of the lines still in it."""
-        return self.columns[:, :, self.pose.stop]
-
-    @property
-    def drift(self) -> Float64[np.ndarray, "n 3 s"]:
-        """Columns of the drift."""
-        return self.columns[:, :, self.pose.stop + 1 :]
-
-    def multiply(
-        self, columns: Float64[np.ndarray, "n 3 k"]
-    ) -> Float64[np.ndarray, "q k"]:
-        """Return the products of all columns with others."""
-        weighted = weigh(self.design, self.whitener, columns)
-        flat = self.columns.reshape(-1, self.columns.shape[2])
-        return flat.T @ weighted.reshape(len(flat), -1)
-
-    def sum_steps(self, cell: Int64[np.ndarray, " l"]) -> StepSums:
-        """Return the sums of steps of the pose before some cells of the Run."""
-        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
-        after = (inside[:, None] >= cell)[:, None, :, None]
-        steps: Float64[np.ndarray, "n 3 l 6"] = (
-            self.columns[:, :, None, self.pose] * after
-        )
-        flat = steps.reshape(len(inside), 3, -1)
-        weighted = weigh(self.design, self.whitener, flat)
-        rows = self.columns.reshape(-1, self.columns.shape[2])
-        sums = (rows.T @ weighted.reshape(len(rows), -1)).reshape(-1, len(cell), 6)
-        each, own = (
-            c.reshape(len(rows), len(cell), 6).transpose(1, 2, 0)
-            for c in (flat, weighted)
-        )
-        return StepSums(cell, sums.transpose(1, 0, 2), each @ np.swapaxes(own, 1, 2))
-
-    def share_step(self, cell: int) -> Float64[np.ndarray, "n 6 6"]:
-        """Return products of a step with steps before each of the block's cells."""
-        pose = self.columns[:, :, self.pose]
-        inside = np.arange(self.cells.start, self.cells.stop, dtype=np.int64)
-        after = inside >= cell
-        weighted = weigh(self.design, self.whitener, pose * after[:, None, None])
-        each = np.swapaxes(weighted, 1, 2) @ pose
-        return np.cumsum(each[::-1], axis=0)[::-1]
 
 
 class _Examination:
@@ -220,13 +156,13 @@ class _Examination:
             drift_square += np.einsum("nip,niq->pq", block.drift, block.drift)
             weighted = weigh(design, block.whitener, rest[:, :, None])
             square += float(np.sum(rest[:, :, None] * weighted))
-            freedom -= design.timing.shape[2] + _count_untimed(design, self.about)
+            freedom -= design.timing.shape[2] + count_untimed(design, self.about)
             shifts += [
                 self._shift(design, rest, slice(*line))
                 for line in design.observations.lines
             ]
             rest = rest - explain_timing(design, block.whitener, rest)
-            squares.append(_cell_squares(design, rest, noise))
+            squares.append(square_cells(design, rest, noise))
             off.append(np.linalg.norm(rest, axis=1))
         drift = Drift(self.factor, np.sum(products, axis=0))
         size = drift.size @ drift_square @ drift.size / max(len(self.seen), 1)
@@ -262,13 +198,13 @@ class _Examination:
                 yield slice(first, last)
                 first = last
 
-    def _build(self, cells: slice) -> _Block:
+    def _build(self, cells: slice) -> MisfitBlock:
         design = self.about.build(self.seen.select(np.r_[cells]))
         rest = design.residual - design.columns @ self.theta
         parts = [design.columns, rest[:, :, None], self._drift_columns(design)]
         pose = slice(self.machine, self.about.size)
         whitener = design.whiten(self.about.noise)
-        return _Block(cells, design, whitener, np.concatenate(parts, axis=2), pose)
+        return MisfitBlock(cells, design, whitener, np.concatenate(parts, axis=2), pose)
 
     def _shift(
         self, design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], cells: slice
@@ -316,7 +252,7 @@ class _Examination:
         ends = np.append(self.starts[1:], len(self.seen))
 
         @lru_cache(maxsize=2)
-        def build(first: int, last: int) -> _Block:
+        def build(first: int, last: int) -> MisfitBlock:
             return self._build(slice(first, last))
 
         @cache
@@ -353,63 +289,3 @@ def collect_known(fit: Fit, number: int) -> Information:
     return add_information(
         [fit.known.add_to(prior, fit.model), *(r.own.eliminate() for r in others)]
     )
-
-
-def limit_noise(noise: NoiseModel) -> NoiseModel:
-    """Return the noise, of which more than is usual is for a test to show."""
-    beam, across = noise.ou
-    return replace(
-        noise,
-        ou=(min(beam, _MOST_OU), min(across, _MOST_OU)),
-        ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S),
-    )
-
-
-def raise_noise(noise: NoiseModel) -> NoiseModel:
-    """Return the noise as loud as is usual: few lines do not tell how loud it is."""
-    return replace(noise, ou=(_MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)
-
-
-def _count_untimed(design: DesignMatrix, about: Linearisation) -> int:
-    """Return of how many cells only what is across the travel counts."""
-    seen = design.observations
-    moves = seen.direction.any(axis=1)
-    return int((moves & (seen.is_ramp | (not about.has_timing))).sum())
-
-
-def weigh(
-    design: DesignMatrix, whitener: Whitener, columns: Float64[np.ndarray, "n 3 p"]
-) -> Float64[np.ndarray, "n 3 p"]:
-    """Return V⁻¹ columns, the timing of the lines taken out."""
-    timing, weighted = design.fit_timing(whitener, columns)
-    return whitener.apply(columns) - weighted @ timing
-
-
-def explain_timing(
-    design: DesignMatrix, whitener: Whitener, rest: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n 3"]:
-    """Return what the timing of the lines explains."""
-    timing, _ = design.fit_timing(whitener, rest[:, :, None])
-    return (design.timing @ timing)[:, :, 0]
-
-
-def _cell_squares(
-    design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], noise: NoiseModel
-) -> Float64[np.ndarray, " n"]:
-    """Return the square of each cell by itself, in units of its noise."""
-    precision = total_precision(design.observations, noise, design.travel)
-    return np.einsum("ni,nij,nj->n", rest, precision, rest)
-
-
-def invert(
-    F: Float64[np.ndarray, "p p"], raw: Float64[np.ndarray, " p"]
-) -> Float64[np.ndarray, "p p"]:
-    """Return the inverse of what the fit leaves of information on columns.
-
-    raw : that before; directions of which the fit explains all have none
-    """
-    scale = np.where(raw > 0.0, 1.0 / np.sqrt(np.maximum(raw, 1e-300)), 0.0)
-    value, vector = np.linalg.eigh(F * scale[:, None] * scale)
-    seen = value > UNSEEN
-    inverse = np.where(seen, 1.0 / np.where(seen, value, 1.0), 0.0)
-    return (vector * inverse) @ vector.T * scale[:, None] * scale

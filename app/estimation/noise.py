@@ -10,6 +10,8 @@ from jaxtyping import Float64
 from app.alignment.cell_gate import USUAL_OU
 from app.alignment.observations import Observations
 
+_MOST_OU, _LONGEST_OU_S = 0.3, 2.0  # of the stated noise: more is for a test to show
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
@@ -116,3 +118,18 @@ def floor_mm(
         variance + jitter[:, None] * travel**2,
     )
     return float(np.sqrt(np.mean(variance)))
+
+
+def limit_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise, of which more than is usual is for a test to show."""
+    beam, across = noise.ou
+    return replace(
+        noise,
+        ou=(min(beam, _MOST_OU), min(across, _MOST_OU)),
+        ou_time_s=min(noise.ou_time_s, _LONGEST_OU_S),
+    )
+
+
+def raise_noise(noise: NoiseModel) -> NoiseModel:
+    """Return the noise as loud as is usual: few lines do not tell how loud it is."""
+    return replace(noise, ou=(_MOST_OU, _MOST_OU), ou_time_s=_LONGEST_OU_S)

@@ -24,11 +24,11 @@ from app.alignment.observations import Observations
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit
 from app.estimation.information import compute_posterior
-from app.estimation.misfit import collect_known, limit_noise
-from app.estimation.noise import NoiseModel
+from app.estimation.misfit import collect_known
+from app.estimation.noise import NoiseModel, limit_noise
 from app.estimation.prior import guess_prior
 from app.estimation.runs import RunInformation, RunInput, collect_information
-from app.estimation.setup_steps import compute_score
+from app.estimation.score import compute_score
 from app.numerics.scaled_cholesky import ScaledCholesky
 
 _UNUSUAL = 0.1  # of the usual precision of bending

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.left_out import LeftOut
-from app.estimation.disturbances import Knock
+from app.estimation.run_parts import Knock
 from app.files.machine_file import machine_to_json
 from app.files.model_file import model_to_json
 from app.files.result_file import RESULT_SCHEMA
