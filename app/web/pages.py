@@ -8,6 +8,7 @@ from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from fastapi.responses import FileResponse, HTMLResponse
@@ -16,12 +17,17 @@ from fastapi.templating import Jinja2Templates
 from starlette.responses import Response
 from starlette.types import Scope
 
+from app.jobs.transitions import FINAL, State
 from app.kinematics.effects.catalogue import list_families
 
 STATIC_PATH = "/static"
 LANGUAGES = ("en", "de")
 DEFAULT_LANGUAGE = "en"
 LANGUAGE_COOKIE = "truepath_language"
+
+# After a stop the page waits for these jobs; the newest 200, the most of one answer.
+_UNSETTLED = [State.FAULTED, *(state for state in State if state not in FINAL)]
+_UNSETTLED_JOBS = urlencode({"limit": 200, "state": _UNSETTLED}, doseq=True)
 
 _VARY = {"Vary": "Accept-Language, Cookie"}
 # The page of an updated service must never run on the modules of the one before.
@@ -60,6 +66,7 @@ def operator_page(request: Request) -> HTMLResponse:
         "text": catalogue(language),
         "version": version("truepath"),
         "static": STATIC_PATH,
+        "unsettled_jobs": _UNSETTLED_JOBS,
     }
     return _templates.TemplateResponse(request, "index.html", context, headers=_VARY)
 

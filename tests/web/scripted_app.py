@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import FastAPI, Request, UploadFile
+from fastapi import FastAPI, Query, Request, UploadFile
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from scripted_data import MACHINE, MOTION, TRACKER, TRACKER_NOISE
 from scripted_service import ScriptedService
@@ -68,8 +68,9 @@ def scripted_app(service: ScriptedService) -> FastAPI:
         return {"connected": True, "tracker": TRACKER, "motion": MOTION}
 
     @app.get(f"{API}/jobs")
-    def jobs(limit: int = 50) -> Any:
-        newest = sorted(service.jobs.values(), key=lambda j: j["created"], reverse=True)
+    def jobs(limit: int = 50, state: Annotated[list[str], Query()] = []) -> Any:  # noqa: B006
+        known = [j for j in service.jobs.values() if not state or j["state"] in state]
+        newest = sorted(known, key=lambda j: j["created"], reverse=True)
         return {"items": newest[:limit], "next": None}
 
     @app.post(f"{API}/jobs", status_code=202)

@@ -9,7 +9,6 @@
   const RETRY_MS = 2000;
   const POLL_MS = 300;
   const UNCONFIRMED_MS = 6000;
-  const ENDED = new Set(["succeeded", "aborted", "failed", "interrupted"]);
 
   const form = document.getElementById("abort-form");
   const button = document.getElementById("abort");
@@ -39,12 +38,13 @@
 
   const pause = (ms) => new Promise((done) => setTimeout(done, ms));
 
+  /** The whole answer; null if it is refused, late, cut short or no JSON. */
   async function ask(path, options) {
     const limit = new AbortController();
     const timer = setTimeout(() => limit.abort(), RETRY_MS);
     try {
       const answer = await fetch(path, { ...options, signal: limit.signal });
-      return answer.ok ? await answer.json().catch(() => ({})) : null;
+      return answer.ok ? await answer.json() : null;
     } catch {
       return null;
     } finally {
@@ -52,18 +52,15 @@
     }
   }
 
-  const jobsOf = (page) => page.items || page.jobs || (Array.isArray(page) ? page : []);
-
-  /** Ids of measuring jobs that may still move the machine; null if nobody answers.
+  /** Ids of measuring jobs that may still move the machine; null if nobody lists them.
    *
    * A job that faulted during the abort counts: the machine has not said that it stands.
    */
   async function underWay(watched) {
-    const page = await ask("/api/v1/jobs?limit=20", { cache: "no-store" });
-    if (page === null) return null;
-    return jobsOf(page)
+    const page = await ask(sheet.dataset.unsettledJobs, { cache: "no-store" });
+    if (!Array.isArray(page?.items)) return null;
+    return page.items
       .filter((job) => job.kind.startsWith("measure-"))
-      .filter((job) => !ENDED.has(job.state))
       .filter((job) => job.state !== "faulted" || watched.has(job.id))
       .map((job) => job.id);
   }
@@ -75,7 +72,7 @@
       count += 1;
       current.count = count;
       const answer = await ask("/api/v1/stop", { method: "POST", keepalive: true });
-      for (const job of jobsOf(answer || {})) current.watched.add(job.id);
+      for (const job of answer?.jobs ?? []) current.watched.add(job.id);
       current.taken = current.taken || answer !== null;
       await pause(Math.max(0, RETRY_MS - (performance.now() - begun)));
     }
