@@ -85,6 +85,9 @@ def plan(
         list[float] | None,
         typer.Option(min=1.0, help="mm/min; several tell lags apart; else chosen."),
     ] = None,
+    max_feed: Annotated[
+        float | None, typer.Option(min=1.0, help="mm/min, up to which it is chosen.")
+    ] = None,
     dwell: Annotated[
         float | None, typer.Option(min=0.05, help="At each row, s.")
     ] = None,
@@ -134,6 +137,7 @@ def plan(
         seed,
         None if model is None else read_prior_model(model),
         stations=stations,
+        max_feed_mm_min=max_feed,
     )
     require_folder(output, "the plan")
     with show_progress("plan") as on_progress:

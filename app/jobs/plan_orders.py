@@ -1,8 +1,9 @@
 """What is asked of a plan, as JSON: kept with its job, computed by an executor.
 
     {"mode": "otf", "minutes": 5, "target_um": 1.0, "feeds_mm_min": [6000],
-     "dwell_s": 0.4, "perpendicular_only": false, "corner_path": false, "seed": 0,
-     "stations": 1, "workspace": {…}, "model_id": "…", "model_file": "…"}
+     "max_feed_mm_min": 6000, "dwell_s": 0.4, "perpendicular_only": false,
+     "corner_path": false, "seed": 0, "stations": 1, "workspace": {…},
+     "model_id": "…", "model_file": "…"}
 
 Without `mode` it is the default path at the first of the feeds that is asked for;
 with it all other keys may be left out. `target_um` is a standard uncertainty (k = 1),
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from app.planning.plan import Plan
     from app.planning.plan_order import PlanOrder
 
-_PLAIN = ("mode", "minutes", "target_um", "dwell_s")
+_PLAIN = ("mode", "minutes", "target_um", "max_feed_mm_min", "dwell_s")
 _PLAIN += ("perpendicular_only", "corner_path", "seed", "turns", "stations")
 STATION_KEYS = ("stations", "known_points", "specification")
 _FIRST_LINES, _FIRST_POINTS = 5, 4  # of the longest: two or three times as many
@@ -139,7 +140,8 @@ def order_first_part(machine: Machine, order: Json) -> dict[str, Any]:
     So many lines or points that the live estimate finds pose and noise; on lines the
     rotary axes stand.
     """
-    usual = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min)
+    highest = order.get("max_feed_mm_min") or machine.motion.max_feed_mm_min
+    usual = min(DEFAULT_FEED_MM_MIN, machine.motion.max_feed_mm_min, highest)
     feed_mm_s = min(order.get("feeds_mm_min") or [usual]) / 60.0
     length_mm = math.dist(*zip(*((a.low, a.high) for a in machine.axes), strict=True))
     leg_s = length_mm / feed_mm_s + _STANDS_S
@@ -192,7 +194,13 @@ def check_plan_to_drive(machine: Machine, kind: JobKind, plan: Json) -> dict[str
     for rows in (commanded, *list_station_rows(plan)):
         check_travel(machine, rows)
     kept = {"predicted_um", *STATION_KEYS} & set(plan)
-    return {**encode_commanded_json(commanded), **{k: plan[k] for k in sorted(kept)}}
+    document = plan["document"]
+    place = {key: document.get(key) for key in ("tracker", "stations", "at_stations")}
+    return {
+        **encode_commanded_json(commanded),
+        **{key: plan[key] for key in sorted(kept)},
+        **({"place": place} if place["stations"] else {}),
+    }
 
 
 def list_station_rows(plan: Json) -> list[Commanded]:

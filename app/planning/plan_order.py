@@ -38,6 +38,7 @@ class PlanOrder:
     minutes : at most; target_um : volumetric uncertainty (k = 1) to reach
     feeds_mm_min : several to tell dynamic effects from static ones; where left out,
         those at which lines tell most a second
+    max_feed_mm_min : up to which feeds are chosen; where left out, what the machine can
     corner_path : the path of the 2023 paper instead, to compare with
     model : whose effects are to be told apart from the error motions and each other
     turns : rotary axes turn on the lines as well
@@ -56,6 +57,7 @@ class PlanOrder:
     model: PriorModel | None = None
     turns: bool = True
     stations: int = 1
+    max_feed_mm_min: float | None = None
 
     @property
     def is_on_the_fly(self) -> bool:
@@ -96,10 +98,12 @@ class PlanOrder:
     def feeds(self, machine: Machine) -> tuple[float, ...]:
         """Return the feeds as asked for, else those that lines choose from.
 
-        Highest first: that of the machine, or less where only lines of more than half
-        the volume's diagonal hold it. Between points it goes as fast as it can.
+        Highest first: that of the machine or the order, or less where only lines of
+        more than half the volume's diagonal hold it. Between points it goes as fast as
+        it can.
         """
-        highest = min(machine.motion.max_feed_mm_min, LARGEST_FEED_MM_MIN)
+        asked = self.max_feed_mm_min or np.inf
+        highest = min(machine.motion.max_feed_mm_min, LARGEST_FEED_MM_MIN, asked)
         if self.feeds_mm_min:
             return self.feeds_mm_min
         if not self.is_on_the_fly:
@@ -119,10 +123,16 @@ class PlanOrder:
             raise PlanningError(f"mode is {self.mode!r}; it is otf or standstill")
         numbers = [("minutes", self.minutes), ("target_um", self.target_um)]
         numbers += [("dwell_s", self.dwell_s)]
+        numbers += [("max_feed_mm_min", self.max_feed_mm_min)]
         numbers += [("feed_mm_min", feed) for feed in self.feeds_mm_min]
         for name, value in numbers:
             if value is not None and not 0.0 < value < np.inf:
                 raise PlanningError(f"{name} is {value:g}; it must be above 0")
+        if self.max_feed_mm_min and (self.feeds_mm_min or not self.is_on_the_fly):
+            raise PlanningError(
+                "max_feed_mm_min limits feeds that are chosen, on the fly; leave it "
+                "out where feeds are given or points are measured"
+            )
         motion = machine.motion
         stated = "max_feed_mm_min" not in motion.assumed
         if stated and max(self.feeds_mm_min, default=0.0) > motion.max_feed_mm_min:

@@ -21,6 +21,7 @@ ROWS = (
     {"x_mm": 10.0, "y_mm": 10.0, "z_mm": 10.0},
     {"x_mm": 400.0, "y_mm": 300.0, "z_mm": 200.0, "feed_mm_min": 1000.0},
 )
+ADVICE = {"tracker": {}, "stations": {"recommended": 3}, "at_stations": []}
 GOOD = {"place_mm": (1.0, 2.0, 3.0)}
 BAD = {"problem": "not-moved", "text": "the tracker has not been moved"}
 
@@ -53,7 +54,7 @@ def planner(machine):
         return {
             **path,
             "predicted_um": 1.0,
-            "document": {"machine": machine_to_json(machine)},
+            "document": {"machine": machine_to_json(machine), **ADVICE},
             "stations": [{"position_mm": p, "duration_s": 9.0, **path} for p in places],
             "known_points": known,
             "specification": {},
@@ -205,6 +206,10 @@ def test_what_cannot_be_continued_is_refused(begin, measure, dispatcher, plan_id
     with pytest.raises(NotFound, match="from stations"):
         begin(continues=plan_id)
     dispatcher.abort(job.id)
+
+
+def test_a_job_keeps_what_its_plan_says_of_places(begin, context):
+    assert context.store.read_plan(begin().id)["place"] == ADVICE
 
 
 def test_a_target_is_not_for_a_plan_of_several_stations(begin, plan_id):

@@ -101,6 +101,12 @@ def test_a_machine_too_sluggish_for_its_highest_feed_is_planned_at_lower_ones(mi
     assert Drive.of_machine(machine, 0.4).shortest_mm(max(feeds))[0] <= longest_mm
 
 
+def test_no_feed_is_chosen_above_the_one_that_is_asked_for(mill):
+    assert max(PlanOrder(max_feed_mm_min=3_000.0).feeds(mill)) == 3_000.0
+    with pytest.raises(PlanningError, match="leave it out where feeds are given"):
+        PlanOrder(feeds_mm_min=(900.0,), max_feed_mm_min=3e3).refuse_nonsense(mill)
+
+
 def test_no_feed_is_chosen_that_controls_do_not_read(mill):
     machine = moving_at(mill, max_feed_mm_min=200_000, acceleration_mm_s2=1e5)
     assert max(PlanOrder().feeds(machine)) <= 99_999.0

@@ -116,7 +116,6 @@ def test_planned_lines_are_driven_and_what_they_will_leave_is_foretold(panel, se
                 "mode": "otf",
                 "minutes": 2.5,
                 "perpendicular_only": False,
-                "feeds_mm_min": [6000],
             },
         ),
         (
@@ -143,7 +142,8 @@ def test_a_plan_that_cannot_be_says_why_and_makes_no_job(panel, service):
 def test_the_feed_goes_up_and_down_in_steps(panel, service):
     service.connected = True
     page = panel.open("#/plan")
-    page.get_by_label("Slower").click()
+    expect(page.locator("#feed")).to_have_value("")
+    page.get_by_label("Slower").click(click_count=2)
     follow(page, "Prepare the run")
     page.wait_for_url("**/#/check/*")
     ((_, _, order),) = service.requests

@@ -100,6 +100,11 @@ class PlanOut(BaseModel):
         description="Of a plan of several stations: the rows from each; those above "
         "are the first's.",
     )
+    place: dict[str, Any] | None = Field(
+        None,
+        description="Where the plan has chosen the tracker's place: `tracker`, "
+        "`stations` and `at_stations` of its `document`.",
+    )
     discovery_id: str | None = Field(
         None, description="Of extra lines: the job whose discovery asks for them."
     )
@@ -211,6 +216,9 @@ class PlanRequest(RequestBody):
         min_length=1,
         max_length=5,
         description="Several, driven in turn, tell dynamic effects from static ones.",
+    )
+    max_feed_mm_min: Feed | None = Field(
+        None, description="Up to which each line's feed is chosen, where none is given."
     )
     dwell_s: float | None = Field(None, ge=0.05, le=60, allow_inf_nan=False)
     perpendicular_only: bool = False

@@ -140,8 +140,10 @@ export function createActions(store, go) {
 
   /** Make a job; where `request` asks for a plan, of the rows that are planned first. */
   async function begin(order, request = null) {
+    const tell = (planned) => store.set({ planned });
+    tell(null);
     const job = await during("prepare", async () =>
-      api.createJob(request ? { ...order, plan_id: await planId(request) } : order));
+      api.createJob(request ? { ...order, plan_id: await planId(request, tell) } : order));
     if (!job) return;
     hear(job);
     follow(job);
@@ -181,12 +183,13 @@ export function createActions(store, go) {
   };
 }
 
-/** Have a plan made; answers its id once it is there. */
-async function planId(request) {
+/** Have a plan made; tells how far it is, answers its id once it is there. */
+async function planId(request, tell) {
   let plan = await api.createPlan(request);
   while (!hasEnded(plan)) {
     await new Promise((resolve) => setTimeout(resolve, PLAN_LOOK_MS));
     plan = await api.planned(plan.id);
+    tell(plan.progress);
   }
   if (plan.state !== "succeeded") throw new api.Problem(422, plan.error ?? {});
   return plan.id;

@@ -20,7 +20,7 @@ const RECENT_MS = 3600e3;
 
 const store = createStore({
   system: null, machine: null, job: null, jobs: [], runs: [], plan: null, result: null, discovery: null,
-  live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, asked: null,
+  live: null, estimate: null, course: NO_COURSE, estimateStale: null, problem: null, busy: null, planned: null, asked: null,
   link: { stale: false, last: null },
 });
 const go = (address) => {

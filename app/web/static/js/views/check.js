@@ -5,6 +5,7 @@ import { card, errorNotice, head, kindOf, pairs } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { duration, number, t } from "../texts.js";
 import { quantity } from "../units.js";
+import { adviceCard } from "./advice-card.js";
 import { plannedGrade } from "./grade-card.js";
 import { pathCard } from "./path-card.js";
 import { programCard } from "./program-card.js";
@@ -42,11 +43,12 @@ export function mount(root) {
   const program = programCard();
   const facts = h("div");
   const reach = h("div", { class: "reach" });
-  const failure = h("div");
+  const failure = h("div", { class: "stack" });
+  const advice = h("div", { class: "stack" });
   root.append(
     head(t("check.title"), t("check.text")), failure,
     h("div", { class: "columns is-main-left" }, path.element,
-      h("div", { class: "stack" }, card(t("check.plan"), facts), grade.element, card(t("check.reach"), reach),
+      h("div", { class: "stack" }, card(t("check.plan"), facts), advice, grade.element, card(t("check.reach"), reach),
         card(t("check.before"), before()), program.element)),
   );
   let described = "";
@@ -61,6 +63,7 @@ export function mount(root) {
       described = key;
       facts.replaceChildren(pairs(describe(job, plan, machine)));
       reach.replaceChildren(...(plan ? rows(plan, machine) : [h("p", { class: "empty" }, t("path.waiting"))]));
+      advice.replaceChildren(...[adviceCard(plan)].filter(Boolean));
       failure.replaceChildren(...[errorNotice(job), ...stationNotices(job)].filter(Boolean));
     },
     close: path.close,

@@ -3,7 +3,7 @@ import { h, mark } from "../dom.js";
 import { number, plain, t } from "../texts.js";
 import { decimalsOf, shown, stored, unitOf } from "../units.js";
 
-/** Make a field.
+/** Make a field; `write(value)` changes it.
  *
  * id, kind: of the input, of the quantity; label, note, less, more: texts; none: where it is empty
  * get(), set(value): the stored value, null where it is left empty, NaN where it is nonsense
@@ -30,7 +30,11 @@ export function numberField({ id, kind, label, note, less, more, none, get, set,
 
   function step(direction) {
     const wanted = next(Number.isFinite(get()) ? get() : null, direction);
-    set(wanted === null ? null : Math.min(most, Math.max(least, wanted)));
+    write(wanted === null ? null : Math.min(most, Math.max(least, wanted)));
+  }
+
+  function write(value) {
+    set(value);
     show();
   }
 
@@ -41,10 +45,11 @@ export function numberField({ id, kind, label, note, less, more, none, get, set,
   show();
   const button = (name, sign, direction) =>
     h("button", { class: "button", type: "button", "aria-label": name, onclick: () => step(direction) }, sign);
-  return h("div", { class: "field" }, h("label", { for: id }, label),
+  const element = h("div", { class: "field" }, h("label", { for: id }, label),
     h("div", { class: "stepper" }, button(less, "−", -1), input, button(more, "+", 1),
       h("span", { class: "suffix" }, unitOf(kind))),
     h("p", { class: "field-note", id: `${id}-note` }, note), error);
+  return { element, write };
 }
 
 /** Whether a value may be sent: inside its limits, or left empty where that is allowed. */

@@ -3,70 +3,87 @@ import { h, mark } from "../dom.js";
 import { addressOf, isActive, isConnected } from "../flow.js";
 import { head } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
-import { t } from "../texts.js";
+import { number, t } from "../texts.js";
+import { quantity } from "../units.js";
 import { numberField, within } from "./number-field.js";
+import { choosesPlace, placeCard, placeOrder, refusePlace, stationCount } from "./place-fields.js";
 
 const FEED_MM_MIN = { usual: 6000, least: 100, most: 20000, step: 500 };
 const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5, 10, 20, 50, 100] };
 const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
 const choices = {
-  kind: "measure-otf", feed_mm_min: FEED_MM_MIN.usual, expanded_um: null, perpendicular_only: false,
+  kind: "measure-otf", most_feed_mm_min: null, expanded_um: null, perpendicular_only: false,
   minutes: null,
 };
 
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
 const streams = () => choices.kind === "measure-otf";
 
+/** Several stations are measured to their end. */
+const mayEndEarly = () => stationCount() === 1;
+
 /** Button that leads on. */
-export function lead({ machine, busy, job }, { actions, go }) {
+export function lead({ machine, busy, planned, job }, { actions, go }) {
   const back = { label: t("shell.back"), run: () => go("#/connect") };
   if (isActive(job)) {
     return { back, reason: t("plan.busy"),
       next: { key: "show", label: t("connect.show_job"), run: () => go(addressOf(job)) } };
   }
-  const reason = refusal(machine, busy);
+  const reason = refusal(machine, busy, planned);
   return { back, reason,
     next: { key: "prepare", label: t("plan.next"), disabled: Boolean(reason),
-      run: () => actions.prepare(...orders()) } };
+      run: () => actions.prepare(...orders(machine)) } };
 }
 
-function refusal(machine, busy) {
-  const { feed_mm_min, expanded_um } = choices;
-  if (busy) return t("plan.preparing");
+function refusal(machine, busy, planned) {
+  const { most_feed_mm_min, minutes, expanded_um } = choices;
+  if (busy) return planned !== null ? t("plan.planning", { percent: number(100 * planned) }) : t("plan.preparing");
   if (!isConnected(machine)) return t("plan.not_connected");
-  const fed = feed_mm_min !== null && within(feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most);
-  if (streams() && !fed) return t("plan.feed_refused");
-  if (!within(choices.minutes, MINUTES.least, MINUTES.most)) return t("plan.minutes_refused");
-  return within(expanded_um, TARGET_UM.least, TARGET_UM.most) ? "" : t("plan.target_refused");
+  if (streams() && !within(most_feed_mm_min, FEED_MM_MIN.least, FEED_MM_MIN.most)) return t("plan.feed_refused");
+  if (!within(minutes, MINUTES.least, MINUTES.most)) return t("plan.minutes_refused");
+  if (choosesPlace() && minutes === null) return t("place.minutes_missing");
+  if (refusePlace()) return refusePlace();
+  return !mayEndEarly() || within(expanded_um, TARGET_UM.least, TARGET_UM.most) ? "" : t("plan.target_refused");
 }
 
 /** What is sent: a job, and the plan it drives, or null for the usual path.
  *
  * Files and interface carry standard uncertainties, the page shows k = 2.
  */
-function orders() {
-  const { kind, feed_mm_min, expanded_um, perpendicular_only, minutes } = choices;
+function orders(machine) {
+  const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes } = choices;
   const job = { kind, perpendicular_only,
-    ...(expanded_um === null ? {} : { target_um: expanded_um / COVERAGE }) };
-  if (minutes === null) return [streams() ? { ...job, feed_mm_min } : job, null];
-  const feeds = streams() ? { feeds_mm_min: [feed_mm_min ?? FEED_MM_MIN.usual] } : {};
-  return [job, { mode: streams() ? "otf" : "standstill", minutes, perpendicular_only, ...feeds }];
+    ...(expanded_um === null || !mayEndEarly() ? {} : { target_um: expanded_um / COVERAGE }) };
+  const limited = streams() && most !== null;
+  if (minutes === null) {
+    return [limited ? { ...job, feed_mm_min: Math.min(most, FEED_MM_MIN.usual) } : job, null];
+  }
+  return [job, { mode: streams() ? "otf" : "standstill", minutes, perpendicular_only,
+    ...(limited ? { max_feed_mm_min: most } : {}), ...placeOrder(machine) }];
 }
 
 /** Show the choices. */
 export function mount(root, { store }) {
   const changed = () => store.set({});
   const feed = feedField(changed);
+  const minutes = minutesField(changed);
+  const target = targetField(changed);
+  const place = placeCard(() => {
+    if (choosesPlace() && choices.minutes === null) minutes.write(MINUTES.usual);
+    changed();
+  });
   root.append(
     head(t("plan.title"), t("plan.text")),
     h("div", { class: "columns" },
-      h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()),
-      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), feed, minutesField(changed),
-        targetField(changed))),
+      h("div", { class: "stack" },
+        h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
+      h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
+        target.element)),
   );
   return {
     update() {
-      feed.hidden = !streams();
+      feed.element.hidden = !streams();
+      target.element.hidden = !mayEndEarly();
     },
     close() {},
   };
@@ -95,10 +112,10 @@ const keep = (name, changed) => (value) => {
 function feedField(changed) {
   const { usual, least, most, step } = FEED_MM_MIN;
   return numberField({
-    id: "feed", kind: "feed", label: t("plan.feed"), note: t("plan.feed_note"),
-    less: t("plan.slower"), more: t("plan.faster"), least, most,
-    get: () => choices.feed_mm_min ?? NaN, set: keep("feed_mm_min", changed),
-    next: (feed, direction) => (Math.round((feed ?? usual) / step) + direction) * step,
+    id: "feed", kind: "feed", label: t("plan.feed"), note: t("plan.feed_note", { usual: quantity(usual, "feed") }),
+    less: t("plan.slower"), more: t("plan.faster"), none: t("plan.feed_none"), least, most,
+    get: () => choices.most_feed_mm_min, set: keep("most_feed_mm_min", changed),
+    next: (feed, direction) => (feed === null ? usual : (Math.round(feed / step) + direction) * step),
   });
 }
 

@@ -2,9 +2,8 @@
 import { waitsForArming } from "../flow.js";
 import { notice } from "../parts.js";
 import { number, t } from "../texts.js";
-import { quantity } from "../units.js";
+import { placeText } from "./advice-card.js";
 
-const AXES = ["X", "Y", "Z"];
 const REASONS = {
   "not-moved": "station.not-moved", "not-seen": "station.not-seen", residual: "station.residual",
 };
@@ -14,8 +13,8 @@ export function stationNotices(job) {
   const { station } = job;
   if (!station || !waitsForArming(job)) return [];
   const check = station.checks.find((one) => one.station === station.number);
-  const place = AXES.map((name, i) => `${name} ${quantity(station.position_mm[i], "travel")}`);
-  const values = { number: number(station.number), total: number(station.total), place: place.join(", ") };
+  const place = placeText(station.position_mm);
+  const values = { number: number(station.number), total: number(station.total), place };
   const asked = notice("held", t("station.title", values), t("station.text", values), t("station.action"));
   return check?.problem ? [refused(check), asked] : [asked];
 }

@@ -1,0 +1,47 @@
+/* Where the plan wants the tracker, what each station brings, and what is advised. */
+import { h } from "../dom.js";
+import { card, pairs } from "../parts.js";
+import { COVERAGE } from "../plots/error-chart.js";
+import { nameOf } from "../tables.js";
+import { duration, known, number, t } from "../texts.js";
+import { quantity } from "../units.js";
+
+/** A place as coordinates with their axes. */
+export const placeText = (position_mm) =>
+  ["X", "Y", "Z"].map((name, i) => `${name} ${quantity(position_mm[i], "travel")}`).join(", ");
+
+/** A card for a plan that chose the tracker's place; null for any other. */
+export function adviceCard(plan) {
+  if (!plan?.place) return null;
+  const { tracker, stations, at_stations: several } = plan.place;
+  const named = several
+    ? several.map((one, i) => [t("advice.station", { number: number(i + 1) }), after(one)])
+    : [[t("advice.place"), placeText(tracker.position_mm)]];
+  return card(t("advice.title"), pairs(named),
+    h("p", { class: "advised" }, t(stations.recommended > 1 ? "advice.several" : "advice.one",
+      { count: number(stations.recommended) })),
+    h("div", { class: "table-scroll" }, table(stations.options)),
+    h("p", { class: "field-note" }, t("advice.note", { k: COVERAGE, minutes: number(stations.move_minutes) })));
+}
+
+const after = ({ position_mm, duration_s, volumetric_uncertainty_um: left }) => [
+  placeText(position_mm), h("br"),
+  h("span", { class: "quiet" }, t("advice.after", { time: duration(duration_s), u: expanded(left) })),
+];
+
+const expanded = (um) => quantity(COVERAGE * um, "gap");
+
+function table(options) {
+  const columns = ["count", "minutes", "left", "stay", "worth"];
+  return h("table", {}, h("thead", {}, h("tr", {}, columns.map((name) => h("th", {}, t(`advice.${name}`))))),
+    h("tbody", {}, options.map((option) => h("tr", {}, cells(option).map((cell) => h("td", {}, cell))))));
+}
+
+function cells({ count, minutes, volumetric_uncertainty_um: left, one_place_as_long: stay, pays, because }) {
+  const worth = pays ? t("advice.pays", { reason: reasonOf(because) }) : t("advice.pays_not");
+  return [number(count), `${number(minutes)} min`, expanded(left),
+    ...(count > 1 ? [expanded(stay.volumetric_uncertainty_um), worth] : ["–", "–"])];
+}
+
+const reasonOf = (because) =>
+  known(`advice.because_${because}`, t("advice.because_weak", { error: because, name: nameOf(because) }));
