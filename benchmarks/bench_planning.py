@@ -44,7 +44,7 @@ from app.planning.next_configuration import (
     next_configuration,
     search_space,
 )
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic

@@ -36,7 +36,8 @@ from app.kinematics.effects.tracker_error import TrackerSpecification
 from app.kinematics.machine import Machine
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.workspace import Box, StationAreas, Workspace
-from app.planning.plan import Plan, make_plan
+from app.planning.plan import Plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic

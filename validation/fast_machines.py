@@ -20,7 +20,8 @@ from study import Study, study
 
 from app.files.machine_file import machine_from_json
 from app.motion.workspace import Workspace
-from app.planning.plan import Plan, make_plan
+from app.planning.plan import Plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from simulators import synthetic
 from simulators.hidden.inertial_bend import InertialBend

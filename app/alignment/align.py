@@ -11,10 +11,10 @@ from jaxtyping import Float64
 
 from app.alignment.cell_blocks import (
     CellBlock,
-    join_blocks,
     reduce_pass,
     reduce_standstills,
 )
+from app.alignment.cell_observations import join_blocks
 from app.alignment.cleaning import find_valid_samples, require_units
 from app.alignment.left_out import LeftOut, describe_unusable
 from app.alignment.nominal_path import (
@@ -68,28 +68,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
         )
     time_s = run.tracker.device_time_s[valid]
     tracker_mm = run.tracker.position_mm[valid]
-    machine = run.machine
-    nominal = compute_nominal_path(machine, run.commanded)
-    commanded = "path.csv" if run.mode == "otf" else "points.csv"
-    _require_motion(nominal, commanded)
-    require_units(time_s, tracker_mm, nominal.place_mm, run.machine.tracker.rate_hz)
-    stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
-    seating = find_seating(machine, run.commanded, nominal.first)
-    matching = match_stops(
-        stops, nominal.place_mm, ordered_by=commanded, seating=seating
-    )
-    if seating is not None:
-
-        def places_of(name: str) -> Float64[np.ndarray, "w 3"]:
-            names = (name,) * len(run.commanded)
-            measured = replace(run.commanded, target=names)
-            return compute_nominal_path(machine, measured, nominal.first).place_mm
-
-        require_targets(seating, matching, stops, commanded, places_of)
-    if matching.seats:
-        nominal = compute_nominal_path(
-            seat_targets(machine, matching.seats), run.commanded, nominal.first
-        )
+    nominal, stops, matching = _match(run, time_s, tracker_mm)
     stream = Stream(time_s, tracker_mm, matching.pose, matching.reach_mm)
     left_out = describe_unusable(run.tracker, usable)
     left_out += _list_astray(stream, stops, matching, nominal)
@@ -114,6 +93,33 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     in_run = tuple(p.shift(lambda k: int(valid[k])) for p in passes)
     left_out += _list_lines_without_pass(nominal, passes)
     return join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
+
+
+def _match(
+    run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
+) -> tuple[NominalPath, StopSequence, Matching]:
+    """Return the path by the targets' seats, the standstills, and which is where."""
+    machine, path = run.machine, run.commanded
+    nominal = compute_nominal_path(machine, path)
+    commanded = "path.csv" if run.mode == "otf" else "points.csv"
+    _require_motion(nominal, commanded)
+    require_units(time_s, tracker_mm, nominal.place_mm, machine.tracker.rate_hz)
+    stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
+    seating = find_seating(machine, path, nominal.first)
+    matching = match_stops(
+        stops, nominal.place_mm, ordered_by=commanded, seating=seating
+    )
+    if seating is not None:
+
+        def places_of(name: str) -> Float64[np.ndarray, "w 3"]:
+            measured = replace(path, target=(name,) * len(path))
+            return compute_nominal_path(machine, measured, nominal.first).place_mm
+
+        require_targets(seating, matching, stops, commanded, places_of)
+    if matching.seats:
+        seated = seat_targets(machine, matching.seats)
+        nominal = compute_nominal_path(seated, path, nominal.first)
+    return nominal, stops, matching
 
 
 def _list_astray(

@@ -8,16 +8,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.cell_gate import leave_out_cells
-from app.alignment.left_out import LeftOut, describe_samples, gather
+from app.alignment.left_out import LeftOut, describe_samples
 from app.alignment.nominal_path import Curve, NominalPath
-from app.alignment.observations import Observations, Pass
+from app.alignment.observations import Pass
 from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
-from app.alignment.seating import Seats, refer_to_first
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
 from app.alignment.stops import StopSequence
 from app.files.run import Run
-from app.kinematics.conditions import Conditions
 from app.numerics.rigid import RigidTransform
 
 STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill
@@ -289,89 +287,3 @@ def _creeps(tracker_mm: Float64[np.ndarray, "n 3"]) -> bool:
     quarters = np.array_split(tracker_mm, 4)
     means = np.array([quarter.mean(axis=0) for quarter in quarters])
     return bool(np.linalg.norm(np.ptp(means, axis=0)) > _CREEP_MM)
-
-
-def join_blocks(
-    run: Run,
-    parts: list[CellBlock],
-    pose: RigidTransform,
-    passes: tuple[Pass, ...],
-    seats: Seats,
-    left_out: list[LeftOut] | None = None,
-) -> Observations:
-    """Return the cells of all stretches as one block.
-
-    seats : targets that sit far off their places, and by how much
-    left_out : what is in none of the stretches, beside what each of them left out
-    """
-    said = [*(left_out or []), *(each for p in parts for each in p.left_out)]
-    sizes = [len(p.cells.time_s) for p in parts]
-    row = np.repeat(np.array([p.row for p in parts]), sizes)
-    line = np.repeat(np.array([p.line for p in parts]), sizes)
-    velocity = np.concatenate([p.velocity_mm_s for p in parts])
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    is_ramp = np.repeat(np.array([p.is_ramp for p in parts]), sizes)
-    mean_speed = np.repeat(np.array([p.line_speed_mm_s for p in parts]), sizes)
-    mean_speed = np.where(is_ramp, speed[:, 0], mean_speed)
-    names = run.commanded.target or ("",) * len(run.commanded)
-    targets = [run.machine.target(names[int(r)]) for r in row]
-    at = Conditions(
-        run.machine,
-        np.concatenate([p.position_mm for p in parts]),
-        np.array([target.offset_mm for target in targets], np.float64),
-        np.concatenate([p.cells.time_s for p in parts]),
-        line,
-        np.concatenate([p.line_time_s for p in parts]),
-        velocity,
-        approach_signs(run.commanded.position)[row],
-        run.machine.tracker.stands_on,
-        np.array([target.on == "workpiece" for target in targets], bool),
-        mean_speed if run.machine.rotary_axes else None,
-        acceleration=_join_accelerations(parts),
-    )
-    seats = refer_to_first(run.machine, seats)
-    if seats:
-        shifts = [seats.get(target.name, np.zeros(3)) for target in targets]
-        at = replace(at, seat_mm=np.array(shifts, np.float64))
-    count = np.concatenate([p.cells.count for p in parts])
-    return Observations(
-        at,
-        np.concatenate([p.cells.tracker_mm for p in parts]),
-        count,
-        velocity / np.maximum(speed, 1e-12),
-        row,
-        _scatter(parts),
-        pose,
-        passes,
-        int(count.sum()),
-        len(run.tracker),
-        gather(said, at.time_s, row),
-        is_ramp,
-    )
-
-
-def _join_accelerations(parts: list[CellBlock]) -> Float64[np.ndarray, "n a"] | None:
-    if not any(p.is_ramp for p in parts):
-        return None
-    return np.concatenate(
-        [
-            np.zeros_like(p.position_mm) if p.acceleration is None else p.acceleration
-            for p in parts
-        ]
-    )
-
-
-def _scatter(parts: list[CellBlock]) -> Float64[np.ndarray, "2"]:
-    square = np.sum(np.array([p.cells.scatter_square for p in parts]), axis=0)
-    freedom = np.sum(np.array([p.cells.freedom for p in parts]), axis=0)
-    return np.sqrt(square / np.maximum(freedom, 1.0))
-
-
-def approach_signs(
-    position: Float64[np.ndarray, "w a"],
-) -> Float64[np.ndarray, "w a"]:
-    """Return the sign of each axis' last motion on the way to each row."""
-    step = np.sign(np.diff(position, axis=0, prepend=position[:1]))
-    last = np.where(step != 0.0, np.arange(len(step))[:, None], 0)
-    np.maximum.accumulate(last, axis=0, out=last)
-    return np.take_along_axis(step, last, axis=0)

@@ -15,10 +15,10 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.cell_blocks import (
     CellBlock,
-    join_blocks,
     reduce_pass,
     reduce_standstills,
 )
+from app.alignment.cell_observations import join_blocks
 from app.alignment.cleaning import find_valid_samples
 from app.alignment.left_out import LeftOut, describe_unusable
 from app.alignment.nominal_path import compute_nominal_path

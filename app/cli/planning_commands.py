@@ -121,7 +121,7 @@ def plan(
     from app.files.machine_file import read_machine
     from app.files.workspace_file import read_workspace
     from app.motion.workspace import Workspace
-    from app.planning.plan import make_plan
+    from app.planning.plan_making import make_plan
     from app.planning.plan_order import PlanOrder
     from app.reporting.plan_report import write_plan
 

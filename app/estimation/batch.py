@@ -36,6 +36,7 @@ from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import NestedModels, RunModels
 from app.kinematics.effects.nuisance import TargetSeat
 from app.kinematics.machine import Target, TrackerNoise
+from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 from app.progress import ShareProgress, ignore_progress
 
@@ -193,14 +194,7 @@ def estimate(
         on_progress(0.5)
         fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
         if not all(is_linear(each, fit.model, fit.result) for each in seen):
-            seen = [
-                linearise_about(each, run, fit.model, fit.result)
-                for each, run in zip(seen, fit.runs, strict=True)
-            ]
-            cells = zip(inputs, join_cells(seen, models.nested.alone), strict=True)
-            inputs = tuple(
-                replace(run, observations=each, pose=each.pose) for run, each in cells
-            )
+            seen, inputs = _linearise_again(seen, inputs, fit, models.nested.alone)
             inputs = refine_runs(models.coarse, inputs, known=known)
             fit = soften_ends(_fit_ramps(inputs, seen, models.nested, known))
     except Unidentifiable as error:
@@ -210,9 +204,6 @@ def estimate(
         raise Unidentifiable(undetermined) from error
     fit = include_confounded(fit, models.nested.confounded)
     on_progress(0.9)
-    observability = assess_observability(models.shapes, inputs)
-    measured = find_measured_ranges(*observed)
-    chances = known.compute_chances(fit.model, fit.result)
     result = widen_by_unknown_precision(fit.prior, fit.result)
     result = add_hidden_variance(result, fit.model, fit.prior.precision)
     found = Estimate(
@@ -220,17 +211,34 @@ def estimate(
         result.theta,
         result.covariance,
         fit.prior.precision,
-        observability,
+        assess_observability(models.shapes, inputs),
         fit.direction,
         perpendicular_only,
         tuple(_estimate_run(run, result) for run in fit.runs),
-        measured,
+        find_measured_ranges(*observed),
         known,
-        chances,
+        known.compute_chances(fit.model, fit.result),
         fit if keep_fit else None,
     )
     on_progress(1.0)
     return found
+
+
+def _linearise_again(
+    seen: Sequence[Observations],
+    inputs: Sequence[RunInput],
+    fit: Fit,
+    alone: MachineModel,
+) -> tuple[list[Observations], tuple[RunInput, ...]]:
+    """Return the Runs about the machine that a fit has found, and in its cells."""
+    seen = [
+        linearise_about(each, run, fit.model, fit.result)
+        for each, run in zip(seen, fit.runs, strict=True)
+    ]
+    cells = zip(inputs, join_cells(seen, alone), strict=True)
+    return seen, tuple(
+        replace(run, observations=each, pose=each.pose) for run, each in cells
+    )
 
 
 def _fit_ramps(

@@ -45,8 +45,10 @@ _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma 
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
 _LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
-LONGEST_S = 60.0
-_BOUNDS = np.log([[1e-3, 3.0], [1e-3, 3.0], [0.02, LONGEST_S], [_JITTER_FLOOR_MM, 0.1]])
+_LONGEST_S = 60.0
+_BOUNDS = np.log(
+    [[1e-3, 3.0], [1e-3, 3.0], [0.02, _LONGEST_S], [_JITTER_FLOOR_MM, 0.1]]
+)
 
 
 def guess_noise(observations: Observations, *, perpendicular_only: bool) -> NoiseModel:
@@ -62,7 +64,7 @@ def refine_runs(
     runs: Sequence[RunInput],
     known: KnownEffects | None = None,
     *,
-    longest_s: float = LONGEST_S,
+    longest_s: float = _LONGEST_S,
 ) -> tuple[RunInput, ...]:
     """Return the Runs with a better pose and the noise of greatest evidence.
 
@@ -130,7 +132,7 @@ def estimate_residual_noise(
     residual = design.residual - design.columns @ theta
     nothing = Information.of_matrix(np.zeros((0, 0)))
     evidence = NoiseEvidence(design, timing, residual, nothing)
-    return _maximise(evidence, about.noise, LONGEST_S)
+    return _maximise(evidence, about.noise, _LONGEST_S)
 
 
 def _merge_design(observations: Observations, about: Linearisation) -> DesignMatrix:

@@ -58,7 +58,7 @@ def plan_measurement(
     PlanningError.
     """
     # Imported where it computes: the service itself carries no science.
-    from app.planning.plan import make_plan
+    from app.planning.plan_making import make_plan
     from app.results.grade_json import grade_set_up
     from app.results.plan_document import plan_document
 

@@ -1,8 +1,4 @@
-"""Plans within a time or for a target: chosen by the planner, judged by the estimator.
-
-The plan is what tells most in the time it takes; the forecast says what it will leave
-unknown, by the model, prior and noise that the estimate will be made with.
-"""
+"""A plan, chosen by the planner from one place and judged as the estimator will."""
 
 from __future__ import annotations
 
@@ -27,7 +23,6 @@ from app.planning.design_state import DesignState
 from app.planning.forecast import Assumptions, Forecast, forecast
 from app.planning.initial_design import (
     add_station,
-    choose_station,
     predict_lag_sigmas_s,
     start_design,
 )
@@ -49,17 +44,12 @@ from app.planning.station_choice import (
 )
 from app.planning.station_information import StationJudge, Survey
 from app.planning.target_shares import share_among_targets
-from app.progress import Progress, ignore_progress
 from drivers.interfaces.records import Path
 
-LONGEST_S = 3600.0
-_FIRST_TRY_S = 60.0
-_TRIES = 5
 _SURVEY_LINES, _SURVEY_POINTS = 40, 80  # by which places of the tracker are judged
 _SURVEY_EFFORT = SearchEffort(candidates=40, rounds=0)
 # Where stops were moved all axes would go on every line.
 _TURNING_EFFORT = SearchEffort(candidates=40, rounds=0)
-_CLOSE = 0.93  # a plan that would be shorter by less is not tried
 
 
 @dataclass(frozen=True)
@@ -113,94 +103,8 @@ class Plan:
         return None if target_um is None else self.uncertainty_um <= target_um
 
 
-def make_plan(
-    machine: Machine, order: PlanOrder, *, on_progress: Progress = ignore_progress
-) -> Plan:
-    """Return the plan that was asked for.
-
-    With a target it is the shortest plan found that reaches it; where none does within
-    the minutes (an hour without), the plan of that length, which says how far it comes.
-
-    Raises PlanningError if nothing can be planned; it names the reason. BundleError if
-    the model is of another machine.
-    """
-    order.refuse_nonsense(machine)
-    on_progress(0.0, "planning")
-    station_mm = choose_station(machine, order.workspace)
-    attempt = _PlanAttempt(machine, order, order.assume(machine), station_mm)
-    if order.workspace.stations is None:
-        return _plan_as_ordered(attempt, on_progress)
-    choice = attempt.choose_place(order.workspace.stations)
-    if order.stations > 1:
-        plan = _plan_stations(attempt, choice, on_progress)
-    else:
-        first = attempt.place_tracker(choice.first.place_mm)
-        plan = _plan_as_ordered(first, on_progress)
-    time_s = sum(one.duration_s for one in plan.at_stations)
-    sigma_mm = plan.outcome.volumetric_sigma_mm
-    scale = choice.compare(order.stations, time_s, sigma_mm)
-    return replace(plan, stations=choice.advise(time_s, scale))
-
-
-def _plan_stations(
-    attempt: _PlanAttempt, choice: StationChoice, on_progress: Progress
-) -> Plan:
-    """Return the plan from the first place, with those from further places."""
-    order, plans = attempt.order, list[Plan]()
-    share_s = order.budget_s / order.stations
-    for number, station in enumerate(choice.choose_stations(order.stations)):
-        on_progress(number / order.stations, f"station {number + 1}")
-        attempt = attempt.place_tracker(station.place_mm)
-        plan = attempt.plan_within(share_s)
-        attempt = attempt.tell(plan)
-        plans.append(plan)
-    return replace(plans[0], further=tuple(plans[1:]))
-
-
-def _plan_as_ordered(attempt: _PlanAttempt, on_progress: Progress) -> Plan:
-    """Return the plan from where the tracker stands."""
-    order = attempt.order
-    if order.corner_path:
-        return attempt.plan_corners()
-    if order.target_um is None:
-        return attempt.plan_within(order.budget_s)
-    longest_s = 60.0 * order.minutes if order.minutes else LONGEST_S
-    return _plan_for_target(attempt, order.target_um, longest_s, on_progress)
-
-
-def _plan_for_target(
-    attempt: _PlanAttempt, target_um: float, longest_s: float, on_progress: Progress
-) -> Plan:
-    """Return the shortest plan found that reaches the target, or the longest."""
-    budget_s, short_s, found = min(_FIRST_TRY_S, longest_s), 0.0, None
-    planned = attempt.plan_within(budget_s)
-    for number in range(1, _TRIES):
-        reached_um = planned.uncertainty_um
-        on_progress(
-            number / _TRIES, f"{budget_s:.0f} s reach {reached_um:.2f} µm (k = 1)"
-        )
-        # Uncertainty falls with the square root of time, slower where much is known.
-        wanted = float(np.clip((reached_um / target_um) ** 2, 0.3, 6.0))
-        if planned.reached:
-            found = planned
-        elif budget_s >= longest_s:
-            break
-        else:
-            short_s = budget_s
-        if found is not None and short_s > _CLOSE * found.duration_s:
-            break
-        budget_s = min(budget_s * max(wanted, 1.0) * 1.05, longest_s)
-        if found is not None:
-            budget_s = max(found.duration_s * min(wanted, _CLOSE), 1.05 * short_s)
-            budget_s = min(
-                budget_s, 0.5 * (short_s + found.duration_s) if short_s else budget_s
-            )
-        planned = attempt.plan_within(budget_s)
-    return found or planned
-
-
 @dataclass(frozen=True)
-class _PlanAttempt:
+class PlanAttempt:
     """A plan from one place.
 
     told : forecast after the stations before it; design : the planner's state then
@@ -214,20 +118,22 @@ class _PlanAttempt:
     design: DesignState | None = None
 
     def plan_within(self, budget_s: float) -> Plan:
+        """Return the plan that tells most in so much time."""
         return self._evaluate(self._choose(budget_s))
 
     def plan_corners(self) -> Plan:
+        """Return the plan along the corner path."""
         path = self._corners()
         self.order.workspace.refuse(self.machine, path)
         return self._evaluate(path)
 
-    def place_tracker(self, place_mm: NDArray[np.float64]) -> _PlanAttempt:
+    def place_tracker(self, place_mm: NDArray[np.float64]) -> PlanAttempt:
         """Return the attempt with the tracker at a place."""
         workspace = self.order.workspace.place_tracker(place_mm)
         order = replace(self.order, workspace=workspace)
         return replace(self, order=order, station_mm=place_mm)
 
-    def tell(self, plan: Plan) -> _PlanAttempt:
+    def tell(self, plan: Plan) -> PlanAttempt:
         """Return the attempt that knows what a plan from here will tell."""
         known = self._planners[0].design.add(inform(*self._share(plan.commanded)))
         return replace(self, told=plan.forecast, design=known)

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.cell_blocks import STANDSTILL_SETTLE_S, approach_signs
+from app.alignment.cell_blocks import STANDSTILL_SETTLE_S
+from app.alignment.cell_observations import approach_signs
 from app.alignment.observations import Observations, add_surroundings
 from app.alignment.segmentation import RAMP_SETTLE_S
 from app.errors import PlanningError

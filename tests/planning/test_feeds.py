@@ -9,7 +9,7 @@ from app.errors import BundleError, PlanningError
 from app.files.machine_file import machine_from_json, machine_to_json
 from app.kinematics.machine import MotionLimits
 from app.motion.motion_times import Drive, Legs
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from app.results.plan_document import plan_document
 from simulators.profile import Limits, rest_to_rest

@@ -16,7 +16,7 @@ from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
 from app.kinematics.model import MachineModel, restore_effect
 from app.planning.forecast import Assumptions, forecast
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from app.reporting.plan_report import render_plan_report
 from app.results.plan_document import plan_document

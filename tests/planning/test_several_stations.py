@@ -9,7 +9,7 @@ from app.errors import PlanningError
 from app.motion.workspace import Box, StationAreas, Workspace
 from app.planning.forecast import forecast
 from app.planning.known_points import choose_known_points
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from app.planning.predicted_cells import predict_cells
 from app.results.plan_document import plan_document

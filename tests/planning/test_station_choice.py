@@ -8,7 +8,7 @@ import pytest
 from app.errors import PlanningError
 from app.kinematics.effects.tracker_error import TrackerSpecification
 from app.motion.workspace import Box, Reflector, StationAreas, Workspace
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 
 FLOOR = Box((-1500.0, -2500.0, -200.0), (2000.0, -500.0, 200.0))

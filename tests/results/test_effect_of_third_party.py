@@ -13,7 +13,7 @@ from app import plugins
 from app.estimation.prior_model import PriorModel
 from app.files.result_file import result_from_json
 from app.kinematics.effects.conformance import CHECKS, example_conditions
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from app.reporting.analysis_files import render_analysis
 from app.reporting.discovery_report import render_discovery_report
