@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +23,6 @@ class Backlash(HiddenEffect):
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw an axis; half of the width to either side."""
         return cls(occasion.axis(rng), 2.0 * occasion.size_um)
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return its width."""
-        del clock
-        return {"width_um": self.width_um}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the table is from where the screw is."""

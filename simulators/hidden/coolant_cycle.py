@@ -39,11 +39,6 @@ class CoolantCycle(HiddenEffect):
             float(rng.uniform(0.0, 0.3)),
         )
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its direction."""
-        return {"direction": self.direction}
-
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
         """Return period and amplitude."""
         period_s = self.period_s * (1.0 + clock.drift)

@@ -96,7 +96,7 @@ def parse_hidden(text: str, seed: int, machine: MachineFile) -> HiddenEffect:
 
 def as_json(effect: HiddenEffect) -> dict[str, Any]:
     """Return an effect as the content of a JSON object."""
-    return {"name": effect.name, **asdict(effect)}  # type: ignore[call-overload]
+    return {"name": effect.name, **asdict(effect)}
 
 
 def from_json(content: Mapping[str, Any]) -> HiddenEffect:

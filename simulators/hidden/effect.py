@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -48,6 +48,7 @@ class Occasion:
         return found.high - found.low
 
 
+@dataclass(frozen=True, slots=True)
 class HiddenEffect(ABC):
     """One physical cause that the nominal machine with its error motions lacks.
 
@@ -68,13 +69,24 @@ class HiddenEffect(ABC):
         """Draw one of the size that is asked for."""
 
     @property
-    @abstractmethod
     def keys(self) -> dict[str, str]:
-        """What tells it from others of its name: axis, motion, direction …"""
+        """What tells it from others of its name: its texts, as axis and direction."""
+        return {
+            name: text for name, text in asdict(self).items() if isinstance(text, str)
+        }
 
-    @abstractmethod
     def parameters(self, clock: TrackerClock) -> Mapping[str, Value]:
-        """Return its numbers as files state them, times on the tracker's clock."""
+        """Return its numbers as files state them, times on the tracker's clock.
+
+        Those that have no usual value.
+        """
+        del clock
+        unusual = {field.name for field in fields(self) if field.default is MISSING}
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if name in unusual and not isinstance(value, str)
+        }
 
     def truth(self, clock: TrackerClock) -> dict[str, Any]:
         """Return name, keys and parameters in the form of `discovery.json`."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,16 +36,6 @@ class ElasticSag(HiddenEffect):
         by = str(rng.choice([n for n in "XYZ" if n != axis]))
         amplitude = 4.0 * occasion.size_um * float(rng.choice([-1.0, 1.0]))
         return cls(axis, by, str(rng.choice(list("XYZ"))), amplitude)
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Guide, carriage and direction."""
-        return {"axis": self.axis, "by": self.by, "direction": self.direction}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the sag in mid guide under the whole load."""
-        del clock
-        return {"amplitude_um": self.amplitude_um}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the guide's deflection under the carriage."""

@@ -30,11 +30,6 @@ class FloatingSlide(HiddenEffect):
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
         return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Axis and direction."""
-        return {"axis": self.axis, "direction": self.direction}
-
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
         """Return the lift at high speed."""
         del clock

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _USUAL_M_S2 = 1.5  # at which it is as large as is asked for
 _ARM_MM = 300.0
@@ -46,11 +45,6 @@ class InertialBend(HiddenEffect):
     def keys(self) -> dict[str, str]:
         """Its axis and motion."""
         return {"axis": self.motion[2], "motion": self.motion}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the amount at 1 m/s²."""
-        del clock
-        return {"amount": self.amount}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the motion: a mass on a spring that the acceleration pulls."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _ARM_M = 0.33  # a turn is drawn so that it moves the tool as far as a shift does
 
@@ -39,18 +38,8 @@ class LateralBacklash(HiddenEffect):
         return cls(axis, f"E{letter}{axis}", half, float(rng.uniform(0.1, 1.0)))
 
     @property
-    def keys(self) -> dict[str, str]:
-        """Axis and error motion."""
-        return {"axis": self.axis, "motion": self.motion}
-
-    @property
     def _turns(self) -> bool:
         return self.motion[1] in "ABC"
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return its half width, in µm or µrad."""
-        del clock
-        return {"half_width": self.half_width}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far it leans, by how much of the play friction has crossed."""

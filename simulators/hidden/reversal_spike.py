@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +33,6 @@ class ReversalSpike(HiddenEffect):
             occasion.size_um * float(rng.choice([-1.0, 1.0])),
             float(rng.uniform(5.0, 30.0)),
         )
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Axis and direction."""
-        return {"axis": self.axis, "direction": self.direction}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the excursion at the reversal, and the travel in which it fades."""
-        del clock
-        return {"amplitude_um": self.amplitude_um, "decay_mm": self.decay_mm}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return what is left of the excursion."""

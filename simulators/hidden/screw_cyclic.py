@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _LEADS_MM = (5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
 
@@ -35,20 +34,6 @@ class ScrewCyclic(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
             float(rng.uniform(0.0, 0.1)),
         )
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return lead, amplitude and phase at the axis zero."""
-        del clock
-        return {
-            "lead_mm": self.lead_mm,
-            "amplitude_um": self.amplitude_um,
-            "phase_rad": self.phase_rad,
-        }
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the nut's error by the angle of the screw."""

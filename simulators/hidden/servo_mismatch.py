@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +24,6 @@ class ServoMismatch(HiddenEffect):
         """Draw an axis; at the usual feed it lags, or leads, by the size."""
         lag_ms = occasion.size_um / occasion.feed_mm_s * float(rng.choice([-1.0, 1.0]))
         return cls(occasion.axis(rng), lag_ms)
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the lag."""
-        del clock
-        return {"lag_ms": self.lag_ms}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the following error, r − c of lag r' = c − r.

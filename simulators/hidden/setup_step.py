@@ -32,11 +32,6 @@ class SetupStep(HiddenEffect):
         moment_s = float(rng.uniform(1.0 / 6.0, 5.0 / 6.0) * occasion.duration_s)
         return cls(moment_s, (float(x), float(y), float(z)))
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing: there is one."""
-        return {}
-
     def parameters(self, clock: TrackerClock) -> dict[str, float | tuple[float, ...]]:
         """Return the moment on the tracker's clock, and the step."""
         return {"t_s": clock.device_s(self.time_s), "step_um": self.step_um}

@@ -11,7 +11,6 @@ from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.motion import Motion
 from simulators.joint import rotation_matrices
 from simulators.machine_file import DIRECTIONS
-from simulators.tracker_head import TrackerClock
 from simulators.truth_machine import SQUARENESS
 
 
@@ -34,16 +33,6 @@ class Squareness(HiddenEffect):
         travel_m = 1e-3 * occasion.travel_mm(SQUARENESS[symbol][0])
         sign = float(rng.choice([-1.0, 1.0]))
         return cls(symbol, sign * 2.0 * occasion.size_um / travel_m)
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Which squareness."""
-        return {"symbol": self.symbol}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the angle."""
-        del clock
-        return {"value_urad": self.value_urad}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return s (R d − d) for the position s on the direction d of travel."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +25,6 @@ class TableDrift(HiddenEffect):
         direction /= np.linalg.norm(direction)
         x, y, z = 2.0 * occasion.size_um / occasion.duration_s * direction
         return cls((float(x), float(y), float(z)))
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing: there is one."""
-        return {}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, tuple[float, ...]]:
-        """Return the rates."""
-        del clock
-        return {"rate_um_per_s": self.rate_um_per_s}
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return the rate times the time."""

@@ -40,11 +40,6 @@ class ThermalGrowth(HiddenEffect):
         lag_s = float(rng.uniform(1.0, 6.0))
         return cls(axis, coefficient, rise_k, tau_s, lag_s, bool(rng.uniform() < 0.5))
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
         """Return the coefficient, or growth and time constant without a sensor."""
         del clock

@@ -8,7 +8,6 @@ from typing import Self
 import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.tracker_head import TrackerClock
 
 _CIRCLES = {"azimuth": 1, "elevation": 2}
 
@@ -32,16 +31,6 @@ class TrackerEccentricity(HiddenEffect):
         amplitude = 10.0 * 1e3 * occasion.size_um / occasion.distance_mm
         circle = str(rng.choice(list(_CIRCLES)))
         return cls(circle, amplitude, float(rng.uniform(0.0, 2.0 * np.pi)))
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Which circle."""
-        return {"circle": self.circle}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return amplitude and phase."""
-        del clock
-        return {"amplitude_urad": self.amplitude_urad, "phase_rad": self.phase_rad}
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
         """Return the error of the reading head."""

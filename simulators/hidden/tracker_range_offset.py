@@ -8,7 +8,6 @@ from typing import Self
 import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +25,6 @@ class TrackerRangeOffset(HiddenEffect):
         move the point by the size.
         """
         return cls(8.0 * occasion.size_um * float(rng.choice([-1.0, 1.0])))
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing: there is one."""
-        return {}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the offset."""
-        del clock
-        return {"offset_um": self.offset_um}
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
         """Return the offset in every range."""

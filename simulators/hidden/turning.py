@@ -13,7 +13,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _REACH_MM = 120.0  # usual, from the axis to a target
 _PERIODS_DEG = (4.0, 5.0, 6.0, 9.0, 12.0)
@@ -43,16 +42,6 @@ class TurningBacklash(HiddenEffect):
         width = 2e3 * occasion.size_um / _REACH_MM
         return cls(_choose_rotary(rng, occasion), width)
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return its width."""
-        del clock
-        return {"width_urad": self.width_urad}
-
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the table or head is from where its drive is."""
         half_deg = float(np.degrees(0.5e-6 * self.width_urad))
@@ -80,20 +69,6 @@ class GearCyclic(HiddenEffect):
             1e3 * occasion.size_um / _REACH_MM,
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return period, amplitude and phase."""
-        del clock
-        return {
-            "period_deg": self.period_deg,
-            "amplitude_urad": self.amplitude_urad,
-            "phase_rad": self.phase_rad,
-        }
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the error of the angle."""
@@ -123,16 +98,6 @@ class SwivelSag(HiddenEffect):
             2.0 * occasion.size_um,
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Guide, swivel and direction."""
-        return {"axis": self.axis, "by": self.by, "direction": self.direction}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the sag in mid guide, and its phase."""
-        del clock
-        return {"amplitude_um": self.amplitude_um, "phase_rad": self.phase_rad}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the guide's deflection."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +35,6 @@ class Twist(HiddenEffect):
     def keys(self) -> dict[str, str]:
         """Both axes and the direction."""
         return {"plane": self.first + self.second, "direction": self.direction}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the amplitude."""
-        del clock
-        return {"amplitude_um": self.amplitude_um}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the bulge where both axes are."""

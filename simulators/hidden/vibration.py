@@ -35,11 +35,6 @@ class Vibration(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its direction."""
-        return {"direction": self.direction}
-
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
         """Return frequency, on the tracker's clock, and amplitude."""
         return {

@@ -36,11 +36,6 @@ class WavyGuide(HiddenEffect):
             float(rng.uniform(0.0, 2.0 * np.pi)),
         )
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Axis and direction."""
-        return {"axis": self.axis, "direction": self.direction}
-
     def parameters(self, clock: TrackerClock) -> dict[str, float]:
         """Return pitch and amplitude."""
         del clock
