@@ -14,8 +14,6 @@ from app.kinematics.effects.base import Role
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
-    CandidateEstimate,
-    Quantity,
     Wave,
     read_words,
 )
@@ -24,7 +22,6 @@ from app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
 from app.kinematics.effects.sinusoid import (
     Sinusoid,
     SinusoidFamily,
-    find_amplitude_and_phase,
 )
 from app.kinematics.machine import Axis, LinearAxis, RotaryAxis
 from app.kinematics.symbols import LINEAR
@@ -50,9 +47,7 @@ class ScrewCyclic(Sinusoid):
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
         """Return the wave of the axis' position."""
-        name = self.axis.name
-        arm = find_arm(f"E{name}{name}", at)
-        return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
+        return _make_wave(f"E{self.axis.name}{self.axis.name}", at, waves)
 
 
 @dataclass(frozen=True)
@@ -67,9 +62,7 @@ class GearCyclic(Sinusoid):
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
         """Return the wave of the axis' angle."""
-        name = self.axis.name
-        arm = find_arm(f"E{name}{name}", at)
-        return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
+        return _make_wave(f"E{self.axis.name}{self.axis.name}", at, waves)
 
 
 @dataclass(frozen=True)
@@ -85,9 +78,14 @@ class PositionWave(Sinusoid):
 
     def make_wave(self, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
         """Return the wave of the axis' position."""
-        name = self.axis.name
-        arm = find_arm(f"E{self.direction}{name}", at)
-        return Wave(arm, at.axis_mm(name), np.abs(at.axis_rate(name)), waves)
+        return _make_wave(f"E{self.direction}{self.axis.name}", at, waves)
+
+
+def _make_wave(symbol: str, at: Conditions, waves: Float64[np.ndarray, " v"]) -> Wave:
+    """Return the wave of an axis' position in one of its error motions."""
+    name = symbol[2]
+    rate = np.abs(at.axis_rate(name))
+    return Wave(find_arm(symbol, at), at.axis_mm(name), rate, waves)
 
 
 class _FamilyOfAxes(SinusoidFamily):
@@ -157,6 +155,7 @@ class GearCyclicFamily(_FamilyOfAxes):
     value_name = "period_deg"
     numbers = ("period_deg",)
     shortest, longest = 3.0, 30.0
+    amplitude = ("amplitude_urad", 1e6)
     makes = GearCyclic
     keys = {"axis": ROTARY_AXIS}
     words = read_words("""
@@ -182,15 +181,6 @@ class GearCyclicFamily(_FamilyOfAxes):
         """Return one a rotary axis."""
         axes = [a for a in at.machine.rotary_axes if self.is_resolved(a, at)]
         return [self.offer(GearCyclic(axis, 5.0), [_USUAL_RAD] * 2) for axis in axes]
-
-    def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
-        """Return period, amplitude and phase."""
-        amplitude, phase = find_amplitude_and_phase(found.theta, found.covariance)
-        return {
-            self.value_name: found.value,
-            "amplitude_urad": amplitude.scale(1e6),
-            "phase_rad": phase,
-        }
 
 
 class PositionWaveFamily(_FamilyOfAxes):

@@ -62,9 +62,11 @@ class SinusoidFamily(Family):
     """Sinusoids whose waves are scanned.
 
     scans_periods : what is scanned is a period; else a frequency
+    amplitude : name that it is stated by, and how many of its units are one inside
     """
 
     scans_periods: ClassVar[bool] = True
+    amplitude: ClassVar[tuple[str, float]] = ("amplitude_um", 1e3)
 
     @abstractmethod
     def list_waves(
@@ -91,9 +93,10 @@ class SinusoidFamily(Family):
         amplitude, phase = find_amplitude_and_phase(
             found.theta[:2], found.covariance[:2, :2]
         )
+        name, units = self.amplitude
         return {
             self.value_name: found.value,
-            "amplitude_um": amplitude.scale(1e3),
+            name: amplitude.scale(units),
             "phase_rad": phase,
         }
 
