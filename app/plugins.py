@@ -8,14 +8,14 @@ from typing import Any
 from app.errors import BadInput
 
 
-def installed(group: str) -> dict[str, EntryPoint]:
+def find_plugins(group: str) -> dict[str, EntryPoint]:
     """Return what is installed in an entry-point group, by name."""
     return {point.name: point for point in entry_points(group=group)}
 
 
 def load(group: str, name: str) -> Any:
     """Return the factory called `name`; an unknown name tells what is installed."""
-    known = installed(group)
+    known = find_plugins(group)
     if name not in known:
         raise BadInput(
             f"no {group.removeprefix('truepath.')} called {name!r} is installed; "

@@ -57,7 +57,7 @@ def main() -> None:
         samples, points = mine.value[0], theirs.value[0]
         print(f"{samples} samples, {points} reduced points")
         for label, cost in (("ours, all of it", mine), ("paper, solve only", theirs)):
-            left = _left(truth, cost.value[1], folder)
+            left = _compute_share_left(truth, cost.value[1], folder)
             print(f"{label:18s} {cost}   left {left:6.2%} of the error")
         print(f"ours is {ratio(mine, theirs)}")
 
@@ -82,7 +82,9 @@ def _points(machine: Machine) -> np.ndarray:
     return np.random.default_rng(1).uniform(low, high, (500, 3))
 
 
-def _left(truth: np.ndarray, predicted: np.ndarray, folder: Path) -> float:
+def _compute_share_left(
+    truth: np.ndarray, predicted: np.ndarray, folder: Path
+) -> float:
     at = _points(read_bundle(folder / "bundle").machine)
     before = _rigid_free(at, truth)
     left = before - _rigid_free(at, predicted)

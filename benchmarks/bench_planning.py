@@ -116,13 +116,15 @@ def points_needed(seed: int, *, volumetric: bool) -> int:
     rng = np.random.default_rng(seed)
     low, high = np.array([[axis.low, axis.high] for axis in machine.axes]).T
     goal = np.median(
-        [left(design, rng.uniform(low, high, (RANDOM + 1, 3))) for _ in "abcde"]
+        [compute_left(design, rng.uniform(low, high, (RANDOM + 1, 3))) for _ in "abcde"]
     )
     region = SearchRegion(low, high, lambda legs: (legs.step != 0.0).any(axis=1))
     choice = LegChoice(design, region, (6e6,), rng, SearchEffort(rounds=0))
     stops = choice.stops(low, RANDOM * 1.01)
     counts = range(1, len(stops))
-    return next(n for n in counts if left(design, stops.position[: n + 1]) <= goal)
+    return next(
+        n for n in counts if compute_left(design, stops.position[: n + 1]) <= goal
+    )
 
 
 def gram_of_motions(design: DesignState) -> np.ndarray:
@@ -141,7 +143,7 @@ def gram_of_motions(design: DesignState) -> np.ndarray:
     return gram
 
 
-def left(design: DesignState, position: np.ndarray) -> float:
+def compute_left(design: DesignState, position: np.ndarray) -> float:
     """Return J after standstills at all positions but the first."""
     told = design.information(Stops(position, np.full(len(position), FEED)).legs)
     return design.add(told).integrated_variance
@@ -157,13 +159,15 @@ def one_axis(seed: int) -> tuple[float, float, float]:
     )
     for row in spline.basis(rng.uniform(0.0, knots[-1], int(rng.integers(0, 8)))):
         known = known.update(row, 1e-2)
-    exact_s, best = timed(lambda: find_best_place(known, spline.basis, knots, 1e-2), 5)
+    exact_s, best = measure_time(
+        lambda: find_best_place(known, spline.basis, knots, 1e-2), 5
+    )
     at = np.linspace(0.0, knots[-1], DENSE)
 
-    def searched() -> float:
+    def search() -> float:
         return dense_search(known.covariance, known.gram, spline.basis(at), 1e-2)
 
-    dense_s, drop = timed(searched, 3)
+    dense_s, drop = measure_time(search, 3)
     return exact_s, dense_s, (best.drop - drop) / known.integrated_variance
 
 
@@ -184,26 +188,28 @@ def next_point(machine: Machine, intervals: int, grid: int) -> tuple[float, ...]
 
     for row in rows(axes.draw(10, seed=1)):
         known = known.update(row, VARIANCE)
-    ours_s, best = timed(lambda: next_configuration(known, rows, axes, VARIANCE), 3)
+    ours_s, best = measure_time(
+        lambda: next_configuration(known, rows, axes, VARIANCE), 3
+    )
     ticks = [np.linspace(axis.low, axis.high, grid) for axis in machine.axes]
     places = np.stack([g.ravel() for g in np.meshgrid(*ticks)], axis=1)
 
-    def searched() -> float:
+    def search() -> float:
         _, after = best_of_grid(known.covariance, known.gram, rows(places), VARIANCE)
         return known.integrated_variance - after
 
-    grid_s, drop = timed(searched, 1)
+    grid_s, drop = measure_time(search, 1)
     return model.size, ours_s, grid_s, best.drop / drop
 
 
 def ten_minutes(seed: int) -> float:
     """Return the seconds that a 10-minute path takes to plan."""
     machine = machine_of(seed)
-    seconds, _ = timed(lambda: make_plan(machine, PlanOrder(minutes=10.0)), 1)
+    seconds, _ = measure_time(lambda: make_plan(machine, PlanOrder(minutes=10.0)), 1)
     return seconds
 
 
-def timed(function: Callable[[], Any], repeats: int) -> tuple[float, Any]:
+def measure_time(function: Callable[[], Any], repeats: int) -> tuple[float, Any]:
     """Return the least time of some calls, and what the last returned."""
     times, value = [], None
     for _ in range(repeats):

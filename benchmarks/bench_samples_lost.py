@@ -58,7 +58,9 @@ def measure(client: Client) -> str:
     return job_id
 
 
-def followed(client: Client, job_id: str, pid: int) -> tuple[dict[str, int], float]:
+def follow_measurement(
+    client: Client, job_id: str, pid: int
+) -> tuple[dict[str, int], float]:
     """Follow a measurement to its end; return its health and the cell's share of a
     core since it was started.
     """
@@ -148,7 +150,7 @@ def main() -> None:
                     stack.enter_context(reading(client))
                     stack.enter_context(solving(bundle, folder))
                 job_id = measure(client)
-                health, share = followed(client, job_id, pid)
+                health, share = follow_measurement(client, job_id, pid)
                 stack.close()
                 print(
                     f"{load:8s} {health['samples']:6d} samples, "

@@ -82,12 +82,12 @@ def _child(
     sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]
 ) -> None:
     try:
-        sender.send(_measured(function, arguments))
+        sender.send(_measure(function, arguments))
     except Exception as error:
         sender.send(error)
 
 
-def _measured(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Measurement:
+def _measure(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Measurement:
     wall, processor = time.perf_counter(), time.process_time()
     value = function(*arguments)
     wall, processor = time.perf_counter() - wall, time.process_time() - processor

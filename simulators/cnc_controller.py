@@ -210,9 +210,7 @@ class Controller:
         # What stands before the begin of a motion is no dwell of its program.
         at_s = max(now_s + self._lead_s, self._begin_s)
         if self._running is not None:
-            self._running = interruption.program_left(
-                self._timeline, self._running, at_s
-            )
+            self._running = interruption.find_rest(self._timeline, self._running, at_s)
         self._change(interruption.hold_motion(self._recent(now_s), at_s, self._limits))
         self._stopping_for = state
 

@@ -24,7 +24,7 @@ def hold_motion(timeline: Timeline, time_s: float, limits: Limits) -> Timeline:
     return timeline.cut(time_s).then(along(stretches, state, time_s, None))
 
 
-def program_left(timeline: Timeline, program: Program, time_s: float) -> Program:
+def find_rest(timeline: Timeline, program: Program, time_s: float) -> Program:
     """Return the program with what is left of a dwell that `time_s` falls into.
 
     A hold in a dwell goes on with the rest of it; elsewhere the program is as it was.
@@ -55,7 +55,7 @@ def with_feed(
     """
     state = timeline.state(time_s)
     if state.speed == 0.0 and state.acceleration == 0.0:
-        rest = program_left(timeline, program, time_s)
+        rest = find_rest(timeline, program, time_s)
         future = follow(rest, state.position, time_s, limits, state.row)
         return timeline.cut(time_s).then(future)
     line = _rest_of_line(timeline, program, state, time_s, limits)

@@ -127,7 +127,7 @@ def record(
     status = np.zeros(len(true_s), np.int64)
     for begin, duration in setting.defects.beam_breaks:
         status[_within(true_s, begin, duration)] = BEAM_BROKEN
-    keep = _kept(true_s, seed, setting.defects)
+    keep = _draw_arrivals(true_s, seed, setting.defects)
     return Recording(
         content,
         mode,
@@ -157,7 +157,7 @@ def _motion(program: Program, setting: Setting) -> Timeline:
     begin = setting.lead_in_s
     timeline = follow(program, program.position[0], begin, setting.limits)
     for time_s, duration_s in setting.defects.holds:
-        left = interruption.program_left(timeline, program, time_s)
+        left = interruption.find_rest(timeline, program, time_s)
         timeline = interruption.hold_motion(timeline, time_s, setting.limits)
         timeline = interruption.resume_motion(
             timeline,
@@ -206,7 +206,7 @@ def _with_spikes(stream: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
     return stream
 
 
-def _kept(true_s: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
+def _draw_arrivals(true_s: np.ndarray, seed: int, defects: Defects) -> np.ndarray:
     """Return the indices of the frames that arrive, in order, some of them twice."""
     rng = generator(seed, "defects: frames")
     arrives = rng.uniform(size=len(true_s)) >= defects.dropped_share

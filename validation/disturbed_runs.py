@@ -22,7 +22,7 @@ from document import table, write_section
 from recordings import (
     CHAINS,
     machine_content,
-    planned_program,
+    plan_program,
     random_air,
     random_content,
     run_of,
@@ -161,7 +161,7 @@ World = Callable[[int], Recording]
 def record_lines(seed: int, lines: int = 40, feed_mm_min: float = 5000.0) -> Recording:
     """Record the product's own path on a machine of 250 to 900 mm."""
     content = random_content(seed)
-    program = planned_program(content, feed_mm_min, lines)
+    program = plan_program(content, feed_mm_min, lines)
     return record(content, program, seed, setting=Setting())
 
 
@@ -200,7 +200,7 @@ def record_small(seed: int) -> Recording:
     if kind == 2:
         chords = paths.chord_path(machine, seed, lines, feed)
         return record(content, chords, seed, "otf", setting)
-    return record(content, planned_program(content, feed, lines), seed, "otf", setting)
+    return record(content, plan_program(content, feed, lines), seed, "otf", setting)
 
 
 LINES: dict[str, Disturb] = {

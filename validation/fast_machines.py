@@ -103,7 +103,9 @@ def compare_feeds(seed: int) -> list[list[tuple[float, float]]]:
             bench.plan(minutes=minutes),
         ]
         done = [study(bench.drive(program_of(plan))) for plan in plans]
-        rows.append([(_left_um(each), _stated_um(each)) for each in done])
+        rows.append(
+            [(_compute_left_um(each), _compute_stated_um(each)) for each in done]
+        )
         print(seed, feed, rows[-1], file=sys.stderr, flush=True)
     return rows
 
@@ -120,17 +122,17 @@ def compare_ramps(seed: int) -> list[list[float]]:
         row = [used.seen.count[used.seen.is_ramp].sum() / used.seen.used]
         for each in (used, without):
             inside = each.within.share(np.abs(each.left_mm) < 2.0 * each.sigma_mm)
-            row += [_left_um(each), each.share_left, inside]
+            row += [_compute_left_um(each), each.share_left, inside]
         rows.append([float(value) for value in row])
         print(seed, rows[-1], file=sys.stderr, flush=True)
     return rows
 
 
-def _left_um(done: Study) -> float:
+def _compute_left_um(done: Study) -> float:
     return 1e3 * done.within.rms_length(done.left_mm)
 
 
-def _stated_um(done: Study) -> float:
+def _compute_stated_um(done: Study) -> float:
     return 1e3 * done.within.rms_length(done.sigma_mm)
 
 

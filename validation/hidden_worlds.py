@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from ideal_test import signal_to_noise
-from recordings import planned_program, random_air, random_content
+from recordings import plan_program, random_air, random_content
 
 from simulators import paths, synthetic
 from simulators.hidden.drawing import CATALOGUED, UNCATALOGUED, draw
@@ -102,7 +102,7 @@ def _draw_program(
     count = int(rng.integers(*lines, endpoint=True))
     feed = float(np.round(rng.uniform(3000.0, 9000.0), -2))
     if rng.uniform() < 0.5:
-        program = planned_program(content, feed, count)
+        program = plan_program(content, feed, count)
     else:
         chords = int(rng.integers(1 << 30))
         program = paths.chord_path(parse_machine(content), chords, count + 1, feed)

@@ -78,7 +78,9 @@ def signal_to_noise(
     data = compute_information(seen, about).matrix
     truth = true_parameters(model, recording.truth)
     total = data + _usual_precision(model, truth, len(data))
-    return np.array([_left(total, k) for k in range(model.size, machine.size)])
+    return np.array(
+        [_compute_root_information(total, k) for k in range(model.size, machine.size)]
+    )
 
 
 def _usual_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.ndarray:
@@ -98,7 +100,7 @@ def _usual_precision(model: MachineModel, truth: np.ndarray, size: int) -> np.nd
     return total
 
 
-def _left(total: np.ndarray, k: int) -> float:
+def _compute_root_information(total: np.ndarray, k: int) -> float:
     """Return the square root of the information on one parameter, all others free."""
     others = np.arange(len(total)) != k
     scale = 1.0 / np.sqrt(np.diag(total)[others])

@@ -12,7 +12,7 @@ import figures
 import numpy as np
 from document import table, write_section
 from figures import plt
-from stochastic_splines import bending, drawn, independent, learnt, sigma
+from stochastic_splines import bending, draw, independent, learnt, sigma
 
 from app.kinematics.splines import natural_spline
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
@@ -43,7 +43,7 @@ class Course:
         """Return J after 0, 1, 2, … measurements."""
         return np.array([b.integrated_variance for b in self.beliefs])
 
-    def squared_error(self) -> np.ndarray:
+    def compute_squared_error(self) -> np.ndarray:
         """Return ∫ (estimate − truth)² for each number of measurements and draw."""
         off = np.array(self.estimates) - self.truth
         return np.einsum("mdp,pq,mdq->md", off, self.beliefs[0].gram, off)
@@ -54,7 +54,7 @@ def procedure(prior) -> Course:
     rng = np.random.default_rng(2005)
     spline = natural_spline(KNOTS)
     belief = prior(spline)
-    truth = drawn(belief, rng, DRAWS)
+    truth = draw(belief, rng, DRAWS)
     course = Course([belief], [], truth, [], [np.zeros_like(truth)], 0.0)
     for _ in range(MEASUREMENTS):
         best = find_best_place(belief, spline.basis, KNOTS, VARIANCE)
@@ -103,7 +103,7 @@ def _table(courses: dict[str, Course]) -> str:
     rows = []
     for name, course in courses.items():
         left = course.variance()
-        error = course.squared_error().mean(axis=1)
+        error = course.compute_squared_error().mean(axis=1)
         rows.append(
             [
                 name,
@@ -158,7 +158,7 @@ def _figure_5(courses: dict[str, Course]) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.0))
     for panel, (name, course) in zip(panels, courses.items(), strict=True):
         count = np.arange(MEASUREMENTS + 1)
-        error = course.squared_error()
+        error = course.compute_squared_error()
         panel.plot(count, course.variance(), "o-", ms=3, color=figures.OURS, label="J")
         panel.plot(
             count, error.mean(axis=1), "--", color=figures.TRUTH, label="mean ∫ error²"

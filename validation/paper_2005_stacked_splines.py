@@ -12,7 +12,7 @@ import figures
 import numpy as np
 from document import table, write_section
 from figures import plt
-from stochastic_splines import bending, drawn, independent, learnt, sigma, stacked
+from stochastic_splines import bending, draw, independent, learnt, sigma, stack
 
 from app.kinematics.splines import natural_spline
 from app.numerics.design_criteria import IntegratedVariance
@@ -43,7 +43,7 @@ class Course:
         """Return J after 0, 1, 2, … measurements."""
         return np.array([b.integrated_variance for b in self.beliefs])
 
-    def squared_error(self) -> np.ndarray:
+    def compute_squared_error(self) -> np.ndarray:
         """Return ∫ (estimate − truth)², summed over axes, each number and draw."""
         off = np.array(self.estimates) - self.truth
         return np.einsum("mdp,pq,mdq->md", off, self.beliefs[0].gram, off)
@@ -57,8 +57,8 @@ def height(position: np.ndarray) -> np.ndarray:
 def procedure(prior) -> Course:
     """Measure, always at the configuration that helps most."""
     rng = np.random.default_rng(2006)
-    belief = stacked([prior(SPLINE)] * AXES)
-    truth = drawn(belief, rng, DRAWS)
+    belief = stack([prior(SPLINE)] * AXES)
+    truth = draw(belief, rng, DRAWS)
     course = Course([belief], [], truth, [np.zeros_like(truth)], 0.0)
     axes = SearchSpace((KNOTS,) * AXES, (3,) * AXES)
     for number in range(MEASUREMENTS):
@@ -104,7 +104,7 @@ def _dense_rows() -> np.ndarray:
 def _table(courses: dict[str, Course]) -> str:
     rows = []
     for name, course in courses.items():
-        left, error = course.variance(), course.squared_error().mean(axis=1)
+        left, error = course.variance(), course.compute_squared_error().mean(axis=1)
         floor = unseen_variance(course.beliefs[0])
         told = (left - floor) / (left[0] - floor)
         rows.append(
@@ -171,7 +171,7 @@ def _figure_of_course(courses: dict[str, Course]) -> None:
         courses.items(), (figures.PAPER, figures.OURS), strict=True
     ):
         panel.plot(count, course.variance(), "-", color=color, label=f"J, {name}")
-        error = course.squared_error().mean(axis=1)
+        error = course.compute_squared_error().mean(axis=1)
         panel.plot(count, error, "--", color=color, label="mean ∫ error²")
         floor = unseen_variance(course.beliefs[0])
         panel.axhline(floor, color=color, lw=0.6)

@@ -47,7 +47,7 @@ def main() -> None:
     _volumes(done, merged)
 
 
-def compared(
+def compare_to_direct(
     done: Study, direct: DirectMachine, merged: np.ndarray, motion: ErrorMotion
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ours, its uncertainty and the direct one, at the direct positions."""
@@ -68,7 +68,7 @@ def _motions(model: MachineModel) -> dict[str, ErrorMotion]:
     return {e.symbol: e for e in model.effects if isinstance(e, ErrorMotion)}
 
 
-def _merged_symbols(done: Study) -> dict[str, tuple[str, ...]]:
+def _list_merged_symbols(done: Study) -> dict[str, tuple[str, ...]]:
     """Return what one tool does not tell, with what it merges into."""
     _, merged = build_identifiable_model(done.within.machine, done.seen.at.offset_mm)
     return {m.symbol: m.partners for m in merged}
@@ -84,7 +84,7 @@ def _tables_compared(done: Study, direct: DirectMachine, merged: np.ndarray) -> 
     for symbol, motion in _motions(done.found.model).items():
         kind = "turns" if is_turn(symbol) else "positioning"
         kind = "straightness" if is_straightness(symbol) else kind
-        ours, sigma, theirs = compared(done, direct, merged, motion)
+        ours, sigma, theirs = compare_to_direct(done, direct, merged, motion)
         kinds[kind].append(np.abs(ours - theirs))
         inside[kind].append(float((2.0 * sigma).max()))
     rows = [
@@ -123,7 +123,7 @@ def _panel(
     panel: Axes, symbol: str, done: Study, direct: DirectMachine, merged: np.ndarray
 ) -> None:
     """Direct forward blue and backward green with bars over runs, ours red."""
-    lost, motions = _merged_symbols(done), _motions(done.found.model)
+    lost, motions = _list_merged_symbols(done), _motions(done.found.model)
     unit = "µrad" if is_turn(symbol) else "µm"
     panel.set_title(f"{symbol}, {unit}", fontsize=8)
     panel.tick_params(labelsize=7)
@@ -135,7 +135,7 @@ def _panel(
         text = f"one tool does not tell it\nmerges into {into}"
         panel.text(0.5, 0.5, text, ha="center", va="center", fontsize=8)
         return
-    ours, sigma, theirs = compared(done, direct, merged, motions[symbol])
+    ours, sigma, theirs = compare_to_direct(done, direct, merged, motions[symbol])
     panel.fill_between(place, ours - 2 * sigma, ours + 2 * sigma, color="#f2c1bb")
     panel.plot(place, ours, color=figures.OURS, lw=1.2)
     if any(symbol in into for into in lost.values()):

@@ -17,7 +17,7 @@ from recordings import (
     duration_s,
     machine_content,
     papers_program,
-    planned_program,
+    plan_program,
     run_of,
 )
 from study import Study, study
@@ -49,16 +49,16 @@ class Reference:
 
 def main() -> None:
     """Calibrate, predict, write the table and draw the bars."""
-    reference = measured_reference()
+    reference = measure_reference()
     rows, bars = [], []
-    uncompensated = left(reference, None)
+    uncompensated = measure_left(reference, None)
     rows.append(["uncompensated", "", "", *_um(uncompensated), ""])
     bars.append(("uncompensated", uncompensated[1]))
     for name, paper, program, across in _procedures():
         mode = "standstill" if "standstill" in name else "otf"
         recording = synthetic.record(CONTENT, program, SEED, mode, _setting())
         done = study(recording, perpendicular_only=across)
-        judged = left(reference, done)
+        judged = measure_left(reference, done)
         minutes = f"{duration_s(recording) / 60.0:.1f}"
         rows.append([name, paper, minutes, *_um(judged), f"{done.covered:.1%}"])
         bars.append((name, judged[1]))
@@ -74,7 +74,7 @@ def main() -> None:
     _figure_5(bars)
 
 
-def measured_reference() -> Reference:
+def measure_reference() -> Reference:
     """Measure 200 random points at standstill, from another place of the tracker."""
     machine = parse_machine(CONTENT)
     points = paths.standstill_points(machine, SEED + 1, 192)
@@ -90,7 +90,7 @@ def measured_reference() -> Reference:
     return Reference(position, total / count[:, None], truth)
 
 
-def left(reference: Reference, done: Study | None) -> tuple[float, float]:
+def measure_left(reference: Reference, done: Study | None) -> tuple[float, float]:
     """Return the mean length left at the points, by truth and as measured, in mm."""
     at = make_standstill(MACHINE, reference.position_mm)
     predicted = np.zeros((len(at), 3))
@@ -110,7 +110,7 @@ def _procedures() -> list[tuple[str, str, Program, bool]]:
         path, minutes = papers_program(CONTENT, feed), PAPER_MINUTES[feed]
         found.append((f"paper's path, across only, {feed:.0f}", minutes, path, True))
         found.append((f"paper's path, {feed:.0f}", minutes, path, False))
-        planned = planned_program(CONTENT, feed, PLANNED_LINES)
+        planned = plan_program(CONTENT, feed, PLANNED_LINES)
         found.append((f"our path, {feed:.0f}", "", planned, False))
     points = paths.standstill_points(machine, SEED, 218)
     found.append(("standstill, 226 points", "18", points, False))

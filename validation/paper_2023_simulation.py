@@ -38,7 +38,7 @@ class OnPath:
     left: np.ndarray
 
 
-def recorded(seed: int, noise_scale: float) -> synthetic.Recording:
+def record_machine(seed: int, noise_scale: float) -> synthetic.Recording:
     """Record a machine whose volumetric error has the size of the paper's."""
     within = volume(machine_from_json(dict(CONTENT), file="machine.json"))
     truth = random_machine(parse_machine(CONTENT), seed)
@@ -63,7 +63,9 @@ def main() -> None:
     for noise_scale, name in ((0.0, "noise-free"), (1.0, "tracker noise")):
         for seed in SEEDS:
             for across in (False, True):
-                done = study(recorded(seed, noise_scale), perpendicular_only=across)
+                done = study(
+                    record_machine(seed, noise_scale), perpendicular_only=across
+                )
                 label = f"machine {seed}, {name}"
                 label += ", across the path only" if across else ""
                 rows.append([label, *_numbers(done)])

@@ -15,7 +15,7 @@ from document import table, write_section
 from figures import plt
 from information_bound import ideal
 from judging import table_deviations, true_parameters
-from recordings import planned_program, random_air, random_content
+from recordings import plan_program, random_air, random_content
 from study import Study, study
 
 from simulators import synthetic
@@ -46,7 +46,7 @@ class Outcome:
 def outcome(seed: int) -> Outcome:
     """Record, estimate and judge one machine."""
     content, air = random_content(seed), random_air(seed)
-    program = planned_program(content, FEED_MM_MIN, LINES)
+    program = plan_program(content, FEED_MM_MIN, LINES)
     setting = synthetic.Setting(air=air)
     done = study(synthetic.record(content, program, seed, "otf", setting))
     best = ideal(done.within, done.seen, done.found, done.recording, air)

@@ -59,7 +59,7 @@ def random_air(seed: int) -> Air:
     return Air(float(rng.uniform(0.1, 0.3)), float(rng.uniform(0.5, 2.0)))
 
 
-def planned_program(content: dict[str, Any], feed_mm_min: float, lines: int) -> Program:
+def plan_program(content: dict[str, Any], feed_mm_min: float, lines: int) -> Program:
     """Return the product's own path for a machine, as the controller is told."""
     machine = machine_from_json(dict(content), file="machine.json")
     path = default_path(machine, feed_mm_min, lines=lines)
@@ -79,7 +79,7 @@ def run_of(recording: Recording) -> Run:
     celsius = None
     if told is not None:
         celsius = TemperatureSamples(told.names, told.time_s, told.celsius)
-    commanded = _commanded(recording, machine)
+    commanded = _read_commanded(recording, machine)
     return Run("validation", machine, commanded, samples, celsius)
 
 
@@ -88,7 +88,7 @@ def duration_s(recording: Recording) -> float:
     return float(recording.time_s[-1] - recording.time_s[0])
 
 
-def _commanded(recording: Recording, machine: Machine) -> Path | Configurations:
+def _read_commanded(recording: Recording, machine: Machine) -> Path | Configurations:
     program = recording.program
     if recording.mode == "standstill":
         return Configurations(

@@ -32,7 +32,7 @@ def bending(spline: CubicSpline) -> IntegratedVariance:
     )
 
 
-def stacked(beliefs: list[IntegratedVariance]) -> IntegratedVariance:
+def stack(beliefs: list[IntegratedVariance]) -> IntegratedVariance:
     """Return what is believed of several splines together."""
     size = sum(len(b.gram) for b in beliefs)
     covariance, gram = np.zeros((size, size)), np.zeros((size, size))
@@ -44,7 +44,7 @@ def stacked(beliefs: list[IntegratedVariance]) -> IntegratedVariance:
     return IntegratedVariance(covariance, gram)
 
 
-def drawn(
+def draw(
     belief: IntegratedVariance, rng: np.random.Generator, count: int
 ) -> np.ndarray:
     """Draw control values, (count, p)."""

@@ -69,7 +69,7 @@ class TruthComparison:
     covered: float
 
     @property
-    def left(self) -> float:
+    def share_left(self) -> float:
         """Share of the error that calibration leaves."""
         return self.after_um / self.before_um
 
@@ -103,7 +103,7 @@ class Demo:
         warn_of_verdict(analysis.result["verdict"])
         if as_json:
             samples = {"samples": len(run.tracker), "lost_samples": lost}
-            truth = {"against_truth": {**asdict(found), "left": found.left}}
+            truth = {"against_truth": {**asdict(found), "left": found.share_left}}
             print_json(summarise_result(analysis.result, self.output) | samples | truth)
         else:
             print_result(analysis.result, self.output)
@@ -267,6 +267,6 @@ def _print_truth_comparison(found: TruthComparison, samples: int, lost: int) -> 
     print(f"{samples} samples, {lost} lost")
     print(
         f"against the truth: mean volumetric error {found.before_um:.1f} µm, "
-        f"{found.after_um:.2f} µm left ({100 * found.left:.1f} %); "
+        f"{found.after_um:.2f} µm left ({100 * found.share_left:.1f} %); "
         f"{100 * found.covered:.0f} % of the components within 2 u"
     )

@@ -139,7 +139,7 @@ class _Document(FileModel):
         stated = self.measured_range.model_dump(exclude_none=True)
         return {name: tuple(ends.values()) for name, ends in stated.items()}
 
-    def stated_verdict(self) -> Verdict:
+    def read_verdict(self) -> Verdict:
         """Return the verdict; a file without one is of a result that is usable."""
         if self.verdict is None:
             return Verdict()
@@ -208,5 +208,5 @@ def result_from_json(
         {a.name: ranges[a.name] for a in machine.axes if a.name in ranges},
         document.half_differences_um(),
         int(document.version) if isinstance(document, ModelDocument) else 1,
-        document.stated_verdict(),
+        document.read_verdict(),
     )

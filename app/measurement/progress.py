@@ -36,15 +36,15 @@ class RowSchedule:
         """Number of lines or points."""
         return len(self.row_s) - (self.unit == "lines")
 
-    def done(self, row: int) -> int:
+    def count_done(self, row: int) -> int:
         """Return how many are done while the machine moves to a row or stands there."""
         return max(row - (self.unit == "lines"), 0)
 
-    def done_at_end(self, row: int, *, is_cut_short: bool) -> int:
+    def count_done_at_end(self, row: int, *, is_cut_short: bool) -> int:
         """Return how many are done once nothing more is: a last point was dwelt at."""
         if not is_cut_short:
             return self.total
-        return self.done(row) + (self.unit == "points")
+        return self.count_done(row) + (self.unit == "points")
 
     def remaining_s(self, row: int, active_s: float) -> float:
         """Extrapolate: the planned rest, at the pace kept so far."""
@@ -123,9 +123,11 @@ class ProgressEstimator:
             return None
         self._reported_s = now_s
         finished = self.stage == "closing"
-        done = self._schedule.done(self.row)
+        done = self._schedule.count_done(self.row)
         if finished:
-            done = self._schedule.done_at_end(self.row, is_cut_short=self.is_cut_short)
+            done = self._schedule.count_done_at_end(
+                self.row, is_cut_short=self.is_cut_short
+            )
         left_s = self._schedule.remaining_s(self.row, self._active_s)
         return MeasurementProgress(
             done=done,

@@ -13,7 +13,7 @@ from app.kinematics.machine import Machine
 from app.kinematics.symbols import SQUARENESS, find_unit, is_location
 from app.planning.plan import Plan
 from app.results.station_json import stations_json
-from app.results.updated_effects import predicted_effects_json, prior_model_json
+from app.results.updated_effects import prior_model_json, state_predicted_effects
 from drivers.interfaces.records import Path
 
 SCHEMA = "plan/1"
@@ -46,7 +46,7 @@ def plan_document(planned: Plan) -> dict[str, Any]:
         "predicted": {
             **_state_both(planned.uncertainty_um),
             "errors": _errors(planned),
-            "effects": predicted_effects_json(found),
+            "effects": state_predicted_effects(found),
             "servo_mismatch": {
                 axis: {"uncertainty_ms": 1e3 * sigma}
                 for axis, sigma in planned.lag_sigma_s.items()

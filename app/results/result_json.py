@@ -30,7 +30,7 @@ from app.results.updated_effects import (
     describe_use,
     list_updated_effects,
     prior_model_json,
-    updated_effects_json,
+    state_updated_effects,
 )
 
 
@@ -52,7 +52,7 @@ def result_json(found: Findings) -> dict[str, Any]:
         **tables_json(
             found.tables, halves, estimate.direction, estimate.measured, machine
         ),
-        "effects": updated_effects_json(
+        "effects": state_updated_effects(
             list_updated_effects(estimate.known, estimate, estimate.chances),
             repeats_model=found.provenance.repeats_model,
         ),

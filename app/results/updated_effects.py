@@ -65,7 +65,7 @@ def list_updated_effects(
     return tuple(found)
 
 
-def updated_effects_json(
+def state_updated_effects(
     effects: tuple[UpdatedEffect, ...], *, repeats_model: bool
 ) -> list[dict[str, Any]]:
     """Return the effects as `result.json` states them."""
@@ -91,7 +91,7 @@ def parameters_json(found: Mapping[str, Quantity]) -> dict[str, Any]:
     return stated
 
 
-def predicted_effects_json(found: Forecast) -> list[dict[str, Any]]:
+def state_predicted_effects(found: Forecast) -> list[dict[str, Any]]:
     """Return effects as a plan states them: as known, and as it will leave them."""
     known, model = found.known, found.model
     theta = np.zeros(model.size)

@@ -63,13 +63,13 @@ class SerialPort(BytePort):
         if not events:
             return b""
         if not events[0][1] & select.POLLIN:
-            raise self._lost("it hung up")
+            raise self._explain_loss("it hung up")
         try:
             data = os.read(fd, _BLOCK)
         except OSError as error:
-            raise self._lost(str(error)) from error
+            raise self._explain_loss(str(error)) from error
         if not data:
-            raise self._lost("end of file")
+            raise self._explain_loss("end of file")
         return data
 
     def write(self, data: bytes) -> None:
@@ -81,7 +81,7 @@ class SerialPort(BytePort):
                 f"{self._path} takes no bytes; check the cable and flow control"
             ) from error
         except OSError as error:
-            raise self._lost(str(error)) from error
+            raise self._explain_loss(str(error)) from error
 
     def close(self) -> None:
         """Release the tty and its lock."""
@@ -94,7 +94,7 @@ class SerialPort(BytePort):
             raise ConnectionLost(f"{self._path} is not open; connect first")
         return self._serial
 
-    def _lost(self, why: str) -> ConnectionLost:
+    def _explain_loss(self, why: str) -> ConnectionLost:
         return ConnectionLost(
             f"{self._path} is gone ({why}); check cable and power, then connect again"
         )

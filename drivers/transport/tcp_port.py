@@ -55,9 +55,9 @@ class TcpPort(BytePort):
         try:
             data = opened.recv(_BLOCK)
         except OSError as error:
-            raise self._lost(str(error)) from error
+            raise self._explain_loss(str(error)) from error
         if not data:
-            raise self._lost("closed by the device")
+            raise self._explain_loss("closed by the device")
         return data
 
     def write(self, data: bytes) -> None:
@@ -69,7 +69,7 @@ class TcpPort(BytePort):
                 f"{self.name} takes no bytes; the device or its network hangs"
             ) from error
         except OSError as error:
-            raise self._lost(str(error)) from error
+            raise self._explain_loss(str(error)) from error
 
     def close(self) -> None:
         """Close the connection."""
@@ -82,7 +82,7 @@ class TcpPort(BytePort):
             raise ConnectionLost(f"{self.name} is not open; connect first")
         return self._socket
 
-    def _lost(self, why: str) -> ConnectionLost:
+    def _explain_loss(self, why: str) -> ConnectionLost:
         return ConnectionLost(
             f"{self.name} is gone ({why}); check cable and power, then connect again"
         )

@@ -16,7 +16,7 @@ from app.compensation.isg_csv import IsgCsv
 from app.compensation.linuxcnc import LinuxCnc
 from app.compensation.siemens import SiemensCec, SiemensLec
 from app.errors import BadInput
-from app.plugins import installed
+from app.plugins import find_plugins
 
 OURS = ("fanuc", "heidenhain", "isg-csv", "linuxcnc", "siemens-cec", "siemens-lec")
 every_format = pytest.mark.parametrize("name", OURS)
@@ -49,7 +49,7 @@ def flat(values):
 
 
 def test_our_formats_are_installed():
-    assert set(OURS) <= set(installed(GROUP))
+    assert set(OURS) <= set(find_plugins(GROUP))
 
 
 @every_format

@@ -133,7 +133,7 @@ def test_a_held_program_goes_on_to_its_end(
     program = random_program(np.random.default_rng(seed), 5)
     timeline = follow(program, np.zeros(3), 0.0, JERKY)
     at = when * timeline.end_s
-    left = interruption.program_left(timeline, program, at)
+    left = interruption.find_rest(timeline, program, at)
     stopped = interruption.hold_motion(timeline, at, JERKY)
     begin = stopped.end_s + pause
     whole = interruption.resume_motion(stopped, left, begin, JERKY)
@@ -149,7 +149,7 @@ def test_a_dwell_that_was_held_goes_on_with_its_rest() -> None:
     timeline = follow(program, np.zeros(3), 0.0, JERKY)
     arrival = timeline.end_s - 2.0
     at = arrival + 0.5
-    left = interruption.program_left(timeline, program, at)
+    left = interruption.find_rest(timeline, program, at)
     assert left.dwell_s[0] == pytest.approx(1.5)
     whole = interruption.resume_motion(
         interruption.hold_motion(timeline, at, JERKY), left, 10.0, JERKY

@@ -23,7 +23,7 @@ from app.kinematics.effects.base import Effect, Role
 from app.kinematics.effects.keys import Key
 from app.kinematics.machine import Axis, Machine
 from app.numerics.value_equality import ValueEquality
-from app.plugins import installed, load
+from app.plugins import find_plugins, load
 
 USUAL_MM = 0.005  # an effect that is worth its name, and surprises nobody
 LANGUAGES = ("en", "de")
@@ -254,7 +254,7 @@ class Family(ABC):
 
 def list_families() -> tuple[Family, ...]:
     """Return one of each installed family, in the order of their names."""
-    return tuple(map(find_family, sorted(installed(GROUP))))
+    return tuple(map(find_family, sorted(find_plugins(GROUP))))
 
 
 def find_family(name: str) -> Family:

@@ -19,7 +19,7 @@ from app.motion.motion_times import (
 from app.motion.nc_programs.dialect import Dialect, ProgramContent, ProgramRow
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion, compute_checksum
 from app.motion.travel import check_travel
-from app.plugins import installed, load
+from app.plugins import find_plugins, load
 from drivers.interfaces.records import Path
 
 GROUP = "truepath.nc_dialects"
@@ -33,7 +33,7 @@ _ODD = re.compile(r"[^A-Z0-9 .,+\-/=_]+")
 
 def list_dialects() -> tuple[str, ...]:
     """Return the controls that programs can be written for."""
-    return tuple(sorted(installed(GROUP)))
+    return tuple(sorted(find_plugins(GROUP)))
 
 
 def name_control(dialect: str) -> str:

@@ -164,7 +164,7 @@ class CommandChannel:
         sent again, which runs nothing a second time.
         """
         deadline_s = time.monotonic() + self._timeout_s
-        delivered = self._written(request)
+        delivered = self._try_write(request)
         while True:
             status = self._read_status()
             if status.acknowledged == request[0]:
@@ -176,10 +176,10 @@ class CommandChannel:
                     "another master commands it"
                 )
             if not delivered:
-                delivered = self._written(request)
+                delivered = self._try_write(request)
             time.sleep(_ACK_POLL_S)
 
-    def _written(self, request: list[int]) -> bool:
+    def _try_write(self, request: list[int]) -> bool:
         """Write a command; False if its outcome is unknown."""
         try:
             self._link.write(r.COMMAND.address, request)
