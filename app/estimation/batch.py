@@ -83,8 +83,6 @@ class RunEstimate:
     tracker : as the Run's own machine file states it
     distance_mm : mean distance of the measured points from the tracker
     measured_rows : lines of the path, or points, that it has data of
-    usual_floor_mm : root mean square of a residual component if the noise were as the
-        tracker states it, with the usual correlated part
     seats : of its targets, those that are a matter of the pose left out
     """
 
@@ -99,7 +97,6 @@ class RunEstimate:
     used_samples: int
     offered_samples: int
     measured_rows: frozenset[int]
-    usual_floor_mm: float = np.inf
     seats: tuple[SeatEstimate, ...] = ()
 
     @property
@@ -299,7 +296,6 @@ def _estimate_run(run: RunInformation, machine: Posterior) -> RunEstimate:
         observations.used,
         observations.offered,
         observations.measured_rows,
-        floor_mm(observations, run.noise.usual, _travel(run)),
         tuple(_find_seats(run, machine)),
     )
 
