@@ -1,7 +1,7 @@
 """The configuration to measure next: where one measurement lowers J most.
 
-On one axis the optimum is exact (`find_best_place`). On several, one axis after another is
-set to its optimum while the others stand, until nothing rises any more; from several
+On one axis the optimum is exact (`find_best_place`). On several, one axis after another
+is set to its optimum while the others stand, until nothing rises any more; from several
 starts, because there are several summits (brunn-hanebeck-2005, eq. 36–37). Starts are
 the best of a dense search, which also certifies the answer: nothing that it looked at
 is better.
