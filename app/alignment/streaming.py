@@ -101,7 +101,7 @@ class StreamingAlignment:
         fresh = np.zeros(len(raw), bool)
         fresh[max(old, 0) : len(raw) - _HELD] = True
         self._unusable += describe_unusable(raw, valid | ~fresh)
-        self._raw = _rows(raw, slice(max(len(raw) - _CONTEXT - _HELD, 0), None))
+        self._raw = raw.select(slice(max(len(raw) - _CONTEXT - _HELD, 0), None))
         return self._add_valid(raw, np.flatnonzero(fresh & valid))
 
     def finish(self) -> list[CellBlock]:
@@ -283,12 +283,3 @@ class StreamingAlignment:
         most = int(_MOST_KEPT_S * self._run.machine.tracker.rate_hz)
         if self._stream.kept > most:
             self._stream.forget_before(len(self._stream) - most // 2)
-
-
-def _rows(samples: TrackerSamples, rows: slice) -> TrackerSamples:
-    return TrackerSamples(
-        samples.sequence[rows],
-        samples.device_time_s[rows],
-        samples.position_mm[rows],
-        samples.status[rows],
-    )

@@ -56,6 +56,15 @@ class TrackerSamples:
             np.concatenate([b.status for b in blocks]),
         )
 
+    def select(self, rows: slice | NDArray[np.integer | np.bool_]) -> TrackerSamples:
+        """Return some of the samples."""
+        return TrackerSamples(
+            self.sequence[rows],
+            self.device_time_s[rows],
+            self.position_mm[rows],
+            self.status[rows],
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class AxisSamples:

@@ -18,14 +18,7 @@ def nominal_error_mm(seen):
 
 
 def with_stream(run, keep=slice(None), **changes):
-    tracker = run.tracker
-    samples = {
-        "sequence": tracker.sequence[keep],
-        "device_time_s": tracker.device_time_s[keep],
-        "position_mm": tracker.position_mm[keep],
-        "status": tracker.status[keep],
-    }
-    return replace(run, tracker=TrackerSamples(**{**samples, **changes}))
+    return replace(run, tracker=replace(run.tracker.select(keep), **changes))
 
 
 def stops_of(recording):

@@ -174,12 +174,7 @@ def test_lost_frames_breaks_spikes_and_holds_cost_only_themselves_on_arcs():
     rough, _ = random_path("trunnion", setting=Setting(defects=ROUGH))
     tracker = rough.tracker
     _, once = np.unique(tracker.device_time_s, return_index=True)
-    kept = TrackerSamples(
-        tracker.sequence[once],
-        tracker.device_time_s[once],
-        tracker.position_mm[once],
-        tracker.status[once],
-    )
+    kept = tracker.select(once)
     a, b = align(clean), align(replace(rough, tracker=kept))
     assert len({p.row for p in a.passes} - {p.row for p in b.passes}) < 3
     assert b.used > 0.9 * a.used
@@ -191,12 +186,7 @@ def test_lines_whose_corner_is_lost_are_told_by_place():
     still = np.all(np.diff(made.commanded_mm, axis=0, prepend=0.0) == 0.0, axis=1)
     lost = still & (made.row == 3)
     tracker = run.tracker
-    kept = TrackerSamples(
-        tracker.sequence[~lost],
-        tracker.device_time_s[~lost],
-        tracker.position_mm[~lost],
-        tracker.status[~lost],
-    )
+    kept = tracker.select(~lost)
     seen = align(replace(run, tracker=kept))
     place = commanded_at(made, seen.at.time_s)
     assert {1, 2, 3, 4, 6} <= {p.row for p in seen.passes}
@@ -241,14 +231,7 @@ def test_arcs_that_come_block_by_block_give_the_cells_of_the_whole_run(name):
     live, parts = StreamingAlignment(run.machine, run.commanded), []
     for begin in range(0, len(run.tracker), 50):
         rows = slice(begin, begin + 50)
-        parts += live.add(
-            TrackerSamples(
-                run.tracker.sequence[rows],
-                run.tracker.device_time_s[rows],
-                run.tracker.position_mm[rows],
-                run.tracker.status[rows],
-            )
-        )
+        parts += live.add(run.tracker.select(rows))
     a, b = live.observations(parts + live.finish()), align(run)
     assert (a.row == b.row).all()
     assert (a.at.line == b.at.line).all()

@@ -91,14 +91,7 @@ def test_while_it_is_measured_a_target_that_sits_off_is_recognised(run: Run) -> 
     for begin in range(0, len(off.tracker), 50):
         rows = slice(begin, begin + 50)
         samples = off.tracker
-        parts += live.add(
-            TrackerSamples(
-                samples.sequence[rows],
-                samples.device_time_s[rows],
-                samples.position_mm[rows],
-                samples.status[rows],
-            )
-        )
+        parts += live.add(samples.select(rows))
     assert set(live.observations(parts + live.finish()).row) == set(align(off).row)
 
 

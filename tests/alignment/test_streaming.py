@@ -11,17 +11,11 @@ from app.alignment import streaming
 from app.alignment.align import align
 from app.alignment.streaming import StreamingAlignment
 from app.errors import AlignmentError
-from drivers.interfaces.records import TrackerSamples
 from simulators.synthetic import ROUGH, Setting
 
 
 def rows_of(tracker, rows):
-    return TrackerSamples(
-        tracker.sequence[rows],
-        tracker.device_time_s[rows],
-        tracker.position_mm[rows],
-        tracker.status[rows],
-    )
+    return tracker.select(rows)
 
 
 def streamed(run, sizes):

@@ -11,7 +11,6 @@ from app.estimation.live import LiveEstimator
 from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.results.error_tables import build_error_tables
 from app.results.verdict import judge_live
-from drivers.interfaces.records import TrackerSamples
 from tests.estimation.estimating import estimate
 
 
@@ -19,12 +18,7 @@ def blocks_of(run, size=50):
     tracker = run.tracker
     for begin in range(0, len(tracker), size):
         rows = slice(begin, begin + size)
-        yield TrackerSamples(
-            tracker.sequence[rows],
-            tracker.device_time_s[rows],
-            tracker.position_mm[rows],
-            tracker.status[rows],
-        )
+        yield tracker.select(rows)
 
 
 def followed(run):

@@ -121,12 +121,7 @@ def test_the_live_tables_tighten_and_end_as_those_of_the_batch():
     live, early = LiveEstimator(run.machine, run.commanded), None
     for begin in range(0, len(run.tracker), 500):
         rows = slice(begin, begin + 500)
-        block = TrackerSamples(
-            run.tracker.sequence[rows],
-            run.tracker.device_time_s[rows],
-            run.tracker.position_mm[rows],
-            run.tracker.status[rows],
-        )
+        block = run.tracker.select(rows)
         if live.take(block) and early is None and begin > len(run.tracker) // 3:
             early = live.estimate()  # no target on the table has been seen yet
     live.finish()

@@ -157,12 +157,7 @@ def test_cells_with_blanks_around_numbers_are_read(bundle, run):
 def test_a_pause_in_the_stream_counts_as_lost_samples(bundle, run):
     keep = np.r_[0:100, 250:400]
     whole = run.tracker
-    part = TrackerSamples(
-        whole.sequence[keep],
-        whole.device_time_s[keep],
-        whole.position_mm[keep],
-        whole.status[keep],
-    )
+    part = whole.select(keep)
     write_bundle(replace(run, tracker=part), bundle)
     np.testing.assert_array_equal(read_bundle(bundle).tracker.sequence, keep)
 
@@ -171,12 +166,7 @@ def test_a_frame_that_came_twice_counts_once(bundle, run):
     whole = run.tracker
     twice = np.repeat(np.arange(len(whole)), np.arange(len(whole)) % 7 == 3) + 1
     keep = np.sort(np.concatenate([np.arange(len(whole)), twice]))
-    double = TrackerSamples(
-        whole.sequence[keep],
-        whole.device_time_s[keep],
-        whole.position_mm[keep],
-        whole.status[keep],
-    )
+    double = whole.select(keep)
     write_bundle(replace(run, tracker=double), bundle)
     assert_same(read_bundle(bundle), run)
 

@@ -26,12 +26,7 @@ def blocks_of(run, size=200):
     tracker = run.tracker
     for begin in range(0, len(tracker), size):
         rows = slice(begin, begin + size)
-        yield TrackerSamples(
-            tracker.sequence[rows],
-            tracker.device_time_s[rows],
-            tracker.position_mm[rows],
-            tracker.status[rows],
-        )
+        yield tracker.select(rows)
 
 
 def wait_until(reached, timeout_s=60.0):

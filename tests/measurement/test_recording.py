@@ -359,12 +359,7 @@ def test_a_log_cut_anywhere_gives_the_batches_before_the_cut(killed, share):
     assert len(part) <= len(whole)
     assert_same(
         part,
-        TrackerSamples(
-            whole.sequence[: len(part)],
-            whole.device_time_s[: len(part)],
-            whole.position_mm[: len(part)],
-            whole.status[: len(part)],
-        ),
+        whole.select(slice(len(part))),
     )
 
 
