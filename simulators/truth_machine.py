@@ -141,7 +141,7 @@ class TruthMachine:
     ) -> np.ndarray:
         """Return where a reflector is, in the frame `workpiece` or `base`, (n, 3).
 
-        carried : what joints do beyond their error motions at each of the positions
+        carry : what joints do beyond their error motions at each of the positions
         """
         point = np.empty((len(q), 3))
         for start in range(0, len(q), _CHUNK):
@@ -187,7 +187,7 @@ class TruthMachine:
         last: np.ndarray,
         carry: Carried | None,
     ) -> np.ndarray:
-        """Multiply the joints as they are, or as they should be without `carried`."""
+        """Multiply the joints as they are, or as they should be without `carry`."""
         product = np.broadcast_to(last, (len(q), *last.shape[-2:]))
         for name in reversed(side):
             joint = self.joints[name]

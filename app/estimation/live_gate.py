@@ -83,7 +83,7 @@ class LiveCheck:
 class CheckedParts:
     """Parts of a Run between knocks that noise explains, as far as can be seen.
 
-    parts, runs : what was kept of each, and what it tells; theta : (p,) of the machine
+    parts, runs : what was kept of each, and what it tells; result : of the machine
     """
 
     parts: tuple[RunPart, ...]

@@ -70,7 +70,7 @@ class NoiseFound:
     """Standard deviations along and across the beam at the mean distance.
 
     stated_um : (2,) of one sample, as the machine file states it
-    white_um : (2,) of one sample, as found; slow_um : (2,) of the correlated part
+    white_um : (2,) of one sample, as found; ou_um : (2,) of the correlated part
     along_travel_um : of a cell, beyond phase and speed; None where not used
     """
 

@@ -123,7 +123,7 @@ _COLUMNS = {letter: column for column, letter in enumerate("XYZABC")}
 
 
 def error_motion(symbol: str, value: np.ndarray) -> dict[str, np.ndarray]:
-    """Return values (n,) of one error motion, `EXX` … `ECZ`, as `carried` does."""
+    """Return values (n,) of one error motion, `EXX` … `ECZ`, as `carry` does."""
     motions = np.zeros((len(value), 6))
     motions[:, _COLUMNS[symbol[1]]] = value
     return {symbol[2]: motions}

@@ -39,12 +39,6 @@ class ElasticSag(HiddenEffect):
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the guide's deflection under the carriage."""
-        u, v = (_share(motion, name, time_s) for name in (self.axis, self.by))
+        u, v = (motion.share(name, time_s) for name in (self.axis, self.by))
         deflection = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * v
         return error_motion(f"E{self.direction}{self.axis}", deflection)
-
-
-def _share(motion: Motion, name: str, time_s: np.ndarray) -> np.ndarray:
-    axis = motion.machine.linear_axes[motion.column(name)]
-    run_mm = motion.position_mm(name, time_s) - axis.min_mm
-    return run_mm / (axis.max_mm - axis.min_mm)

@@ -34,6 +34,12 @@ class Motion:
         """Return where an axis is commanded to be, (n,)."""
         return self.timeline.positions(time_s)[:, self.column(axis)]
 
+    def share(self, axis: str, time_s: np.ndarray) -> np.ndarray:
+        """Return the share of its travel at which a straight axis is, (n,)."""
+        found = self.machine.linear_axes[self.column(axis)]
+        run_mm = self.position_mm(axis, time_s) - found.min_mm
+        return run_mm / (found.max_mm - found.min_mm)
+
     def derivatives(
         self, axis: str, time_s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -101,9 +101,7 @@ class SwivelSag(HiddenEffect):
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the guide's deflection."""
-        guide = motion.machine.linear_axes[motion.column(self.axis)]
-        run_mm = motion.position_mm(self.axis, time_s) - guide.min_mm
-        u = run_mm / (guide.max_mm - guide.min_mm)
+        u = motion.share(self.axis, time_s)
         angle = np.radians(motion.position_mm(self.by, time_s)) + self.phase_rad
         sag = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * np.sin(angle)
         return error_motion(f"E{self.direction}{self.axis}", sag)

@@ -40,9 +40,7 @@ class Twist(HiddenEffect):
         """Return the bulge where both axes are."""
         bulge = np.ones(len(time_s))
         for name, waves in zip((self.first, self.second), self.waves, strict=True):
-            axis = motion.machine.linear_axes[motion.column(name)]
-            run_mm = motion.position_mm(name, time_s) - axis.min_mm
-            bulge *= np.sin(np.pi * waves * run_mm / (axis.max_mm - axis.min_mm))
+            bulge *= np.sin(np.pi * waves * motion.share(name, time_s))
         return error_motion(
             f"E{self.direction}{self.first}", 1e-3 * self.amplitude_um * bulge
         )
