@@ -59,7 +59,7 @@ def render_discovery_report(
             "parent": parent,
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
             "titles": [write_title(f.candidate) for f in named],
-            "findings": [_describe_finding(f, model) for f in named],
+            "findings": [_describe_finding(f, discovery, model) for f in named],
             "unnamed": _describe_unnamed(discovery.findings),
             "compared": discovery.compared,
             "ask": None if design is None else describe_ask(design, ask_file),
@@ -102,7 +102,7 @@ def describe_ask(design: DiscriminationDesign, file: str) -> View:
     }
 
 
-def _describe_finding(finding: Finding, model: NextModel) -> View:
+def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) -> View:
     evidence = finding.evidence
     return {
         "title": write_title(finding.candidate),

@@ -35,10 +35,10 @@ class Motion:
         return self.timeline.positions(time_s)[:, self.column(axis)]
 
     def share(self, axis: str, time_s: np.ndarray) -> np.ndarray:
-        """Return the share of its travel at which a straight axis is, (n,)."""
-        found = self.machine.linear_axes[self.column(axis)]
-        run_mm = self.position_mm(axis, time_s) - found.min_mm
-        return run_mm / (found.max_mm - found.min_mm)
+        """Return how much of its travel an axis is commanded to have gone, (n,)."""
+        travel = self.machine.axes[self.column(axis)]
+        gone = self.position_mm(axis, time_s) - travel.low
+        return gone / (travel.high - travel.low)
 
     def derivatives(
         self, axis: str, time_s: np.ndarray

@@ -95,7 +95,7 @@ def _few_knots(axis: Axis) -> CubicSpline:
     return natural_spline(np.linspace(axis.low, axis.high, _INTERVALS + 1))
 
 
-def _make_positioning(axis: Axis) -> Backlash:
+def _lost_positioning(axis: Axis) -> Backlash:
     return make_half_width(f"E{axis.name}{axis.name}", axis)
 
 
@@ -103,7 +103,7 @@ class BacklashFamily(Family):
     """One candidate an axis, straight or rotary."""
 
     name = "backlash"
-    makes = _make_positioning
+    makes = _lost_positioning
     keys = {"axis": ANY_AXIS}
     # Coming from below, the axis stops short by half the width.
     stated = {"width_um": -2e3}
@@ -126,7 +126,7 @@ class BacklashFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one an axis."""
-        effects = [_make_positioning(axis) for axis in at.machine.axes]
+        effects = [_lost_positioning(axis) for axis in at.machine.axes]
         usual = {True: 2.0 * _USUAL_RAD, False: 0.5 * USUAL_MM}
         return [self.offer(e, [usual[is_turn(e.symbol)]]) for e in effects]
 
