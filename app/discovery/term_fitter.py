@@ -41,8 +41,13 @@ class TermFit:
 
     @property
     def misfit(self) -> float:
-        """Squared misfit of held-out lines in units of the noise."""
-        return float(self.held_out.square.sum())
+        """Squared misfit of held-out lines and of earlier Runs, in units of the noise.
+
+        A machine that was measured before may bend towards an effect that it lacks:
+        held-out lines then fit as well, and only what was known of it does not.
+        """
+        departure = self.prior.measure_departure(self.posterior.theta)
+        return float(self.held_out.square.sum()) + departure
 
     def other_terms(self, term: CandidateTerm) -> list[CandidateTerm]:
         """Return the terms without one of them."""

@@ -48,6 +48,10 @@ class MachinePrior(Protocol):
         """Return the prior that fits the data, and the posterior under it."""
         ...
 
+    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
+        """Return the squared distance from what was measured, in its uncertainty."""
+        ...
+
 
 @dataclass(frozen=True)
 class KnownMachine:
@@ -67,6 +71,11 @@ class KnownMachine:
     def fit(self, data: Information) -> tuple[KnownMachine, Posterior]:
         """Return itself, which has nothing to fit, and the posterior."""
         return self, compute_posterior(data, self.precision_matrix(len(data.vector)))
+
+    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
+        """Return the squared distance from what was measured, in its uncertainty."""
+        own = theta[: len(self.covariance)]
+        return float(own @ self.precision @ own)
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,11 @@ class WholePrior:
         whole, result = fit_confounded(told, result, self.whole.model, data)
         return WholePrior(told, whole), result
 
+    def measure_departure(self, theta: Float64[np.ndarray, " p"]) -> float:
+        """Return 0: nothing was measured before."""
+        del theta
+        return 0.0
+
 
 def fit_confounded(
     prior: BendingPrior, result: Posterior, model: MachineModel, data: Information
