@@ -69,7 +69,7 @@ def test_stations_are_asked_for_in_areas_beside_the_travel(panel, service):
                 "X −650 mm, Y 200 mm, Z 40 mm",
                 "1:30 min; U = 2.40 µm after it",
                 "2 stations are advised.",
-                "yes: one place leaves EBZ (Tilt of Z about Y) weak",
+                "It pays: one place leaves EBZ (Tilt of Z about Y) weak.",
             ],
         ),
         (
@@ -78,7 +78,7 @@ def test_stations_are_asked_for_in_areas_beside_the_travel(panel, service):
                 "Standort 2",
                 "1:30 min; danach U = 2,40 µm",
                 "2 Standorte sind zu empfehlen.",
-                "ja: ein Standort lässt EBZ",
+                "Es lohnt sich: ein Standort lässt EBZ",
             ],
         ),
     ],
@@ -93,7 +93,6 @@ def test_the_check_says_places_what_each_brings_and_what_is_advised(
     card = page.locator(".card", has=page.locator(".advised"))
     for text in said:
         expect(card).to_contain_text(text)
-    expect(card.locator("tbody tr")).to_have_count(2)
 
 
 def test_one_chosen_place_is_said_before_motion(panel, service):

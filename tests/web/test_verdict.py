@@ -61,8 +61,10 @@ def test_the_reasons_are_told_in_german(panel, service):
 
 
 def test_a_doubtful_result_says_so(panel, service):
-    band = shown(panel, service, OPEN).locator(".verdict-band")
+    page = shown(panel, service, OPEN)
+    band = page.locator(".verdict-band")
     expect(band.get_by_role("heading")).to_have_text("Doubtful")
+    assert page.locator(".verdict-mark").count() == 0
     expect(band.locator("li")).to_have_count(1)
 
 
@@ -77,6 +79,8 @@ def test_a_result_with_nothing_to_say_has_no_band(panel, service):
     page = shown(panel, service)
     expect(page.locator(".verdict .tile").first).to_be_visible()
     expect(page.locator(".verdict-band")).to_have_count(0)
+    mark = page.locator(".view-head .verdict-mark")
+    expect(mark).to_have_text("May be used")
 
 
 def test_a_reason_of_a_later_version_is_told_in_its_own_words(panel, service):

@@ -61,7 +61,8 @@ export const plan = async (id) => withStations(await call("GET", `/jobs/${id}/pl
 /** The rows of each of several stations as a plan of its own. */
 const withStations = (whole) => (whole.stations
   ? { ...whole, stations: whole.stations.map((rows) => ({ ...whole, ...rows, stations: null })) } : whole);
-export const grade = (id) => call("GET", `/jobs/${id}/plan/grade`);
+export const grade = (id, place_mm) =>
+  call("GET", `/jobs/${id}/plan/grade?${new URLSearchParams(place_mm.map((v) => ["tracker_mm", v]))}`);
 export const dialects = async () => items(await call("GET", "/nc-dialects"));
 export const estimate = (id) => call("GET", `/jobs/${id}/estimate`);
 export const discovery = (id) => call("GET", `/jobs/${id}/discovery`);

@@ -17,10 +17,9 @@ export function adviceCard(plan) {
   const named = several
     ? several.map((one, i) => [t("advice.station", { number: number(i + 1) }), after(one)])
     : [[t("advice.place"), placeText(tracker.position_mm)]];
-  return card(t("advice.title"), pairs(named),
-    h("p", { class: "advised" }, t(stations.recommended > 1 ? "advice.several" : "advice.one",
-      { count: number(stations.recommended) })),
-    h("div", { class: "table-scroll" }, table(stations.options)),
+  const advised = t(stations.recommended > 1 ? "advice.several" : "advice.one", { count: number(stations.recommended) });
+  return card(t("advice.title"), pairs(named), h("p", { class: "advised" }, advised),
+    pairs(stations.options.map((option) => [optionName(option), worth(option)])),
     h("p", { class: "field-note" }, t("advice.note", { k: COVERAGE, minutes: number(stations.move_minutes) })));
 }
 
@@ -31,16 +30,15 @@ const after = ({ position_mm, duration_s, volumetric_uncertainty_um: left }) => 
 
 const expanded = (um) => quantity(COVERAGE * um, "gap");
 
-function table(options) {
-  const columns = ["count", "minutes", "left", "stay", "worth"];
-  return h("table", {}, h("thead", {}, h("tr", {}, columns.map((name) => h("th", {}, t(`advice.${name}`))))),
-    h("tbody", {}, options.map((option) => h("tr", {}, cells(option).map((cell) => h("td", {}, cell))))));
-}
+const optionName = ({ count, minutes }) =>
+  t(count > 1 ? "advice.option" : "advice.option_one", { count: number(count), minutes: number(minutes) });
 
-function cells({ count, minutes, volumetric_uncertainty_um: left, one_place_as_long: stay, pays, because }) {
-  const worth = pays ? t("advice.pays", { reason: reasonOf(because) }) : t("advice.pays_not");
-  return [number(count), `${number(minutes)} min`, expanded(left),
-    ...(count > 1 ? [expanded(stay.volumetric_uncertainty_um), worth] : ["–", "–"])];
+/** What a number of stations leaves, and against one place that measures as long. */
+function worth({ count, volumetric_uncertainty_um: left, one_place_as_long: stay, pays, because }) {
+  const u = `U = ${expanded(left)}`;
+  if (count === 1) return u;
+  const values = { stay: expanded(stay.volumetric_uncertainty_um), reason: pays ? reasonOf(because) : "" };
+  return [u, h("br"), h("span", { class: "quiet" }, t(pays ? "advice.pays" : "advice.pays_not", values))];
 }
 
 const reasonOf = (because) =>

@@ -43,7 +43,7 @@ export function mount(root) {
   const program = programCard();
   const facts = h("div");
   const reach = h("div", { class: "reach" });
-  const failure = h("div", { class: "stack" });
+  const failure = h("div", { class: "stack below" });
   const advice = h("div", { class: "stack" });
   root.append(
     head(t("check.title"), t("check.text")), failure,
@@ -56,7 +56,7 @@ export function mount(root) {
     update({ job, plan: whole, machine }) {
       const plan = rowsNow(whole, job);
       path.update(plan, machine);
-      if (!isExtra(job)) grade.update(job, plan);
+      if (!isExtra(job) && !whole?.stations) grade.update(job, plan);
       program.update(job, plan);
       const key = [job?.id, job?.version, Boolean(plan), Boolean(machine)].join();
       if (key === described || !job) return;

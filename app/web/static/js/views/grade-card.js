@@ -40,11 +40,11 @@ export function plannedGrade() {
   const element = h("div", { class: "planned-grade", hidden: true });
   let asked = null;
 
-  async function ask(id) {
+  async function ask(id, place_mm) {
     asked = id;
     let found = null;
     try {
-      found = await api.grade(id);
+      found = await api.grade(id, place_mm);
     } catch (error) {
       // Whoever discards the job meanwhile needs no grade.
       if (!(error instanceof api.Problem)) throw error;
@@ -60,7 +60,7 @@ export function plannedGrade() {
   return {
     element,
     update(job, plan) {
-      if (plan && isActive(job) && asked !== job.id) ask(job.id);
+      if (plan && isActive(job) && asked !== job.id) ask(job.id, plan.place?.tracker.position_mm ?? []);
     },
   };
 }

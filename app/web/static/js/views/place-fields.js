@@ -96,7 +96,7 @@ function sidesField(changed) {
   }
 
   return h("div", { class: "field" }, h("span", { class: "label" }, t("place.sides")),
-    h("div", { class: "segments is-small is-wrapped", role: "group", "aria-label": t("place.sides") }, toggles),
+    h("div", { class: "segments is-small is-several", role: "group", "aria-label": t("place.sides") }, toggles),
     h("p", { class: "field-note" }, t("place.sides_note")));
 }
 

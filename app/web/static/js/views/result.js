@@ -11,7 +11,7 @@ import { gradeCard } from "./grade-card.js";
 import { showTable } from "./table-sheet.js";
 import { askCard } from "./discover.js";
 import { trialsCard } from "./trials-card.js";
-import { verdictBand } from "./verdict-band.js";
+import { usableMark, verdictBand } from "./verdict-band.js";
 
 /** Button that leads on. */
 export function lead(state, { go }) {
@@ -34,7 +34,7 @@ export function mount(root, { actions }) {
     const body = h("div", { class: "stack" });
     const early = earlyEndNotice(job);
     const band = verdictBand(result.verdict);
-    root.replaceChildren(heading(job, result), ...(band ? [band] : []), summary(run ?? job.health, result),
+    root.replaceChildren(heading(job, result, !band), ...(band ? [band] : []), summary(run ?? job.health, result),
       ...(early ? [h("div", { class: "below" }, early)] : []), body);
     charts = drawTables(body, result);
     body.append(...[trialsCard(job, result, actions), askCard(job, actions)].filter(Boolean));
@@ -51,10 +51,12 @@ export function mount(root, { actions }) {
   };
 }
 
-function heading(job, result) {
+/** Title and downloads; a result with nothing to say of itself has a mark. */
+function heading(job, result, isUsable) {
   const machine = result.machine?.name ?? "";
   const said = t("result.text", { machine, kind: kindOf(job.kind), when: dateTime(job.ended ?? job.created) });
   const row = head(t("result.title"), said);
+  if (isUsable && result.verdict) row.querySelector("p").append(usableMark());
   row.append(downloads(job, result.verdict?.state));
   return row;
 }

@@ -6,10 +6,12 @@ import { quantity } from "../units.js";
 
 const STATES = ["usable", "doubtful", "not-usable"];
 
+const LARGE_UM = 10_000;
+
 /** Values of a reason by the last word of their name, which is their unit. */
 const SHOWN = {
   s: (value) => `${number(value, 1)} s`,
-  um: (value) => quantity(value, "error"),
+  um: (value) => (value < LARGE_UM ? quantity(value, "error") : quantity(value / 1000, "length")),
   mm: (value) => quantity(value, "length"),
   percent: (value) => `${number(value, 1)} %`,
   ratio: (value) => number(value, 2),
@@ -49,6 +51,10 @@ export function verdictBand(verdict) {
     icon(state === "usable" ? "info" : "warning"),
     h("div", {}, h("h2", {}, t(`verdict.${state}`)), h("p", {}, t(`verdict.${state}_means`)), list));
 }
+
+/** That a result may be used. */
+export const usableMark = () => h("span", { class: "verdict-mark", "data-verdict": "usable" },
+  icon("check"), t("verdict.usable_mark"));
 
 /** The state of a job's result in a word; null where the result is simply usable. */
 export function verdictMark({ verdict }) {
