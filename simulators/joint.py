@@ -23,6 +23,10 @@ class Joint(ABC):
     def nominal(self, position: np.ndarray) -> np.ndarray:
         """Return its transforms as they should be, (n, 4, 4), at positions (n,)."""
 
+    @abstractmethod
+    def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
+        """Return transforms with further error motions (n, 6), in mm and rad."""
+
 
 def rotation_matrices(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Return Rz(c) Ry(b) Rx(a), (n, 3, 3), for angles (n,) in rad."""

@@ -55,7 +55,7 @@ class RotaryJoint(Joint):
             np.stack([motion.at(position) for motion in self.translation], axis=1),
         )
         turn = place @ self.nominal(position) @ np.linalg.inv(place)
-        return turn @ motion if self.on_workpiece else motion @ turn
+        return self._join(turn, motion)
 
     def nominal(self, position: np.ndarray) -> np.ndarray:
         """Return R(c) on the tool side, R(-c) on the workpiece side."""
@@ -65,6 +65,14 @@ class RotaryJoint(Joint):
         sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
         turn = np.eye(3) + sine * across + (1.0 - cosine) * (across @ across)
         return _about(np.array(self.axis.origin_mm), turn, np.zeros((1, 3)))
+
+    def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
+        """Return transforms with further error motions, about the axis' origin."""
+        turns = rotation_matrices(*motions[:, 3:].T)
+        return self._join(transform, self._express_about_origin(turns, motions[:, :3]))
+
+    def _join(self, turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
+        return turn @ motion if self.on_workpiece else motion @ turn
 
     def _express_about_origin(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Return rigid motions given in local directions about the origin."""

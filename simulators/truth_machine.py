@@ -84,6 +84,13 @@ class LinearJoint(Joint):
         transform[:, :3, 3] = np.outer(position, self.nominal_direction)
         return transform
 
+    def carry(self, transform: np.ndarray, motions: np.ndarray) -> np.ndarray:
+        """Return transforms with further error motions: shifts before, turns after."""
+        moved = transform.copy()
+        moved[:, :3, :3] = moved[:, :3, :3] @ rotation_matrices(*motions[:, 3:].T)
+        moved[:, :3, 3] += motions[:, :3]
+        return moved
+
 
 @dataclass(frozen=True, slots=True)
 class TruthMachine:
@@ -195,19 +202,11 @@ class TruthMachine:
             if carry is None:
                 step = joint.nominal(position)
             else:
-                step = _carry_on(joint.actual(position), carry.get(name))
+                step = joint.actual(position)
+                if name in carry:
+                    step = joint.carry(step, carry[name])
             product = step @ product
         return product
-
-
-def _carry_on(transform: np.ndarray, motions: np.ndarray | None) -> np.ndarray:
-    """Return transforms with further error motions (n, 6), in mm and rad."""
-    if motions is None:
-        return transform
-    moved = transform.copy()
-    moved[:, :3, :3] = moved[:, :3, :3] @ rotation_matrices(*motions[:, 3:].T)
-    moved[:, :3, 3] += motions[:, :3]
-    return moved
 
 
 def perfect(machine: MachineFile) -> TruthMachine:

@@ -24,6 +24,7 @@ SCRIPTS = (
     "disturbed_runs",
     "target_seats",
     "five_axes",
+    "five_axes_in_motion",
 )
 
 

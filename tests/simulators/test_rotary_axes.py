@@ -158,6 +158,22 @@ def test_the_axis_turns_about_its_direction(direction: tuple[float, ...]) -> Non
     np.testing.assert_allclose(turned, np.tile(on_axis, (3, 1)), atol=1e-9)
 
 
+@pytest.mark.parametrize(("name", "on"), [("C", "workpiece"), ("B", "tool")])
+def test_what_an_axis_turns_too_far_it_turns_about_itself(name: str, on: str) -> None:
+    machine = parse_machine(load_machine("head-table"))
+    axis = next(axis for axis in machine.rotary_axes if axis.name == name)
+    origin, too_far = np.array(axis.origin_mm), 1e-4
+    away = origin + 100.0 * np.roll(axis.direction, 1)
+    motions = np.zeros((1, 6))
+    motions[0, 3:] = too_far * np.array(axis.direction)
+    q, truth = np.array([[10.0, 20.0, 30.0, 25.0, 70.0]]), perfect(machine)
+    for place, moved_mm in ((origin, 0.0), (away, 100.0 * too_far)):
+        target = Reflector("", on, tuple(place))
+        still = truth.point_mm(q, target, "base", {})
+        turned = truth.point_mm(q, target, "base", {name: motions})
+        assert np.linalg.norm(turned - still) == pytest.approx(moved_mm, abs=1e-6)
+
+
 def test_the_feed_is_that_of_the_straight_axes_else_of_the_rotary_ones() -> None:
     step = np.array([[3.0, 4.0, 0.0, 90.0, 0.0], [0.0, 0.0, 0.0, 30.0, 40.0]])
     np.testing.assert_allclose(path_length(step), [5.0, 50.0])
