@@ -15,7 +15,6 @@ from kept_tips import add_kept_tips
 from recordings import run_of
 from target_seats import (
     FEED_MM_MIN,
-    FIRST_SEED,
     ON_THE_FLY,
     STANDSTILL,
     SUMMARY,
@@ -46,8 +45,8 @@ from simulators.hidden.turning import GearCyclic, SwivelSag, TurningBacklash
 from simulators.machine_file import parse_machine
 from simulators.recording import Recording
 
-MACHINES, PLANS, WORLDS = 10, 8, 8
-OFF_MM, FAR_MM = 0.02, 3.0
+FIRST_SEED, MACHINES, PLANS, WORLDS = 1001, 10, 8, 8
+OFF_MM, FAR_MM = 0.02, 3.0  # that a target sits off its place
 LINES, KEPT_TIPS = 48, 8  # of the default path, and beside it of each target
 SIZES_UM = (2.0, 5.0)  # of what is hidden: how far it moves the point about its mean
 _BLOCK, _GRID = 1000, 300

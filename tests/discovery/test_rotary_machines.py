@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,25 +16,68 @@ from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.hidden.turning import GearCyclic, TurningBacklash
+from simulators.hidden.turning import GearCyclic, SwivelSag, TurningBacklash
 from simulators.scenario import load_machine
 from simulators.timeline import Program
 
 pytestmark = pytest.mark.timeout(180)
 
 
-def found_in(name: str, hidden: tuple[HiddenEffect, ...]) -> Discovery:
+# A small machine whose head turns, with two targets on it.
+LINEAR: dict[str, Any] = {"type": "linear", "min_mm": 0.0, "max_mm": 300.0}
+ROTARY: dict[str, Any] = {"type": "rotary", "min_deg": 0.0, "max_deg": 360.0}
+HEAD: dict[str, Any] = {
+    "schema": "machine/1",
+    "name": "small",
+    "kinematic_chain": "w-b-X-Y-Z-C-t",
+    "axes": {**dict.fromkeys("XYZ", LINEAR), "C": {**ROTARY, "origin_mm": [3, -5, 0]}},
+    "targets": {
+        "T1": {"on": "tool", "offset_mm": [60.0, 0.0, -120.0]},
+        "T2": {"on": "tool", "offset_mm": [-20.0, 70.0, -180.0]},
+    },
+    "tracker": {"stands_on": "workpiece", "rate_hz": 100},
+}
+
+
+def drive(
+    content: dict[str, Any], hidden: tuple[HiddenEffect, ...], lines: int | None = None
+) -> Discovery:
     """Drive the default path of a machine, arcs of its rotary axes included."""
-    content = load_machine(name)
-    content["tracker"]["stands_on"] = "base"
     machine = machine_from_json(content)
-    path = default_path(machine, 6000.0, seed=3)
+    path = default_path(machine, 6000.0, lines=lines, seed=3)
     program = Program(path.position, path.feed_mm_min / 60, path.dwell_s, path.target)
     setting = synthetic.Setting(hidden=hidden)
     made = synthetic.record(content, program, 3, "otf", setting)
     number = np.arange(len(made))
     samples = TrackerSamples(number, made.time_s, made.position_mm, made.status)
-    return discover([Run(name, machine, path, samples)])
+    return discover([Run(content["name"], machine, path, samples)])
+
+
+def found_in(name: str, hidden: tuple[HiddenEffect, ...]) -> Discovery:
+    """Drive a machine of the simulators, the tracker beside it."""
+    content = load_machine(name)
+    content["tracker"]["stands_on"] = "base"
+    return drive(content, hidden)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [
+        (None, []),
+        (GearCyclic("C", 6.0, 40.0, 1.0), ["gear-cyclic C"]),
+        (SwivelSag("Y", "C", "Z", 8.0, 0.5), ["swivel-sag Y C Z"]),
+    ],
+    ids=["nothing", "gear", "sag"],
+)
+def test_an_error_of_a_gear_or_a_sag_that_turns_is_named_where_there_is_one(
+    hidden: HiddenEffect | None, said: list[str]
+) -> None:
+    found = drive(HEAD, () if hidden is None else (hidden,), 28)
+    assert [finding.candidate.label for finding in found.findings] == said
+    for finding in found.findings:
+        told = finding.parameters
+        for name, true in hidden.parameters(None).items() if hidden else ():
+            assert abs(told[name].value - true) < 4.0 * told[name].uncertainty
 
 
 @pytest.mark.parametrize(
