@@ -110,7 +110,7 @@ class CellDeviations:
             return None
         size = columns.shape[2]
         flat = columns.reshape(len(columns), -1)
-        plain = _straighten(flat, self.cell, self.lag, len(self.line))
+        plain = straighten(flat, self.cell, self.lag, len(self.line))
         plain = plain.reshape(columns.shape)
         weighted = self.precision[self.cell] @ plain
         return _Fast(effect, plain.reshape(-1, size), weighted.reshape(-1, size))
@@ -194,14 +194,14 @@ def _part(
     count = cells.stop - cells.start
     span = float(time_s[-1] - time_s[0]) + 1e-9
     cell = ((time_s - time_s[0]) / span * count).astype(np.int64)
-    lag = _lag(time_s, cell, count)
+    lag = measure_lag(time_s, cell, count)
     local = run.tracker.position_mm[samples] @ base.pose.rotation
-    off = _straighten(local - local[0], cell, lag, count)
+    off = straighten(local - local[0], cell, lag, count)
     precision = _precision(seen, base, cells)
     size = np.sqrt(np.einsum("ni,nij,nj->n", off, precision[cell], off))
     good = size < _OUTLIER * max(1.0, float(np.median(size)))
-    lag = _lag(time_s[good], cell[good], count)
-    off = _straighten((local - local[0])[good], cell[good], lag, count)
+    lag = measure_lag(time_s[good], cell[good], count)
+    off = straighten((local - local[0])[good], cell[good], lag, count)
     line = np.full(count, number)
     rate_hz = run.machine.tracker.rate_hz
     return CellDeviations(
@@ -223,9 +223,10 @@ def _join(blocks: list[CellDeviations]) -> CellDeviations:
     )
 
 
-def _lag(
+def measure_lag(
     time_s: Float64[np.ndarray, " n"], cell: Int64[np.ndarray, " n"], count: int
 ) -> Float64[np.ndarray, " n"]:
+    """Return the lag from the middle of each cell, its sum of squares 1 there."""
     number = np.maximum(np.bincount(cell, minlength=count), 1)
     origin = time_s - time_s[0]
     lag = origin - (np.bincount(cell, origin, count) / number)[cell]
@@ -233,12 +234,13 @@ def _lag(
     return lag / np.sqrt(np.maximum(square, 1e-300))[cell]
 
 
-def _straighten(
+def straighten(
     columns: Float64[np.ndarray, "n p"],
     cell: Int64[np.ndarray, " n"],
     lag: Float64[np.ndarray, " n"],
     count: int,
 ) -> Float64[np.ndarray, "n p"]:
+    """Return columns without mean and slope of each cell."""
     number = np.maximum(np.bincount(cell, minlength=count), 1)
     left = np.zeros_like(columns)
     for k, column in enumerate(columns.T):

@@ -17,6 +17,7 @@ from app.estimation.contributions import find_contributions
 from app.estimation.disturbances import estimate_checked
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
+from app.estimation.ripple import add_ripple
 from app.files.one_machine import one_machine
 from app.files.run import Run, RunSummary, number_names, summarize_run
 from app.kinematics.coarse_model import build_run_models
@@ -71,7 +72,7 @@ def analyse(
         perpendicular_only=perpendicular_only,
         on_progress=estimating,
     )
-    estimated = checked.estimate
+    estimated = add_ripple(checked.estimate, [runs[number] for number in checked.given])
     set_ups = [
         SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
         for run, found in zip(runs, checked.first_parts, strict=True)
