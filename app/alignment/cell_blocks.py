@@ -14,11 +14,12 @@ from app.alignment.observations import Pass
 from app.alignment.reduction import CELL_MM, Cells, count_cells, reduce_to_cells
 from app.alignment.segmentation import Stream
 from app.alignment.sequence import Matching
-from app.alignment.stops import StopSequence
+from app.alignment.stops import StopSequence, standstill_speed_mm_s
 from app.files.run import Run
 from app.numerics.rigid import RigidTransform
 
-STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill
+STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill, at the least
+_TO_REST = 4.0  # times the way that is left, by the speed there: even soft jerks end
 _FEWEST_SAMPLES = 5  # of a standstill
 _PARABOLA = 5  # samples before and after, through which one is laid
 _CREEP_MM = 0.03  # several times what the air does in a second
@@ -242,8 +243,10 @@ def reduce_standstills(
 
     Of lines as well: phase and speed of a line are free, and the stops at its ends tell
     what is along it.
-    Not of those at which an axis may have turned unseen.
+    Not of those at which an axis may have turned unseen. They begin and end where the
+    machine is slow; how far it still was then tells how long it took to rest.
     """
+    slow_mm_s = standstill_speed_mm_s(nominal.slowest_mm_s)
     found: list[CellBlock] = []
     for stop, place in zip(matching.stop, matching.waypoint, strict=True):
         first, last = int(stops.first[stop]), int(stops.last[stop])
@@ -251,8 +254,10 @@ def reduce_standstills(
         if last - first < _FEWEST_SAMPLES or row != nominal.last[place]:
             continue
         time = stream.time_s[first:last]
-        begin, end = time[0] + STANDSTILL_SETTLE_S, time[-1] - STANDSTILL_SETTLE_S
-        settled = (time > begin) & (time < end)
+        left_mm = stream.tracker_mm[[first, last - 1]] - stops.position_mm[stop]
+        wait_s = _TO_REST * np.linalg.norm(left_mm, axis=1) / slow_mm_s
+        begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
+        settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
         inside = first + np.flatnonzero(settled)
         if len(inside) < _FEWEST_SAMPLES or _creeps(stream.tracker_mm[inside]):
             continue
