@@ -38,7 +38,7 @@ _DRIFT_GAIN = 110.0  # of 36 parameters: by chance once in 100 million
 _DRIFT_MM = 0.001, 0.02  # root mean square
 _WITHOUT_DATA = {"no-pass": "lines-without-data", "no-stop": "points-without-data"}
 _LINES = 0.1, 0.5  # of the lines without data
-_GAIN = 0.5, 1.0  # expected to be left, of the mean error found
+_GAIN = 0.35, 1.0  # expected to be left, of the mean error found
 
 
 def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:

@@ -15,7 +15,8 @@ def scaled(found: VolumetricError, left_um: float) -> VolumetricError:
 
 
 @pytest.mark.parametrize(
-    ("share", "state"), [(0.1, "usable"), (0.7, "doubtful"), (1.2, "not-usable")]
+    ("share", "state"),
+    [(0.1, "usable"), (0.4, "doubtful"), (0.7, "doubtful"), (1.2, "not-usable")],
 )
 def test_what_is_left_is_held_against_what_was_found(estimate, share, state):
     found = compute_volumetric_error(estimate)
