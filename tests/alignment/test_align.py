@@ -9,6 +9,7 @@ from app.alignment.align import align
 from app.alignment.cleaning import find_valid_samples
 from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
+from simulators.profile import Limits
 from simulators.synthetic import ROUGH, Defects, Setting
 
 
@@ -229,3 +230,18 @@ def test_a_hold_in_mid_line_makes_two_passes_of_it(record):
     run, _ = record(8, setting=held)
     rows = [p.row for p in align(run).passes]
     assert len(rows) == len(set(rows)) + 1
+
+
+@pytest.mark.parametrize("jerk_mm_s3", [4000.0, 2000.0])
+def test_standstills_begin_where_soft_ramps_have_ended(record, jerk_mm_s3):
+    soft = Setting(limits=Limits(1500.0, jerk_mm_s3))
+    seen = align(record(8, rows=30, setting=soft)[0])
+    assert sum(each.samples for each in seen.left_out) == 0
+    moved = [
+        seen.tracker_mm[last - 1] - seen.tracker_mm[first]
+        for first, last in seen.lines
+        if seen.at.line[first] < 0 and last - first > 1
+    ]
+    assert len(moved) == 30
+    # Noise alone makes 1.2 µm of it.
+    assert np.sqrt(np.mean(np.square(moved).sum(axis=1))) < 0.0016
