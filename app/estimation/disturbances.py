@@ -102,14 +102,16 @@ def estimate_checked(
         )
 
     found = solve(parts, 0.0, 0.7)
-    suspects = _find_shifted(found, models)
-    if suspects:
-        without = solve(_leave_out_lines(parts, suspects, found), 0.7, 0.75)
-        confirmed = _confirm(suspects, without, found)
-        if any(each.any() for each in confirmed):
-            parts = _leave_out_lines(parts, confirmed, found)
-            found = solve(parts, 0.75, 0.8)
     misfits = _assess(found)
+    # What follows a step at the end of a target's points looks like wrong points.
+    suspects = [] if _has_plain_step(misfits) else _find_shifted(found, models)
+    if suspects:
+        fewer = _leave_out_lines(parts, suspects, found, misfits)
+        confirmed = _confirm(suspects, solve(fewer, 0.7, 0.75), found)
+        if any(each.any() for each in confirmed):
+            parts = _leave_out_lines(parts, confirmed, found, misfits)
+            found = solve(parts, 0.75, 0.8)
+            misfits = _assess(found)
     for turn in range(_ROUNDS):
         fewer = remove_plainest(parts, _list_fitted(found), misfits)
         if fewer is None:
@@ -146,6 +148,15 @@ def _list_fitted(found: Estimate) -> list[Observations]:
     return [run.observations for run in _fit_of(found).runs]
 
 
+def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
+    """Tell whether a step of the set-up explains more than a shift of any one line."""
+    return any(
+        step.alone > float(misfit.line.max(initial=0.0))
+        for misfit in misfits
+        for step in _find_knocks(misfit)
+    )
+
+
 def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
     """Return the stops of each Run that a usual machine cannot follow; or nothing."""
     fit = _fit_of(found)
@@ -169,12 +180,15 @@ def _confirm(
 
 
 def _leave_out_lines(
-    parts: list[RunPart], lines: list[Bool[np.ndarray, " l"]], found: Estimate
+    parts: list[RunPart],
+    lines: list[Bool[np.ndarray, " l"]],
+    found: Estimate,
+    misfits: Sequence[Misfit],
 ) -> list[RunPart]:
     """Return the parts without some of their lines."""
     fewer: list[RunPart] = []
     for part, fitted, misfit, chosen in zip(
-        parts, _list_fitted(found), _assess(found), lines, strict=True
+        parts, _list_fitted(found), misfits, lines, strict=True
     ):
         bad = _spread_over_cells(misfit, chosen)
         edges = part.seen.find_edges(fitted)
