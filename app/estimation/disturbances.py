@@ -103,8 +103,7 @@ def estimate_checked(
 
     found = solve(parts, 0.0, 0.7)
     misfits = _assess(found)
-    # What follows a step at the end of a target's points looks like wrong points.
-    suspects = [] if _has_plain_step(misfits) else _find_shifted(found, models)
+    suspects = _find_shifted(found, models)
     if suspects:
         fewer = _leave_out_lines(parts, suspects, found, misfits)
         confirmed = _confirm(suspects, solve(fewer, 0.7, 0.75), found)
@@ -158,14 +157,21 @@ def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
 
 
 def _find_shifted(found: Estimate, models: RunModels) -> list[Bool[np.ndarray, " l"]]:
-    """Return the stops of each Run that a usual machine cannot follow; or nothing."""
+    """Return the stops of each Run that a usual machine cannot follow; or nothing.
+
+    The last points of a target look so after a step of the set-up, if the seats of
+    later targets can follow it: then the step is to be found.
+    """
     fit = _fit_of(found)
     if not is_doubtful(fit):
         return []
     names = {effect.name for effect in models.nested.alone.effects}
     usual = fit_usual_machine(fit, names)
     lines = [find_shifted_stops(usual, k) for k in range(len(fit.runs))]
-    return lines if any(each.any() for each in lines) else []
+    if not any(each.any() for each in lines):
+        return []
+    misfits = [assess_misfit(usual, k) for k in range(len(fit.runs))]
+    return [] if _has_plain_step(misfits) else lines
 
 
 def _confirm(
