@@ -36,7 +36,7 @@ from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.configurations import split_by_target
 from app.motion.motion_times import travel_time_s
 from app.planning.default_path import default_path
-from app.planning.plan import make_plan
+from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 from app.results.analysis import analyse
 from drivers.interfaces.records import Path, TrackerSamples
