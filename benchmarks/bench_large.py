@@ -8,11 +8,16 @@ stated. The last column is how often the processor's time doubles where the samp
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 from measure import Measurement, measure
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
+
+from document import table, write_section
 
 from app.files.bundle import read_bundle
 from app.results.analysis import analyse
@@ -35,15 +40,27 @@ def read_and_analyse(folder: Path) -> tuple[int, int]:
     return len(run.tracker), estimate.model.size
 
 
+HEAD = [
+    "travel of X, lines",
+    "samples",
+    "parameters",
+    "wall s",
+    "processor s",
+    "peak MiB",
+    "growth",
+]
+
+
 def main() -> None:
-    """Measure both rows and print them."""
-    print(f"{'lines':>12s} {'samples':>9s} {'parameters':>10s}{'':42s}growth")
-    _measure_row([(GANTRY, lines) for lines in MORE_LINES])
+    """Measure both rows and write them."""
+    rows = _measure_row([(GANTRY, lines) for lines in MORE_LINES])
     sizes = [tuple(x / GANTRY[0] * side for side in GANTRY) for x in LENGTHS_MM]
-    _measure_row([(size, LINES) for size in sizes])
+    rows += _measure_row([(size, LINES) for size in sizes])
+    write_section("large-growth", table(HEAD, rows))
 
 
-def _measure_row(worlds: list[tuple[tuple[float, ...], int]]) -> None:
+def _measure_row(worlds: list[tuple[tuple[float, ...], int]]) -> list[list[str]]:
+    rows: list[list[str]] = []
     before: Measurement | None = None
     for travel_mm, lines in worlds:
         with tempfile.TemporaryDirectory() as name:
@@ -51,10 +68,13 @@ def _measure_row(worlds: list[tuple[tuple[float, ...], int]]) -> None:
             _record(folder, travel_mm, lines)
             cost = measure(read_and_analyse, folder)
         samples, parameters = cost.value
-        growth = "" if before is None else f"{_exponent(before, cost):6.2f}"
+        growth = "" if before is None else f"{_exponent(before, cost):.2f}"
         size = f"{travel_mm[0] / 1e3:.3g} m, {lines}"
-        print(f"{size:>12s} {samples:9d} {parameters:10d} {cost} {growth}", flush=True)
+        spent = f"{cost.wall_s:.1f}", f"{cost.processor_s:.1f}", f"{cost.peak_mib:.0f}"
+        rows.append([size, f"{samples}", f"{parameters}", *spent, growth])
+        print(*rows[-1], sep="  ", flush=True)
         before = cost
+    return rows
 
 
 def _exponent(before: Measurement, after: Measurement) -> float:
