@@ -195,6 +195,7 @@ def _print_discovery(content: dict[str, Any]) -> None:
     print_verdict(content["verdict"])
     lines = [describe_effect(effect) for effect in content["effects"]]
     lines += [f"without a name: {u['description']}" for u in content["unnamed"]]
+    lines += [f"possible: {describe_effect(e)}" for e in content["possible"]]
     for line in lines or ["nothing is missing"]:
         print(line)
     if content["ask"]:

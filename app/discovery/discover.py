@@ -10,7 +10,14 @@ import numpy as np
 from app.alignment.align import align
 from app.alignment.observations import Observations, add_surroundings
 from app.alignment.reduction import CELL_MM
-from app.discovery.findings import Finding, Gap, measure_gap, state_findings
+from app.discovery.findings import (
+    Finding,
+    Gap,
+    measure_gap,
+    state_findings,
+    state_possible,
+)
+from app.discovery.name_trial import NameTrial, TriedNames, is_open
 from app.discovery.residual_location import RunResidual, locate_residual
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import TermSearch
@@ -96,7 +103,8 @@ class Discovery:
     aligned : each Run, where the baseline places its tracker
     fitter : fits other terms to the Runs
     baseline_fit, fit : of the baseline alone, and with the terms found
-    findings : by evidence, greatest first
+    findings : that hold, by evidence, greatest first; possible : names that do not
+    tried : what decided between these
     residuals : of each Run, before and after, and where they are
     """
 
@@ -106,6 +114,8 @@ class Discovery:
     baseline_fit: TermFit
     fit: TermFit
     findings: tuple[Finding, ...]
+    possible: tuple[Finding, ...]
+    tried: TriedNames
     gap: Gap
     residuals: tuple[RunResidual, ...]
 
@@ -113,6 +123,11 @@ class Discovery:
     def run_names(self) -> str:
         """Names of the Runs in one line."""
         return ", ".join(aligned.run.name for aligned in self.aligned)
+
+    @property
+    def leaves_gap(self) -> bool:
+        """Whether held-out lines are predicted worse than by a complete model."""
+        return is_open(self.fit.held_out)
 
     @property
     def compared(self) -> int:
@@ -147,26 +162,30 @@ def discover(
     on_progress(0.35)
     lines = build_lines(runs, fine, baseline)
     fitter = TermFitter(lines, baseline.prior, terms)
-    best = TermSearch(fitter).add_terms()
+    search = TermSearch(fitter)
+    best = search.add_terms()
     on_progress(0.6)
     if best.terms:
         # What the effects caused is no longer counted as noise.
         baseline = refit_noise(baseline, [t.effect for t in best.terms])
         lines = build_lines(runs, fine, baseline)
-        fitter = TermFitter(lines, baseline.prior, terms)
-        best = TermSearch(fitter).select_terms(best.terms)
+        fitter = fitter.use_lines(lines, baseline.prior)
+        search = TermSearch(fitter)
+        best = search.select_terms(best.terms)
     on_progress(0.8)
-    return _state(aligned, baseline, fitter, best)
+    return _state(aligned, baseline, fitter, NameTrial(fitter, search).judge(best))
 
 
 def _state(
     aligned: tuple[AlignedRun, ...],
     baseline: Baseline,
     fitter: TermFitter,
-    best: TermFit,
+    tried: TriedNames,
 ) -> Discovery:
-    without = fitter.fit([]) if best.terms else best
-    findings = state_findings(fitter, without, best)
+    best = tried.fit
+    without = fitter.fit([])
+    findings = state_findings(fitter, without, tried)
+    possible = state_possible(fitter, without, tried)
     each = zip(
         fitter.run_data, fitter.residuals(without), fitter.residuals(best), strict=True
     )
@@ -183,4 +202,15 @@ def _state(
         replace(one, observations=run.observations)
         for one, run in zip(aligned, fitter.run_data, strict=True)
     )
-    return Discovery(aligned, baseline, fitter, without, best, findings, gap, residuals)
+    return Discovery(
+        aligned,
+        baseline,
+        fitter,
+        without,
+        best,
+        findings,
+        possible,
+        tried,
+        gap,
+        residuals,
+    )

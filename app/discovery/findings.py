@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from app.discovery.name_trial import TriedNames
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT
 from app.estimation.line_blocks import RunData
@@ -40,6 +41,7 @@ class Finding:
     """One effect with its parameters, its evidence, and what else it may be.
 
     rivals : terms that would explain the Runs as well
+    grade : `certain`, `likely`, or `possible` where free forms do as well
     """
 
     term: CandidateTerm
@@ -48,6 +50,7 @@ class Finding:
     covariance: Float64[np.ndarray, "p p"]
     evidence: Evidence
     rivals: tuple[CandidateTerm, ...]
+    grade: str
 
     @property
     def alternatives(self) -> tuple[Candidate, ...]:
@@ -71,27 +74,45 @@ class Finding:
 
 
 def state_findings(
-    fitter: TermFitter, baseline: TermFit, best: TermFit
+    fitter: TermFitter, baseline: TermFit, tried: TriedNames
 ) -> tuple[Finding, ...]:
-    """Return what is stated of the terms of a fit, by evidence, greatest first.
+    """Return what is stated of the terms that hold, by evidence, greatest first.
 
     baseline : the fit without terms
     """
-    found = [_state(fitter, baseline, best, k) for k in range(len(best.terms))]
+    count = range(len(tried.fit.terms))
+    found = [_state(fitter, baseline, tried.fit, tried, k) for k in count]
     return tuple(sorted(found, key=lambda f: -f.evidence.log_bayes))
 
 
+def state_possible(
+    fitter: TermFitter, baseline: TermFit, tried: TriedNames
+) -> tuple[Finding, ...]:
+    """Return what is stated of the names that do not hold."""
+    terms = tried.named.terms
+    return tuple(
+        _state(fitter, baseline, tried.named, tried, k)
+        for k in range(len(terms))
+        if terms[k] in tried.doubtful
+    )
+
+
 def _state(
-    fitter: TermFitter, baseline: TermFit, best: TermFit, number: int
+    fitter: TermFitter,
+    baseline: TermFit,
+    best: TermFit,
+    tried: TriedNames,
+    number: int,
 ) -> Finding:
     term = best.terms[number]
-    without = fitter.fit(best.other_terms(term))
+    without = fitter.fit(best.other_terms(term), refine=False)
     log_bayes = fitter.rank(without, [term])[0].evidence
     theta, covariance = best.parameters_of(number)
     if term.covariance is not None:
         covariance = term.covariance
     lost = without.misfit - best.misfit
     gap = max(baseline.misfit - best.misfit, 1e-12)
+    rivals = _find_rivals(fitter, without, term, log_bayes)
     return Finding(
         term,
         term.family.state(
@@ -100,7 +121,8 @@ def _state(
         theta,
         covariance,
         Evidence(log_bayes, 0.5 * lost, lost / gap),
-        _find_rivals(fitter, without, term, log_bayes),
+        rivals,
+        tried.grade(term, log_bayes, len(rivals)),
     )
 
 
@@ -110,7 +132,7 @@ def _find_rivals(
     """Return the terms with a cause that would explain the Runs as well."""
     return tuple(
         r.term
-        for r in fitter.rank_catalogue(without)
+        for r in fitter.rank_promising(without)
         if r.term.label != term.label
         and r.evidence > evidence - EQUIVALENT
         and r.term.has_cause

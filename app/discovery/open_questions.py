@@ -29,6 +29,7 @@ from app.motion.motion_times import DEFAULT_FEED_MM_MIN
 from app.planning.discrimination import POSE, DiscriminationDesign, LineChoice, Question
 from drivers.interfaces.records import Path
 
+FREE_FORM = "a free form"  # that explains the Runs as well as a possible name
 _THIN = LEAST_EVIDENCE + 3.0
 _NEARLY = 0.5 * LEAST_EVIDENCE
 _MOST_QUESTIONS = 3
@@ -105,28 +106,32 @@ def design_discrimination(
 def _list_questions(
     found: Discovery, gram: Float64[np.ndarray, "m m"]
 ) -> Iterator[Question]:
-    """Yield rivals of each finding, then thin evidence for one effect less or more."""
+    """Yield free forms of possible names, rivals of each finding, then thin evidence for one effect less or more."""
     best, fitter = found.fit, found.fitter
+    for finding in found.possible:
+        named = found.tried.named
+        yield _form_question(found, gram, finding.term, FREE_FORM, named, best)
     for finding in (f for f in found.findings if f.structure is None):
         others = best.other_terms(finding.term)
         for rival in finding.rivals:
             instead = fitter.fit([*others, rival])
-            yield _form_question(found, gram, finding.term, rival, best, instead)
+            label = rival.candidate.label
+            yield _form_question(found, gram, finding.term, label, best, instead)
         if finding.evidence.log_bayes < _THIN:
             without = fitter.fit(others)
-            yield _form_question(found, gram, finding.term, None, best, without)
+            yield _form_question(found, gram, finding.term, "", best, without)
     ranked = fitter.rank_catalogue(best)
     if ranked and _NEARLY < ranked[0].evidence < LEAST_EVIDENCE:
         term = ranked[0].term
         larger = fitter.fit([*best.terms, term])
-        yield _form_question(found, gram, term, None, larger, best)
+        yield _form_question(found, gram, term, "", larger, best)
 
 
 def _form_question(
     found: Discovery,
     gram: Float64[np.ndarray, "m m"],
     one: CandidateTerm,
-    other: CandidateTerm | None,
+    other: str,
     with_one: TermFit,
     with_other: TermFit,
 ) -> Question:
@@ -134,7 +139,7 @@ def _form_question(
     left, right = (form_hypothesis(fit, gram) for fit in (with_one, with_other))
     return Question(
         one.candidate.label,
-        "" if other is None else other.candidate.label,
+        other,
         (left.root.shape[1], right.root.shape[1]),
         HypothesisPair(left, right, base).measure,
     )

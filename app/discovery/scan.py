@@ -84,8 +84,9 @@ def _gain(term: CandidateTerm, residuals: Sequence[Residual], value: float) -> f
     data, information = np.zeros(term.size), np.zeros((term.size, term.size))
     for one in residuals:
         J = candidate.effect.jacobian(one.at)
-        data += np.einsum("nip,ni->p", J, one.weighted)
-        information += np.einsum("nip,niq->pq", J, one.precision @ J)
+        flat = J.reshape(-1, term.size)
+        data += flat.T @ one.weighted.ravel()
+        information += flat.T @ np.matmul(one.precision, J).reshape(flat.shape)
         if one.within is not None and term.is_fast:
             fast, _ = one.within.sums([candidate.effect], 1)
             information += fast[0, :-1, :-1]

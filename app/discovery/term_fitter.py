@@ -18,12 +18,14 @@ from app.discovery.evidence import (
 from app.discovery.scan import scan_term
 from app.discovery.value_refinement import refine_values
 from app.estimation.baseline import MachinePrior
-from app.estimation.information import Posterior
+from app.estimation.information import Posterior, compute_posterior
 from app.estimation.line_blocks import Residual, weight_residual
 from app.estimation.term_equations import Lines
 from app.kinematics.effects.candidate_term import CandidateTerm
 
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
+_REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up
+_MOST_PROMISING = 12  # terms of a ranking that may take the place of another later
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,19 +85,30 @@ class TermFitter:
         self._lines, self._prior, self.catalogue = lines, prior, tuple(catalogue)
         self.run_data = lines.runs
         self._poses = lines.pose_precision
-        self._fits: dict[tuple[CandidateTerm, ...], TermFit] = {}
+        self._fits: dict[tuple[tuple[CandidateTerm, ...], bool], TermFit] = {}
+        self._promising: set[str] = set()
         self._scanned: dict[TermFit, dict[str, CandidateTerm]] = {}
         self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
 
-    def fit(self, terms: Sequence[CandidateTerm]) -> TermFit:
-        """Return the fit of terms, their scanned values refined."""
-        key = tuple(terms)
+    def use_lines(self, lines: Lines, prior: MachinePrior) -> TermFitter:
+        """Return a fitter of the same catalogue to lines with another noise."""
+        fitter = TermFitter(lines, prior, self.catalogue)
+        fitter._promising |= self._promising
+        return fitter
+
+    def fit(self, terms: Sequence[CandidateTerm], *, refine: bool = True) -> TermFit:
+        """Return the fit of terms.
+
+        refine : scanned values as well; else they stay as they are
+        """
+        key = tuple(terms), refine
         if key not in self._fits:
-            self._fits[key] = self._fit(key)
+            self._fits[key] = self._fit(*key)
         return self._fits[key]
 
-    def _fit(self, terms: tuple[CandidateTerm, ...]) -> TermFit:
-        terms = refine_values(self._data(self._prior), terms)
+    def _fit(self, terms: tuple[CandidateTerm, ...], refine: bool) -> TermFit:
+        if refine:
+            terms = refine_values(self._data(self._prior), terms)
         sums = self._lines.sums([term.effect for term in terms])
         more = prior_precision(self._poses, terms)
         data = sums.information(np.arange(len(more)))
@@ -134,9 +147,51 @@ class TermFitter:
         """
         among = self.catalogue if among is None else among
         ranked = self.rank(fit, self._scan(fit, among))
-        best = [self._sharpen(fit, r.term) for r in ranked[:_MOST_SCANNED]]
+        least = _REACH * ranked[0].evidence - _SLACK if ranked else 0.0
+        near = sum(r.evidence > least for r in ranked[:_MOST_SCANNED])
+        best = [self._sharpen(fit, r.term) for r in ranked[:near]]
         again = self.rank(fit, best) if best else []
-        return sorted([*again, *ranked[_MOST_SCANNED:]], key=_by_evidence)
+        ranked = sorted([*again, *ranked[near:]], key=_by_evidence)
+        free = [r for r in ranked if not r.term.has_cause]
+        first = [*ranked[:_MOST_PROMISING], *free[: _MOST_PROMISING // 2]]
+        self._promising |= {r.term.label for r in first}
+        return ranked
+
+    def rank_promising(
+        self, fit: TermFit, among: Sequence[CandidateTerm] | None = None
+    ) -> list[RankedTerm]:
+        """Return those terms alone that ever were among the best of a ranking."""
+        among = self.catalogue if among is None else among
+        return self.rank_catalogue(fit, self.choose_promising(among))
+
+    def choose_promising(self, among: Sequence[CandidateTerm]) -> list[CandidateTerm]:
+        """Return those terms that ever were among the best of a ranking."""
+        return [term for term in among if term.label in self._promising]
+
+    def compare_fits(self, one: TermFit, other: TermFit) -> float:
+        """Return how much greater the log evidence of one fit is than of another.
+
+        At least: with the machine as smooth as suits the one or the other.
+        """
+        return min(
+            self._measure_evidence(one, prior) - self._measure_evidence(other, prior)
+            for prior in (one.prior, other.prior)
+        )
+
+    def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
+        """Return the log evidence of all terms of a fit, less the search's cost."""
+        known = self._data(prior).precision
+        usual = np.concatenate([np.zeros(0), *(t.candidate.usual for t in fit.terms)])
+        own = np.arange(len(known), len(known) + len(usual))
+        precision = np.pad(known, (0, len(usual)))
+        precision[own, own] = usual**-2
+        sums = self._lines.sums([term.effect for term in fit.terms])
+        found = compute_posterior(
+            sums.information(np.arange(len(precision))), precision
+        )
+        cost = len(fit.terms) * float(np.log(len(self.catalogue)))
+        cost += sum(term.price for term in fit.terms) + float(np.log(usual).sum())
+        return -0.5 * (found.misfit + found.log_determinant) - cost
 
     def _scan(
         self, fit: TermFit, among: Sequence[CandidateTerm]

@@ -31,6 +31,12 @@ class TermSearch:
         """Return the fit that the search begins with: causes are not preferred yet."""
         return self._add_terms(self._remove_terms(self._fitter.fit(start)))
 
+    def add_among(
+        self, start: Sequence[CandidateTerm], among: Sequence[CandidateTerm], most: int
+    ) -> TermFit:
+        """Return the fit of some terms and further ones out of a list."""
+        return self._add_terms(self._fitter.fit(start, refine=False), among, most)
+
     def _add_terms(
         self, best: TermFit, among: _Among = None, most: int = _MOST_TERMS
     ) -> TermFit:
@@ -58,9 +64,10 @@ class TermSearch:
     def _exchange_term(self, best: TermFit, among: _Among) -> TermFit:
         """Exchange or remove a term that later ones have made worse or needless."""
         for term in best.terms[:-1]:
-            without = self._fitter.fit(best.other_terms(term))
-            other = self._fitter.rank_catalogue(without, among)[0]
+            without = self._fitter.fit(best.other_terms(term), refine=False)
+            ranked = self._fitter.rank_promising(without, among)
             own = self._fitter.rank(without, [term])[0]
+            other = ranked[0] if ranked else own
             if max(other.evidence, own.evidence) < LEAST_EVIDENCE:
                 return without
             if other.evidence > own.evidence + EQUIVALENT:
@@ -73,7 +80,9 @@ class TermSearch:
         With the noise fitted again, a term may lose the evidence that it had.
         """
         while best.terms:
-            without = [self._fitter.fit(best.other_terms(t)) for t in best.terms]
+            without = [
+                self._fitter.fit(best.other_terms(t), refine=False) for t in best.terms
+            ]
             evidence = [
                 self._fitter.rank(fit, [term])[0].evidence
                 for fit, term in zip(without, best.terms, strict=True)
@@ -98,13 +107,5 @@ class TermSearch:
         if {t.label for t in other.terms} == {t.label for t in causes}:
             return best
         other = self._add_terms(other)
-        gain = self._evidence(other) - self._evidence(best)
+        gain = self._fitter.compare_fits(other, best)
         return other if gain > -EQUIVALENT else best
-
-    def _evidence(self, fit: TermFit) -> float:
-        """Return the evidence of all terms, each beside those before it."""
-        before = (self._fitter.fit(fit.terms[:k]) for k in range(len(fit.terms)))
-        return sum(
-            self._fitter.rank(one, [term])[0].evidence
-            for one, term in zip(before, fit.terms, strict=True)
-        )

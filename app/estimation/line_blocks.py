@@ -56,6 +56,17 @@ class WhitenedBlocks:
             np.cumsum(length, axis=0),
         )
 
+    @staticmethod
+    def stack(columns: Sequence[WhitenedBlocks]) -> WhitenedBlocks | None:
+        """Return columns on the same lines side by side; None of no columns."""
+        if not columns:
+            return None
+        return WhitenedBlocks(
+            np.concatenate([one.plus for one in columns], axis=1),
+            np.concatenate([one.minus for one in columns], axis=1),
+            columns[0].begin,
+        )
+
     @property
     def width(self) -> int:
         """Number of columns."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -84,6 +85,16 @@ class _Term:
     blocks: WhitenedBlocks
     cross: Float64[np.ndarray, "f q p"]
 
+    @cached_property
+    def total(self) -> Float64[np.ndarray, "q p"]:
+        """The sums with base and data over all lines."""
+        return self.cross.sum(axis=0)
+
+    @cached_property
+    def own(self) -> Float64[np.ndarray, "p p"]:
+        """The products of its columns over all lines."""
+        return self.blocks.multiply(self.blocks)
+
 
 class Lines:
     """All lines of all Runs with their base; effects are added to them.
@@ -152,7 +163,8 @@ class Lines:
         """Return the sums of effects on offer, each for itself beside what is known."""
         total = self.sums(known).total()
         beside = self._terms_of(known)
-        pairs = [self._beside(beside, term) for term in self._terms_of(offers)]
+        joined = WhitenedBlocks.stack([one.blocks for one in beside])
+        pairs = [self._beside(beside, joined, t) for t in self._terms_of(offers)]
         return CandidateBlocks(
             total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs)
         )
@@ -164,7 +176,8 @@ class Lines:
         line, beside = self._lines[number], self._terms_of(known)
         first, here = self._terms_of(offers[:1])[0], (number, number + 1)
         fixed = [self._base.between(*here), *(t.blocks.between(*here) for t in beside)]
-        cross, own = self._beside(beside, first)
+        joined = WhitenedBlocks.stack([one.blocks for one in beside])
+        cross, own = self._beside(beside, joined, first)
         old = first.blocks.between(*here)
         cross, own = cross - _cross(fixed, old), own - old.multiply(old)
         at = line.design.observations.at
@@ -197,13 +210,15 @@ class Lines:
         return self.size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
     def _beside(
-        self, known: Sequence[_Term], offer: _Term
+        self, known: Sequence[_Term], joined: WhitenedBlocks | None, offer: _Term
     ) -> tuple[Float64[np.ndarray, "q p"], Float64[np.ndarray, "p p"]]:
-        with_base = offer.cross.sum(axis=0)
-        others = [one.blocks.multiply(offer.blocks) for one in known]
-        cross = np.concatenate([with_base[:-1], *others, with_base[-1:]])
-        own = offer.blocks.multiply(offer.blocks)
-        begin = self._begins(known)
+        """Return the sums of an offer beside what is known, and its own.
+
+        joined : the blocks of all that is known, side by side
+        """
+        others = [] if joined is None else [joined.multiply(offer.blocks)]
+        cross = np.concatenate([offer.total[:-1], *others, offer.total[-1:]])
+        own, begin = offer.own, self._begins(known)
         for within, _ in self._within:
             if not within.shows(offer.effect):
                 continue

@@ -60,6 +60,9 @@ def render_discovery_report(
             "created": f"{created:%Y-%m-%d %H:%M} UTC",
             "titles": [write_title(f.candidate) for f in named],
             "findings": [_describe_finding(f, discovery, model) for f in named],
+            "possible": [
+                _describe_finding(f, discovery, model) for f in discovery.possible
+            ],
             "unnamed": _describe_unnamed(discovery.findings),
             "compared": discovery.compared,
             "ask": None if design is None else describe_ask(design, ask_file),
@@ -106,6 +109,7 @@ def _describe_finding(finding: Finding, discovery: Discovery, model: NextModel) 
     evidence = finding.evidence
     return {
         "title": write_title(finding.candidate),
+        "grade": finding.grade,
         "numbers": "; ".join(
             in_words(name, number.value, number.uncertainty)
             for name, number in finding.parameters.items()

@@ -28,10 +28,14 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "effects": [effect_json(f) for f in named],
+        "possible": [effect_json(f) for f in found.possible],
         "unnamed": [
-            _encode_unnamed(f.structure, f)
-            for f in found.findings
-            if f.structure is not None
+            *(
+                _encode_unnamed(f.structure, f)
+                for f in found.findings
+                if f.structure is not None
+            ),
+            *_list_unexplained(found),
         ],
         "gap": {
             "unit": "um",
@@ -61,11 +65,28 @@ def discovery_json(found: Discovery) -> dict[str, Any]:
     }
 
 
+def _list_unexplained(found: Discovery) -> list[dict[str, Any]]:
+    """Return what neither effects nor free forms explain, if anything is left."""
+    if not found.leaves_gap:
+        return []
+    left_um = float(np.sqrt(found.gap.after_um**2 - found.gap.expected_um**2))
+    by = next(iter(found.residuals[0].after.shares), "line")
+    return [
+        {
+            "depends_on": [by],
+            "description": f"a displacement of {left_um:.2g} µm (root mean square on "
+            f"held-out lines) in no shape that was tried; it shows most by {by}",
+            "rms_um": left_um,
+        }
+    ]
+
+
 def effect_json(finding: Finding) -> dict[str, Any]:
     """Return one effect with its parameters and its evidence."""
     words = finding.family.words["en"]
     return {
         **_key(finding.candidate),
+        "grade": finding.grade,
         "parameters": parameters_json(finding.parameters),
         "evidence": {
             "log_bayes_factor": finding.evidence.log_bayes,

@@ -17,10 +17,13 @@ from simulators.hidden.elastic_sag import ElasticSag
 from simulators.hidden.floating_slide import FloatingSlide
 from simulators.hidden.inertial_bend import InertialBend
 from simulators.hidden.lateral_backlash import LateralBacklash
+from simulators.hidden.leaning_column import LeaningColumn
+from simulators.hidden.loose_nest import LooseNest
 from simulators.hidden.motion import Motion
 from simulators.hidden.reversal_spike import ReversalSpike
 from simulators.hidden.screw_cyclic import ScrewCyclic
 from simulators.hidden.servo_mismatch import ServoMismatch
+from simulators.hidden.settling_stand import SettlingStand
 from simulators.hidden.setup_step import SetupStep
 from simulators.hidden.squareness import Squareness
 from simulators.hidden.table_drift import TableDrift
@@ -29,7 +32,9 @@ from simulators.hidden.tracker_eccentricity import TrackerEccentricity
 from simulators.hidden.tracker_range_offset import TrackerRangeOffset
 from simulators.hidden.twist import Twist
 from simulators.hidden.vibration import Vibration
+from simulators.hidden.warm_plume import WarmPlume
 from simulators.hidden.wavy_guide import WavyGuide
+from simulators.hidden.worn_screw import WornScrew
 from simulators.machine_file import MachineFile
 from simulators.randomness import generator
 from simulators.timeline import standing
@@ -54,6 +59,11 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         WavyGuide,
         Twist,
         FloatingSlide,
+        LeaningColumn,
+        SettlingStand,
+        WarmPlume,
+        WornScrew,
+        LooseNest,
         InertialBend,
     )
 }

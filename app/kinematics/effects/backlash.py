@@ -103,6 +103,7 @@ class BacklashFamily(Family):
     """One candidate an axis, straight or rotary."""
 
     name = "backlash"
+    varies_with = "way"
     makes = _lost_positioning
     keys = {"axis": ANY_AXIS}
     # Coming from below, the axis stops short by half the width.
@@ -189,6 +190,7 @@ class LateralBacklashFamily(Family):
     """One candidate an error motion across or about an axis, its turnover scanned."""
 
     name = "lateral-backlash"
+    varies_with = "way"
     value_name = "turnover_mm"
     numbers = ("turnover_mm",)
     is_smooth = False

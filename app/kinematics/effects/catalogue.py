@@ -153,6 +153,8 @@ class Family(ABC):
     stated : factors from inside units, by the names that files give the parameters
     covariates : what structure depends on: axes, `t` the time, `v(X)` a speed; braces
         hold a key
+    varies_with : `time`, `place` or `way` (side of approach, speed), where free forms
+        of the same could be taken for it
     sentence : that describes structure; braces hold a key, or a number of a file
     """
 
@@ -168,6 +170,7 @@ class Family(ABC):
     value_name: ClassVar[str] = ""
     stated: ClassVar[Mapping[str, float]] = {}
     covariates: ClassVar[tuple[str, ...]] = ()
+    varies_with: ClassVar[str] = ""
     sentence: ClassVar[str] = ""
 
     @property

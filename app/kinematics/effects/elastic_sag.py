@@ -98,6 +98,7 @@ class ElasticSagFamily(Family):
     """Every pair of axes and direction."""
 
     name = "elastic-sag"
+    varies_with = "place"
     makes = ElasticSag
     keys = {"axis": AXIS, "by": _UNDER, "direction": DIRECTION}
     stated = {"amplitude_um": 1e3}
@@ -133,6 +134,7 @@ class SwivelSagFamily(Family):
     """Every guide under every rotary axis, and direction."""
 
     name = "swivel-sag"
+    varies_with = "place"
     makes = SwivelSag
     keys = {
         "axis": AXIS,

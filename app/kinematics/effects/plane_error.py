@@ -76,6 +76,7 @@ class PlaneErrorFamily(Family):
     """Every plane and direction."""
 
     name = "plane-error"
+    varies_with = "place"
     role = Role.STRUCTURE
     makes = _in_plane
     keys = {"plane": PLANE, "direction": DIRECTION}

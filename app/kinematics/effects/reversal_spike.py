@@ -52,6 +52,7 @@ class ReversalSpikeFamily(Family):
     """Every axis in every direction, the decay scanned."""
 
     name = "reversal-spike"
+    varies_with = "way"
     value_name = "decay_mm"
     numbers = ("decay_mm",)
     makes = ReversalSpike

@@ -41,6 +41,7 @@ class ServoMismatchFamily(Family):
     """One candidate an axis that moves together with others."""
 
     name = "servo-mismatch"
+    varies_with = "way"
     makes = ServoMismatch
     keys = {"axis": AXIS}
     stated = {"lag_ms": 1e3}

@@ -39,6 +39,7 @@ class TableDriftFamily(Family):
     """One candidate."""
 
     name = "table-drift"
+    varies_with = "time"
     role = Role.MEASUREMENT
     stated = {f"rate_um_per_s[{axis}]": 1e3 for axis in "xyz"}
     words = read_words("""
@@ -90,6 +91,7 @@ class SetupStepFamily(Family):
     """One candidate, its moment scanned."""
 
     name = "setup-step"
+    varies_with = "time"
     role = Role.MEASUREMENT
     is_smooth = False
     happens_once = True

@@ -51,6 +51,7 @@ class SpeedErrorFamily(Family):
     """Every axis that goes at several speeds, and every direction."""
 
     name = "speed-error"
+    varies_with = "way"
     role = Role.STRUCTURE
     makes = SpeedError
     keys = {"axis": AXIS, "direction": DIRECTION}

@@ -83,6 +83,7 @@ class ThermalGrowthFamily(Family):
     """Every straight axis: by its sensor where that has seen a change, else by time."""
 
     name = "thermal-growth"
+    varies_with = "time"
     value_name = "tau_s"
     makes = ThermalGrowth
     keys = {"axis": AXIS}

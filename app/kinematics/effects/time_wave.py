@@ -196,6 +196,7 @@ class TimeWanderFamily(Family):
     """Every direction."""
 
     name = "time-wander"
+    varies_with = "time"
     role = Role.STRUCTURE
     keys = {"direction": DIRECTION}
     covariates = ("t",)

@@ -55,6 +55,7 @@ class TrackerEccentricityFamily(Family):
     """Both circles."""
 
     name = "tracker-eccentricity"
+    varies_with = "place"
     role = Role.MEASUREMENT
     keys = {"circle": choose_from("({})", CIRCLES)}
     words = read_words("""
@@ -110,6 +111,7 @@ class TrackerRangeOffsetFamily(Family):
     """One candidate."""
 
     name = "tracker-range-offset"
+    varies_with = "place"
     role = Role.MEASUREMENT
     stated = {"offset_um": 1e3}
     words = read_words("""

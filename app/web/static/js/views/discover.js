@@ -58,8 +58,8 @@ function prospect(job) {
   return job.run_id ? card(null, h("p", {}, t("discover.how"))) : notice(null, t("discover.no_run"));
 }
 
-function found(job, { verdict, effects, unnamed, gap, ask, explained_by: explained }) {
-  const cards = [...effects.map(effectCard), ...unnamed.map(structureCard)];
+function found(job, { verdict, effects, possible = [], unnamed, gap, ask, explained_by: explained }) {
+  const cards = [...effects.map(effectCard), ...unnamed.map(structureCard), ...possible.map(effectCard)];
   const findings = cards.length ? cards : [notice(null, t("discover.none"), t("discover.none_text"))];
   return [verdictBand(verdict), downloads(job), ...findings, extraCard(ask), gapCard(gap), whereCard(explained)].filter(Boolean);
 }

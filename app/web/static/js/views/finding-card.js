@@ -53,11 +53,12 @@ function numbers({ parameters, unit }) {
     h("small", {}, t("discover.k", { k: COVERAGE })));
 }
 
-function facts({ evidence, indistinguishable_from: alike, ...effect }, name, on = null) {
+function facts({ evidence, grade, indistinguishable_from: alike, ...effect }, name, on = null) {
   const word = (what) => known(`effect.${name}.${what}`, effect[what]);
   const share = number(100 * evidence.share_of_gap, 0);
   const factor = number(evidence.log_bayes_factor, 0);
   const rows = [
+    [t("discover.grade"), grade && !on && t(`discover.${grade}`)],
     [t("discover.depends_on"), on?.map(dependence).join(", ")],
     [t("discover.cause"), word("cause")],
     [t("discover.looks_like"), word("looks_like")],

@@ -1,0 +1,130 @@
+"""Whether names hold against free forms: shapes that fit anything of the same kind.
+
+A name claims a shape: even in time, the same at every place, of one axis, one harmonic.
+An unlisted cause may look like it, or like two names at once. So each name, and all of
+them together, are tried against structure without a cause in their place: free
+functions of time, place, side of approach, speed and direction of the beam.
+
+    beats   the log evidence of the names less that of the free forms: a true shape
+            needs fewer numbers for the same lines
+    purity  where free forms of its kind stay beside a name, the share of the evidence
+            of both that the name brings alone: a cause has hardly a remainder
+    gap     what the names leave on held-out lines above what a complete model leaves,
+            of what there was
+
+A name that fails stays possible, and the structure is described instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from app.discovery.evidence import HeldOutMisfit
+from app.discovery.term_fitter import TermFit, TermFitter
+from app.discovery.term_search import TermSearch
+from app.kinematics.effects.candidate_term import CandidateTerm
+
+CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
+_LEAST_LEAD = 5.0  # log evidence of a name over free forms
+_CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
+_LEAST_PURITY = 0.85
+_OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
+_LEAST_CLOSED = 0.85  # of what there was above it
+_MOST_FREE = 4  # free forms in the place of a name
+
+
+@dataclass(frozen=True)
+class TriedNames:
+    """What is left of an explanation once its names have been tried.
+
+    fit : with the names that hold, and structure
+    named : the fit with all names; doubtful : those of its terms that do not hold
+    lead : log evidence of each name that holds over free forms, by label
+    """
+
+    fit: TermFit
+    named: TermFit
+    doubtful: tuple[CandidateTerm, ...]
+    lead: dict[str, float]
+
+    def grade(self, term: CandidateTerm, log_bayes: float, rivals: int) -> str:
+        """Return how sure a name is; rivals : other names that do as well."""
+        if term in self.doubtful:
+            return POSSIBLE
+        alone = all(other.has_cause for other in self.fit.terms)
+        far = self.lead.get(term.label, 0.0) >= _CERTAIN_LEAD
+        clear = log_bayes >= _CERTAIN_EVIDENCE and not rivals
+        closed = not is_open(self.fit.held_out)
+        return CERTAIN if alone and far and clear and closed else LIKELY
+
+
+def is_open(left: HeldOutMisfit) -> bool:
+    """Tell whether held-out lines are predicted worse than by a complete model."""
+    return left.measure_ratio() > _OPEN * left.expect_ratio()
+
+
+class NameTrial:
+    """Tries the names of a fit against structure without a cause."""
+
+    def __init__(self, fitter: TermFitter, search: TermSearch) -> None:
+        self._fitter, self._search = fitter, search
+        free = [term for term in fitter.catalogue if not term.has_cause]
+        self._free = fitter.choose_promising(free)
+
+    def judge(self, best: TermFit) -> TriedNames:
+        """Return the names that hold, and those that do not."""
+        names = [term for term in best.terms if term.has_cause]
+        if not names:
+            return TriedNames(best, best, (), {})
+        lead = {n.label: self._measure_lead(best, [n]) for n in names}
+        doubtful = [n for n in names if self._fails(best, n, lead[n.label])]
+        together = len(names) > 1 and self._measure_lead(best, names) < _LEAST_LEAD
+        if together or self._leaves_gap(best):
+            doubtful = names
+        if not doubtful:
+            return TriedNames(best, best, (), lead)
+        fit = self._describe(best, doubtful)
+        return TriedNames(fit, best, tuple(doubtful), lead)
+
+    def _describe(self, best: TermFit, out: Sequence[CandidateTerm]) -> TermFit:
+        """Return the fit with free forms in the place of names."""
+        kept = [term for term in best.terms if term not in out]
+        most = len(kept) + max(_MOST_FREE, len(out))
+        return self._search.add_among(kept, self._free, most)
+
+    def _measure_lead(self, best: TermFit, names: Sequence[CandidateTerm]) -> float:
+        """Return the log evidence of names over that of free forms in their place."""
+        return self._fitter.compare_fits(best, self._describe(best, names))
+
+    def _fails(self, best: TermFit, name: CandidateTerm, lead: float) -> bool:
+        beside = [term for term in best.terms if _is_free_beside(term, name)]
+        if lead < _LEAST_LEAD:
+            return True
+        return bool(beside) and self._find_purity(best, name, beside) < _LEAST_PURITY
+
+    def _find_purity(
+        self, best: TermFit, name: CandidateTerm, beside: Sequence[CandidateTerm]
+    ) -> float:
+        """Return the share of the evidence of both that a name brings alone."""
+        kept = [t for t in best.terms if t is not name and t not in beside]
+        nothing = self._fitter.fit(kept, refine=False)
+        alone = self._fitter.fit([*kept, name])
+        both = self._fitter.compare_fits(best, nothing)
+        return self._fitter.compare_fits(alone, nothing) / max(both, 1e-9)
+
+    def _leaves_gap(self, best: TermFit) -> bool:
+        """Tell whether the explanation leaves too much of what there was."""
+        after, nothing = best.held_out, self._fitter.fit([]).held_out
+        if not is_open(after):
+            return False
+        complete = after.expect_ratio() ** 2
+        before = nothing.measure_ratio() ** 2 - complete
+        left = after.measure_ratio() ** 2 - complete
+        return left > (1.0 - _LEAST_CLOSED) * before
+
+
+def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:
+    """Tell whether a term is a free form of what a name depends on."""
+    kind = name.family.varies_with
+    return not term.has_cause and bool(kind) and term.family.varies_with == kind

@@ -1,0 +1,45 @@
+"""A target that sits loose in its nest: each start from rest seats it anew."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from simulators.hidden.effect import HiddenEffect, Occasion
+from simulators.hidden.motion import Motion
+from simulators.tracker_head import TrackerClock
+
+_SEATS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class LooseNest(HiddenEffect):
+    """Another shift on every line, at random: spread_um along each axis."""
+
+    name = "loose-nest"
+    in_catalogue = False
+    spread_um: float
+    chance: int
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw how it will sit."""
+        return cls(0.7 * occasion.size_um, int(rng.integers(1 << 30)))
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """Nothing: there is one."""
+        return {}
+
+    def parameters(self, clock: TrackerClock) -> dict[str, float]:
+        """Return the spread."""
+        del clock
+        return {"spread_um": self.spread_um}
+
+    def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
+        """Return where it sits on each line."""
+        seats = np.random.default_rng(self.chance).normal(size=(_SEATS, 3))
+        row = motion.timeline.rows(time_s) % _SEATS
+        return 1e-3 * self.spread_um * seats[row]
