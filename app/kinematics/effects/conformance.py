@@ -35,7 +35,7 @@ from app.kinematics.machine import (
     TrackerNoise,
 )
 
-UNITS = ("mm", "rad", "s", "mm/s", "1/K", "1")
+UNITS = ("mm", "rad", "s", "mm/s", "1/mm", "1/s", "1/K", "1")
 _STEP = 1e-3
 _CLOSE = 1e-9
 

@@ -155,6 +155,37 @@ class ElevationIndex(Effect):
         return (_raise_beam(at.recorded) @ at.recorded.rotation)[:, :, None]
 
 
+class ElevationIndexFamily(Family):
+    """One candidate."""
+
+    name = "tracker-index"
+    varies_with = "place"
+    role = Role.MEASUREMENT
+    stated = {"index_urad": 1e6}
+    words = read_words("""
+        [en]
+        title = Index error of the tracker's elevation
+        cause = The zero of the tracker's elevation circle is off.
+        looks_like = All points seem raised by the same angle: the volume looks like
+            part of a cone about the tracker.
+        remedy = Run the tracker's own compensation (two-face test); measure in both
+            faces.
+        [de]
+        title = Indexfehler der Trackerhöhe
+        cause = Die Null des Höhenkreises des Trackers stimmt nicht.
+        looks_like = Alle Punkte scheinen um denselben Winkel gehoben: Der Raum wirkt
+            wie Teil eines Kegels um den Tracker.
+        remedy = Die eigene Kompensation des Trackers durchführen (Zweilagentest); in
+            beiden Lagen messen.
+        """)
+
+    def propose(self, at: Conditions) -> Sequence[Candidate]:
+        """Return the index."""
+        if at.recorded is None:
+            return []
+        return [self.offer(ElevationIndex(), [_USUAL_RAD])]
+
+
 @dataclass(frozen=True)
 class BeamBending(Effect):
     """The beam bends up or down, as air that is warmer above than below bends it.
