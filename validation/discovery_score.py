@@ -19,6 +19,7 @@ NOTHING, UNNAMED = "nothing", "unnamed"
 _REFUSED = {
     "effects": [{"name": "refused", "parameters": {}}],
     "unnamed": [],
+    "possible": [],
     "gap": dict.fromkeys(("before", "after", "noise_floor"), float("nan")),
 }
 _KEYS = ("axis", "motion", "by", "direction", "circle")
@@ -28,7 +29,8 @@ _KEYS = ("axis", "motion", "by", "direction", "circle")
 class Outcome:
     """One world and what was said of it.
 
-    truth, said : names with their keys; unnamed : what was described without a name
+    truth, said : names with their keys; possible : that stand beside, not said;
+        unnamed : what was described without a name
     matched : for each true effect the said one that is it, or empty
     wrong : names that were said and are not there
     deviation : error of each parameter of a rightly named effect in units of its
@@ -44,6 +46,7 @@ class Outcome:
     truth: tuple[str, ...]
     said: tuple[str, ...]
     unnamed: tuple[str, ...]
+    possible: tuple[str, ...]
     matched: tuple[str, ...]
     wrong: tuple[str, ...]
     deviation: dict[str, float]
@@ -54,8 +57,13 @@ class Outcome:
     def right(self) -> bool:
         """Whether all that is in the catalogue was named, and nothing else."""
         wanted = len(self.truth) if self.catalogued else 0
-        clean = self.kind == "clean" and bool(self.unnamed)
+        clean = self.kind == "clean" and self.describes
         return sum(map(bool, self.matched)) == wanted and not self.wrong and not clean
+
+    @property
+    def describes(self) -> bool:
+        """Whether something is said without a name that is sure."""
+        return bool(self.unnamed or self.possible)
 
     @property
     def closed(self) -> float:
@@ -100,6 +108,7 @@ def judge(world: World, content: Mapping[str, Any], took_s: float) -> Outcome:
         tuple(map(label, truth)),
         tuple(map(label, said)),
         tuple(str(e["description"]) for e in content["unnamed"]),
+        tuple(map(label, content["possible"])),
         tuple("" if m is None else label(m) for m in matched),
         tuple(label(e) for e in said if e not in named and e not in again),
         deviation,

@@ -21,10 +21,23 @@ from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.thermal_growth import ThermalGrowth
 from simulators.machine_file import parse_machine
 from simulators.recording import Recording
-from simulators.synthetic import Setting
+from simulators.synthetic import ROUGH, Setting
 from simulators.timeline import Program, follow
 
-KINDS = ("single", "pair", "clean", "off-catalogue")
+KINDS = (
+    "single",
+    "pair",
+    "triple",
+    "clean",
+    "off-catalogue",
+    "tenth",
+    "tenfold",
+    "rough-stream",
+    "poor-hall",
+)
+ONE_EFFECT = ("single", "tenth", "tenfold", "rough-stream", "poor-hall")
+_SCALES = {"tenth": 0.1, "tenfold": 10.0}
+_POOR = {"share": 1.0 / 3.0, "noise_scale": 2.0}
 SIZES_UM = (1.5, 6.0)
 # A log-likelihood ratio of 32: after the price of looking for thousands of shapes.
 LEAST_SIGNAL_TO_NOISE = 8.0
@@ -63,7 +76,8 @@ def draw_world(seed: int, kind: str, lines: tuple[int, int] = (22, 40)) -> World
     names = _choose_names(seed, kind)
     for attempt in range(_DRAWS):
         made = _draw_once(seed + _APART * attempt, kind, names, lines)
-        if all(value >= LEAST_SIGNAL_TO_NOISE for value in made.signal_to_noise):
+        least = 0.0 if kind == "tenth" else LEAST_SIGNAL_TO_NOISE
+        if all(value >= least for value in made.signal_to_noise):
             return replace(made, seed=seed)
     raise RuntimeError(f"world {seed}: {names} were not to be seen in {_DRAWS} draws")
 
@@ -75,7 +89,13 @@ def _draw_once(
     content, air = random_content(seed), random_air(seed)
     program = _draw_program(content, rng, lines)
     setting = Setting(air=air, sensors=bool(rng.uniform() < 0.5))
-    sizes = tuple(float(s) for s in rng.uniform(*SIZES_UM, len(names)))
+    if kind == "rough-stream":
+        setting = replace(setting, defects=ROUGH)
+    if kind == "poor-hall":
+        air = replace(air, share=_POOR["share"])
+        setting = replace(setting, air=air, noise_scale=_POOR["noise_scale"])
+    scale = _SCALES.get(kind, 1.0)
+    sizes = tuple(scale * float(s) for s in rng.uniform(*SIZES_UM, len(names)))
     hidden = _draw_effects(seed, names, sizes, content, program)
     recording = _record(content, program, seed, setting, hidden)
     return World(
@@ -84,12 +104,14 @@ def _draw_once(
 
 
 def _choose_names(seed: int, kind: str) -> tuple[str, ...]:
-    if kind == "single":
+    if kind in ONE_EFFECT:
         return (CATALOGUED[seed % len(CATALOGUED)],)
-    if kind == "pair":
+    if kind in ("pair", "triple"):
         first = CATALOGUED[seed % len(CATALOGUED)]
         others = [name for name in CATALOGUED if name != first]
-        return first, str(np.random.default_rng([seed, 12]).choice(others))
+        more = 1 if kind == "pair" else 2
+        rng = np.random.default_rng([seed, 12])
+        return first, *map(str, rng.choice(others, more, replace=False))
     if kind == "off-catalogue":
         return (UNCATALOGUED[seed % len(UNCATALOGUED)],)
     return ()

@@ -106,7 +106,10 @@ def design_discrimination(
 def _list_questions(
     found: Discovery, gram: Float64[np.ndarray, "m m"]
 ) -> Iterator[Question]:
-    """Yield free forms of possible names, rivals of each finding, then thin evidence for one effect less or more."""
+    """Yield possible names against free forms, rivals, then thin evidence.
+
+    Evidence is thin for one effect less or more.
+    """
     best, fitter = found.fit, found.fitter
     for finding in found.possible:
         named = found.tried.named

@@ -102,7 +102,8 @@ class TermSearch:
         if len(causes) == len(best.terms):
             return best
         start = self._remove_terms(self._fitter.fit(causes))
-        among = [term for term in self._fitter.catalogue if term.has_cause]
+        every = [term for term in self._fitter.catalogue if term.has_cause]
+        among = self._fitter.choose_promising(every)
         other = self._add_terms(start, among, len(best.terms))
         if {t.label for t in other.terms} == {t.label for t in causes}:
             return best

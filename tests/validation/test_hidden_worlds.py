@@ -48,6 +48,7 @@ def said(*effects, unnamed=()):
     return {
         "effects": list(effects),
         "unnamed": [{"description": text} for text in unnamed],
+        "possible": [],
         "gap": {"before": 3.0, "after": 1.0, "noise_floor": 1.0},
     }
 
@@ -168,6 +169,10 @@ def test_the_draw_covers_every_effect_and_kind(validation):
         worlds._choose_names(seed, kind) for seed, kind in tasks if kind == "single"
     }
     assert {name for (name,) in singles} == set(worlds.CATALOGUED)
+    improved = script.draw_tasks(script.COUNTS, 0)
+    reported = script.draw_tasks(script.COUNTS, script.REPORTED)
+    near = {seed % worlds._APART for seed, _ in improved}
+    assert not near & {seed % worlds._APART for seed, _ in reported}
     assert all(
         len(set(worlds._choose_names(s, k))) == 2 for s, k in tasks if k == "pair"
     )
@@ -175,7 +180,7 @@ def test_the_draw_covers_every_effect_and_kind(validation):
 
 def test_the_page_holds_a_table_of_each_kind():
     text = (ROOT / "docs" / "discovery.md").read_text(encoding="utf-8")
-    for name in ("marks", "confusion", "sizes", "parameters"):
+    for name in ("marks", "hard", "confusion", "sizes", "parameters"):
         begin, end = (text.index(f"<!-- {s}discovery-{name} -->") for s in ("", "/"))
         assert "| --- |" in text[begin:end]
 
@@ -190,7 +195,7 @@ def test_a_small_draw_is_named_right(validation, kind, seed):
 
 def test_a_mark_that_is_missed_is_said_with_its_number(validation):
     summary = validation("discovery_summary")
-    good = summary.Summary(1.0, 1.0, 0.0, 0.0, 1.0, 0.95, 1.0)
+    good = summary.Summary(1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.95, 1.0)
     assert summary.list_missed_marks(good) == []
     (said,) = summary.list_missed_marks(replace(good, within=0.85))
     assert said == "parameters within 2 u: 85.0 %, asked for 90 to 99 %"
