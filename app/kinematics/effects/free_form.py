@@ -141,11 +141,10 @@ class TiltWanderFamily(FreeFormFamily):
         if at.recorded is None:
             return []
         first_s, span_s = float(at.time_s.min()), max(float(np.ptp(at.time_s)), 1.0)
-        middle = 0.5 * (at.point_mm.min(axis=0) + at.point_mm.max(axis=0))
-        off = np.linalg.norm(at.point_mm - middle, axis=1)
-        x, y, z = middle.tolist()
-        about = (first_s, span_s, (x, y, z), float(np.sqrt(np.mean(off**2))))
-        usual = USUAL_MM / np.arange(1, _HALF_WAVES + 1)
+        x, y, z = at.point_mm.mean(axis=0).tolist()
+        off = at.point_mm - np.array([x, y, z])
+        about = (first_s, span_s, (x, y, z), float(np.sqrt(3.0 * np.mean(off**2))))
+        usual = USUAL_MM / np.array([*range(1, _HALF_WAVES + 1)])
         return [self.offer(TiltWander(d, *about), usual) for d in LINEAR]
 
 
@@ -220,8 +219,8 @@ class PlaneTurnFamily(FreeFormFamily):
         found: list[Candidate] = []
         for axis, by in permutations(at.machine.linear_axes, 2):
             for symbol in filter(is_turn, list_error_motions(axis.name)):
-                lever = np.linalg.norm(find_arm(symbol, at), axis=1)
-                reach_mm = max(float(np.sqrt(np.mean(lever**2))), 1.0)
+                lever = find_arm(symbol, at)
+                reach_mm = max(float(np.sqrt(3.0 * np.mean(lever**2))), 1.0)
                 falling = [1.0 / ((i + 1) * j) for i, j in _TURN_PAIRS]
                 usual = USUAL_MM * np.array(falling)
                 keys = {"motion": symbol, "by": by.name}
@@ -286,7 +285,7 @@ class SideShapeFamily(FreeFormFamily):
         """Return one for each axis and direction."""
         if at.recorded is None:
             return []
-        usual = USUAL_MM / np.arange(1, _SIDE_DEGREES + 1)
+        usual = USUAL_MM / np.array([*range(1, _SIDE_DEGREES + 1)])
         return [
             self.offer(SideShape(axis, direction), usual)
             for axis in at.machine.linear_axes

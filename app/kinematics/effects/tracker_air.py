@@ -147,5 +147,5 @@ class BeamBendingFamily(Family):
         """Return the curvature."""
         if at.recorded is None:
             return []
-        square = float(np.mean(np.sum(at.recorded.tracker_mm**2, axis=1)))
+        square = 3.0 * float(np.mean(at.recorded.tracker_mm**2))
         return [self.offer(BeamBending(), [4.0 * USUAL_MM / square])]
