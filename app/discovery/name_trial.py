@@ -94,7 +94,18 @@ class NameTrial:
         return self._search.add_among(kept, self._free, most)
 
     def _measure_lead(self, best: TermFit, names: Sequence[CandidateTerm]) -> float:
-        """Return the log evidence of names over that of free forms in their place."""
+        """Return the log evidence of names over that of free forms in their place.
+
+        Where the best free form alone brings so little that several of them could not
+        reach the names, they are not fitted.
+        """
+        kept = [term for term in best.terms if term not in names]
+        without = self._fitter.fit(kept, refine=False)
+        own = self._fitter.compare_fits(best, without)
+        ranked = self._fitter.rank_promising(without, self._free)
+        most = _MOST_FREE * max([0.0, *(r.evidence for r in ranked[:1])])
+        if own - most >= _CERTAIN_LEAD:
+            return own - most
         return self._fitter.compare_fits(best, self._describe(best, names))
 
     def _fails(self, best: TermFit, name: CandidateTerm, lead: float) -> bool:

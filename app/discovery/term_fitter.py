@@ -101,7 +101,8 @@ class TermFitter:
 
         refine : scanned values as well; else they stay as they are
         """
-        key = tuple(terms), refine
+        is_scanned = any(term.candidate.value is not None for term in terms)
+        key = tuple(terms), refine and is_scanned
         if key not in self._fits:
             self._fits[key] = self._fit(*key)
         return self._fits[key]
