@@ -20,6 +20,7 @@ from app.kinematics.effects.backlash import make_half_shape, make_half_width
 from app.kinematics.effects.base import (
     Effect,
     EffectOfRun,
+    Parameter,
     QuadraticPrior,
     Role,
     SplineEffect,
@@ -63,6 +64,34 @@ class TimeSpline(SplineEffect):
 
 
 @dataclass(frozen=True)
+class LineShift(Effect):
+    """Another shift of everything on each line.
+
+    lines : numbers of the lines
+    """
+
+    kind = "line-shift"
+    role = Role.NUISANCE
+    direction: str
+    lines: tuple[int, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One a line."""
+        return tuple(Parameter(f"{self.name}[{n}]", "mm") for n in self.lines)
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the direction on each line."""
+        on_line = at.line[:, None] == np.array(self.lines)
+        return columns_along(self.direction, on_line.astype(np.float64))
+
+    def prior(self) -> QuadraticPrior:
+        """Return the sum of squares."""
+        count = len(self.lines)
+        return QuadraticPrior(np.eye(count), count, count * _USUAL_MM**2, "line")
+
+
+@dataclass(frozen=True)
 class NestedModels:
     """Models of Runs that differ in what the direction of approach may do.
 
@@ -102,7 +131,7 @@ def build_baseline_models(
     reference : the model; all that the Runs can identify of a rigid body if None
     """
     offsets_mm = [at.offset_mm for at in conditions]
-    slow = [spline for at in conditions for spline in _make_time_splines(at)]
+    slow = [shift for at in conditions for shift in _list_slow_shifts(at)]
     nested = NestedModels(reference) if reference else _nest(machine, offsets_mm)
     model = nested.alone
     beside = (*slow, *model.catalogue_effects)
@@ -120,8 +149,11 @@ def _nest(
     return NestedModels(model.with_effects(*known).with_confounded(partly), untold)
 
 
-def _make_time_splines(at: Conditions) -> Iterator[Effect]:
-    """Yield a spline a direction of a Run, its knots too far apart for one point."""
+def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
+    """Yield what shifts lines of a Run, and all with time, in each direction.
+
+    Knots of time are too far apart for one point.
+    """
     spacing_s = LONGEST_NOISE_S
     first, last = float(at.time_s.min()), float(at.time_s.max())
     if (at.line < 0).all():
@@ -129,8 +161,11 @@ def _make_time_splines(at: Conditions) -> Iterator[Effect]:
     count = max(3, int(np.ceil((last - first) / spacing_s)) + 1)
     spline = natural_spline(np.linspace(first, last, count))
     gauge = null_space((spline.gram() @ np.ones(spline.size))[None, :])
+    lines = tuple(np.unique(at.line[at.line >= 0]).tolist())
     for direction in LINEAR:
         yield EffectOfRun(TimeSpline(direction, spline, gauge), at.run)
+        if lines:
+            yield EffectOfRun(LineShift(direction, lines), at.run)
 
 
 @dataclass(frozen=True)
