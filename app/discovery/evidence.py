@@ -176,14 +176,19 @@ class TermData:
         return self.lines.runs[term.run or 0].observations.at
 
     def compare(
-        self, beside: Sequence[CandidateTerm], terms: Sequence[CandidateTerm]
+        self,
+        beside: Sequence[CandidateTerm],
+        terms: Sequence[CandidateTerm],
+        *,
+        keep: bool = True,
     ) -> Remainder:
         """Return what the data tell of each term.
 
         beside : terms that are integrated out with machine and poses
+        keep : the terms' columns, to be asked for again
         """
         blocks = self.lines.collect_blocks(
-            [t.effect for t in beside], [t.effect for t in terms]
+            [t.effect for t in beside], [t.effect for t in terms], keep=keep
         )
         return integrate_out(blocks, prior_precision(self.precision, beside), terms)
 
@@ -195,7 +200,7 @@ class TermData:
     ) -> ValueTrials:
         """Return what the data tell of a term at each of several values."""
         terms = [term.with_value(float(value)) for value in values]
-        remainder = self.compare(beside, terms)
+        remainder = self.compare(beside, terms, keep=False)
         known = prior_precision(np.zeros((0, 0)), [term])
         covariance = np.linalg.inv(np.array(remainder.information) + known)
         theta = np.einsum("vpq,vq->vp", covariance, np.array(remainder.data))

@@ -124,12 +124,15 @@ class TermFitter:
         precision = prior.precision_matrix(self._lines.size) + self._poses
         return TermData(self._lines, precision)
 
-    def rank(self, fit: TermFit, terms: Sequence[CandidateTerm]) -> list[RankedTerm]:
+    def rank(
+        self, fit: TermFit, terms: Sequence[CandidateTerm], *, keep: bool = True
+    ) -> list[RankedTerm]:
         """Return terms by their evidence beyond a fit, greatest first.
 
-        terms : at their present values
+        terms : at their present values; keep : their columns, to be asked for again
         """
-        log_bayes = self._data(fit.prior).compare(fit.terms, terms).log_bayes()
+        data = self._data(fit.prior)
+        log_bayes = data.compare(fit.terms, terms, keep=keep).log_bayes()
         listed = float(np.log(len(self.catalogue)))
         ranked = [
             RankedTerm(term, float(gain) - term.price - listed)
@@ -220,7 +223,7 @@ class TermFitter:
         if scan is None or term.wave(at) is not None:
             return term
         terms = [term.with_value(float(value)) for value in scan.values]
-        best = self.rank(fit, [term, *terms])[0].term
+        best = self.rank(fit, [term, *terms], keep=False)[0].term
         if not term.family.happens_once:
             return best
         return locate_event(self._data(fit.prior), fit.terms, best)

@@ -27,9 +27,11 @@ class TermSearch:
         """Return the fit of all terms with evidence, starting from some."""
         return self._remove_terms(self._prefer_causes(self.add_terms(start)))
 
-    def add_terms(self, start: Sequence[CandidateTerm] = ()) -> TermFit:
+    def add_terms(
+        self, start: Sequence[CandidateTerm] = (), most: int = _MOST_TERMS
+    ) -> TermFit:
         """Return the fit that the search begins with: causes are not preferred yet."""
-        return self._add_terms(self._remove_terms(self._fitter.fit(start)))
+        return self._add_terms(self._remove_terms(self._fitter.fit(start)), None, most)
 
     def add_among(
         self, start: Sequence[CandidateTerm], among: Sequence[CandidateTerm], most: int

@@ -158,13 +158,17 @@ class Lines:
         )
 
     def collect_blocks(
-        self, known: Sequence[Effect], offers: Sequence[Effect]
+        self, known: Sequence[Effect], offers: Sequence[Effect], *, keep: bool = True
     ) -> CandidateBlocks:
-        """Return the sums of effects on offer, each for itself beside what is known."""
+        """Return the sums of effects on offer, each for itself beside what is known.
+
+        keep : their columns as well, to be asked for again
+        """
         total = self.sums(known).total()
         beside = self._terms_of(known)
         joined = WhitenedBlocks.stack([one.blocks for one in beside])
-        pairs = [self._beside(beside, joined, t) for t in self._terms_of(offers)]
+        terms = self._terms_of(offers, keep=keep)
+        pairs = [self._beside(beside, joined, term) for term in terms]
         return CandidateBlocks(
             total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs)
         )
@@ -253,12 +257,13 @@ class Lines:
                 freedom += within.freedom(self._folds)
         return square, freedom
 
-    def _terms_of(self, effects: Sequence[Effect]) -> list[_Term]:
+    def _terms_of(self, effects: Sequence[Effect], *, keep: bool = True) -> list[_Term]:
         found = {e: self._known.pop(e) for e in set(effects) & set(self._known)}
         new = [e for e in dict.fromkeys(effects) if e not in found]
         if new:
             found |= dict(zip(new, self._build_terms(new), strict=True))
-        self._known |= {e: found[e] for e in effects}  # the newest are last
+        kept = effects if keep else [e for e in effects if e not in new]
+        self._known |= {e: found[e] for e in kept}  # the newest are last
         for key in list(self._known)[: max(len(self._known) - _KEPT, 0)]:
             del self._known[key]
         return [found[e] for e in effects]
