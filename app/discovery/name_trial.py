@@ -9,8 +9,8 @@ functions of time, place, side of approach, speed and direction of the beam.
             needs fewer numbers for the same lines
     purity  where free forms of its kind stay beside a name, the share of the evidence
             of both that the name brings alone: a cause has hardly a remainder
-    gap     what the names leave on held-out lines above what a complete model leaves,
-            of what there was
+    gap     what names alone leave on held-out lines above what a complete model leaves,
+            of what there was, where the whole explanation leaves some
 
 A name that fails stays possible, and the structure is described instead.
 """
@@ -30,7 +30,6 @@ _LEAST_LEAD = 5.0  # log evidence of a name over free forms
 _CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
 _LEAST_PURITY = 0.85
 _OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
-_LEAST_CLOSED = 0.85  # of what there was above it
 _MOST_FREE = 4  # free forms in the place of a name
 
 
@@ -75,17 +74,23 @@ class NameTrial:
     def judge(self, best: TermFit) -> TriedNames:
         """Return the names that hold, and those that do not."""
         names = [term for term in best.terms if term.has_cause]
-        if not names:
-            return TriedNames(best, best, (), {})
+        if not names or self._need_more(best, names):
+            return self._doubt(best, names, {})
         lead = {n.label: self._measure_lead(best, [n]) for n in names}
         doubtful = [n for n in names if self._fails(best, n, lead[n.label])]
-        together = len(names) > 1 and self._measure_lead(best, names) < _LEAST_LEAD
-        if together or self._leaves_gap(best):
+        if len(names) > 1 and self._measure_lead(best, names) < _LEAST_LEAD:
             doubtful = names
-        if not doubtful:
-            return TriedNames(best, best, (), lead)
-        fit = self._describe(best, doubtful)
-        return TriedNames(fit, best, tuple(doubtful), lead)
+        tried = self._doubt(best, doubtful, lead)
+        kept = [term for term in names if term not in doubtful]
+        if doubtful and kept and self._need_more(tried.fit, kept):
+            return self._doubt(best, names, {})
+        return tried
+
+    def _doubt(
+        self, best: TermFit, names: Sequence[CandidateTerm], lead: dict[str, float]
+    ) -> TriedNames:
+        fit = self._describe(best, names) if names else best
+        return TriedNames(fit, best, tuple(names), lead)
 
     def _describe(self, best: TermFit, out: Sequence[CandidateTerm]) -> TermFit:
         """Return the fit with free forms in the place of names."""
@@ -124,15 +129,24 @@ class NameTrial:
         both = self._fitter.compare_fits(best, nothing)
         return self._fitter.compare_fits(alone, nothing) / max(both, 1e-9)
 
-    def _leaves_gap(self, best: TermFit) -> bool:
-        """Tell whether the explanation leaves too much of what there was."""
-        after, nothing = best.held_out, self._fitter.fit([]).held_out
-        if not is_open(after):
+    def _need_more(self, fit: TermFit, names: Sequence[CandidateTerm]) -> bool:
+        """Tell whether names explain the lines only with structure, or too little."""
+        beside = [t for t in fit.terms if t not in names and not t.has_cause]
+        if not beside and not is_open(fit.held_out):
             return False
-        complete = after.expect_ratio() ** 2
-        before = nothing.measure_ratio() ** 2 - complete
-        left = after.measure_ratio() ** 2 - complete
-        return left > (1.0 - _LEAST_CLOSED) * before
+        nothing = self._fitter.fit([])
+        alone = self._fitter.fit(names, refine=False) if beside else fit
+        whole = self._fitter.compare_fits(fit, nothing)
+        if self._fitter.compare_fits(alone, nothing) < _LEAST_PURITY * whole:
+            return True
+        return is_open(fit.held_out) and (
+            _excess(alone.held_out) > (1.0 - _LEAST_PURITY) * _excess(nothing.held_out)
+        )
+
+
+def _excess(left: HeldOutMisfit) -> float:
+    """Return the mean squared misfit above that of a complete model."""
+    return left.measure_ratio() ** 2 - left.expect_ratio() ** 2
 
 
 def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:

@@ -34,7 +34,7 @@ def test_a_tilt_moves_points_across_its_axis_and_by_their_distance(seen):
 
 def test_a_turn_of_one_axis_by_another_is_nothing_without_the_other(seen):
     turn = propose(PlaneTurnFamily(), seen, motion="ECX", by="Y")
-    products = turn.shapes(seen, seen.recorded)
+    products = turn.shapes(seen)
     share = seen.axis_mm("Y") / 500.0
     np.testing.assert_allclose(products[:, 0], 2.0 * share - 1.0)
 

@@ -8,7 +8,7 @@ catalogued cause explains, and a cause has to explain more than they do.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 
@@ -28,7 +28,7 @@ from app.kinematics.effects.catalogue import (
 )
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION, MOTION, choose_from
-from app.kinematics.machine import LinearAxis
+from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import LINEAR, is_turn, list_error_motions
 
 _HALF_WAVES = 8
@@ -44,22 +44,16 @@ class FreeForm(Effect):
     role = Role.STRUCTURE
 
     @abstractmethod
-    def arm(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n 3"]:
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         """Return the direction, about as long as 1."""
 
     @abstractmethod
-    def shapes(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n p"]:
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return the shapes, each at most about 1."""
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
         """Return the arm times the shapes."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3, len(self.units)))
-        return columns_along(self.arm(at, at.recorded), self.shapes(at, at.recorded))
+        return columns_along(self.arm(at), self.shapes(at))
 
 
 class FreeFormFamily(Family):
@@ -91,16 +85,12 @@ class TiltWander(FreeForm):
     middle_mm: tuple[float, float, float]
     reach_mm: float
 
-    def arm(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n 3"]:
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         """Return what a turn moves the points by."""
         turn = np.eye(3)[LINEAR.index(self.direction)]
         return np.cross(turn, at.point_mm - self.middle_mm) / self.reach_mm
 
-    def shapes(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n p"]:
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return the cosines."""
         angle = np.pi * (at.time_s - self.first_s) / self.span_s
         return np.cos(angle[:, None] * np.arange(1, _HALF_WAVES + 1))
@@ -167,15 +157,11 @@ class PlaneTurn(FreeForm):
         """Both axes."""
         return self.axis.name, self.by.name
 
-    def arm(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n 3"]:
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         """Return the turn's lever."""
         return find_arm(self.symbol, at) / self.reach_mm
 
-    def shapes(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n p"]:
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return products of polynomials of both positions."""
         axes = self.axis, self.by
         own, other = (_polynomials(_share(axis, at), 3) for axis in axes)
@@ -186,6 +172,8 @@ class PlaneTurnFamily(FreeFormFamily):
     """Every turn of an axis, by every other."""
 
     name = "plane-turn"
+    makes = PlaneTurn
+    numbers = ("reach_mm",)
     varies_with = "place"
     keys = {"motion": MOTION, "by": replace(AXIS, phrase="with {}")}
     covariates = ("{motion[2]}", "{by}")
@@ -228,6 +216,16 @@ class PlaneTurnFamily(FreeFormFamily):
                 found.append(Candidate(self.name, keys, turn, usual))
         return found
 
+    def restore(
+        self, machine: Machine, keys: Mapping[str, str], numbers: Mapping[str, float]
+    ) -> Effect:
+        """Return the effect as a model file states it."""
+        symbol, by = keys["motion"], machine.linear(keys["by"])
+        axis = machine.linear(symbol[2])
+        if symbol not in list_error_motions(axis.name):
+            raise KeyError(symbol)
+        return PlaneTurn(symbol, axis, by, numbers["reach_mm"])
+
 
 @dataclass(frozen=True)
 class SideShape(FreeForm):
@@ -238,16 +236,12 @@ class SideShape(FreeForm):
     axis: LinearAxis
     direction: str
 
-    def arm(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n 3"]:
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         """Return the direction, by the side that the axis came from."""
         side = at.approach[:, at.machine.axis_names.index(self.axis.name)]
         return find_arm(f"E{self.direction}{self.axis.name}", at) * side[:, None]
 
-    def shapes(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n p"]:
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return polynomials of the position."""
         return _polynomials(_share(self.axis, at), _SIDE_DEGREES)[:, 1:]
 
@@ -256,6 +250,7 @@ class SideShapeFamily(FreeFormFamily):
     """Every axis and direction."""
 
     name = "side-shape"
+    makes = SideShape
     varies_with = "way"
     keys = {"axis": AXIS, "direction": DIRECTION}
     covariates = ("direction({axis})", "{axis}")
@@ -309,11 +304,11 @@ class LookError(FreeForm):
     half: tuple[float, float]
     reach_mm: float
 
-    def arm(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n 3"]:
+    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
         """Return how the target seems to move."""
-        x, y, z = recorded.tracker_mm.T
+        if at.recorded is None:
+            return np.zeros((len(at), 3))
+        x, y, z = at.recorded.tracker_mm.T
         flat = np.hypot(x, y)
         long = np.hypot(flat, z)
         moved = {
@@ -322,13 +317,13 @@ class LookError(FreeForm):
             "elevation": np.stack([-z * x / flat, -z * y / flat, flat], axis=1)
             / self.reach_mm,
         }[self.quantity]
-        return moved @ recorded.rotation
+        return moved @ at.recorded.rotation
 
-    def shapes(
-        self, at: Conditions, recorded: RecordedState
-    ) -> Float64[np.ndarray, "n p"]:
+    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return products of polynomials of both angles."""
-        angles = look_angles(recorded, self.turn_rad)
+        if at.recorded is None:
+            return np.zeros((len(at), len(_LOOK_PAIRS)))
+        angles = look_angles(at.recorded, self.turn_rad)
         each = zip(angles, self.middle, self.half, strict=True)
         one, two = (_polynomials(0.5 + 0.5 * (a - m) / h, 4) for a, m, h in each)
         return np.stack([one[:, i] * two[:, j] for i, j in _LOOK_PAIRS], axis=1)
