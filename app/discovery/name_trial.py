@@ -22,13 +22,12 @@ from dataclasses import dataclass
 
 from app.discovery.evidence import HeldOutMisfit
 from app.discovery.term_fitter import TermFit, TermFitter
-from app.discovery.term_search import TermSearch
+from app.discovery.term_search import LEAST_PURITY, TermSearch
 from app.kinematics.effects.candidate_term import CandidateTerm
 
 CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = 5.0  # log evidence of a name over free forms
 _CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
-_LEAST_PURITY = 0.85
 _OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
 _MOST_FREE = 4  # free forms in the place of a name
 
@@ -117,7 +116,7 @@ class NameTrial:
         beside = [term for term in best.terms if _is_free_beside(term, name)]
         if lead < _LEAST_LEAD:
             return True
-        return bool(beside) and self._find_purity(best, name, beside) < _LEAST_PURITY
+        return bool(beside) and self._find_purity(best, name, beside) < LEAST_PURITY
 
     def _find_purity(
         self, best: TermFit, name: CandidateTerm, beside: Sequence[CandidateTerm]
@@ -137,10 +136,10 @@ class NameTrial:
         nothing = self._fitter.fit([])
         alone = self._fitter.fit(names, refine=False) if beside else fit
         whole = self._fitter.compare_fits(fit, nothing)
-        if self._fitter.compare_fits(alone, nothing) < _LEAST_PURITY * whole:
+        if self._fitter.compare_fits(alone, nothing) < LEAST_PURITY * whole:
             return True
         return is_open(fit.held_out) and (
-            _excess(alone.held_out) > (1.0 - _LEAST_PURITY) * _excess(nothing.held_out)
+            _excess(alone.held_out) > (1.0 - LEAST_PURITY) * _excess(nothing.held_out)
         )
 
 

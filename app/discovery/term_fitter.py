@@ -25,6 +25,7 @@ from app.kinematics.effects.candidate_term import CandidateTerm
 
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
 _REACH, _SLACK = 0.3, 10.0  # share of the best one's evidence that a scan may make up
+_HOPELESS = -4.0  # evidence that no finer scan raises enough
 _MOST_PROMISING = 12  # terms of a ranking that may take the place of another later
 
 
@@ -151,7 +152,8 @@ class TermFitter:
         """
         among = self.catalogue if among is None else among
         ranked = self.rank(fit, self._scan(fit, among))
-        least = _REACH * ranked[0].evidence - _SLACK if ranked else 0.0
+        best_one = ranked[0].evidence if ranked else 0.0
+        least = max(_REACH * best_one - _SLACK, _HOPELESS)
         near = sum(r.evidence > least for r in ranked[:_MOST_SCANNED])
         best = [self._sharpen(fit, r.term) for r in ranked[:near]]
         again = self.rank(fit, best) if best else []

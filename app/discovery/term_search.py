@@ -12,6 +12,8 @@ from app.kinematics.effects.candidate_term import CandidateTerm
 LEAST_EVIDENCE = 5.0  # log Bayes factor, cost paid: a false alarm in a hundred Runs
 EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_TERMS = 6
+_MOST_FREE = 3  # without a cause: more describe nothing better
+LEAST_PURITY = 0.85  # of the evidence that causes bring alone, structure beside them
 _TRIED = 2  # terms that held-out lines may refuse before the search ends
 
 _Among = Sequence[CandidateTerm] | None
@@ -55,6 +57,11 @@ class TermSearch:
 
     def _add_term(self, best: TermFit, among: _Among) -> TermFit | None:
         """Return the fit with one term more, if there is evidence for one."""
+        free = sum(not term.has_cause for term in best.terms)
+        if free >= _MOST_FREE:
+            every = self._fitter.catalogue if among is None else among
+            among = [term for term in every if term.has_cause]
+            among = self._fitter.choose_promising(among)
         for ranked in self._fitter.rank_catalogue(best, among)[:_TRIED]:
             if ranked.evidence < LEAST_EVIDENCE:
                 return None
@@ -108,6 +115,10 @@ class TermSearch:
         among = self._fitter.choose_promising(every)
         other = self._add_terms(start, among, len(best.terms))
         if {t.label for t in other.terms} == {t.label for t in causes}:
+            return best
+        nothing = self._fitter.fit([])
+        whole = self._fitter.compare_fits(best, nothing)
+        if self._fitter.compare_fits(other, nothing) < LEAST_PURITY * whole:
             return best
         other = self._add_terms(other)
         gain = self._fitter.compare_fits(other, best)
