@@ -128,7 +128,7 @@ class Discovery:
     @property
     def leaves_gap(self) -> bool:
         """Whether held-out lines are predicted worse than by a complete model."""
-        return is_open(self.fit.held_out)
+        return is_open(self.fit)
 
     @property
     def compared(self) -> int:

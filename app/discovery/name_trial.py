@@ -53,13 +53,18 @@ class TriedNames:
         alone = all(other.has_cause for other in self.fit.terms)
         far = self.lead.get(term.label, 0.0) >= _CERTAIN_LEAD
         clear = log_bayes >= _CERTAIN_EVIDENCE and not rivals
-        closed = not is_open(self.fit.held_out)
+        closed = not is_open(self.fit)
         return CERTAIN if alone and far and clear and closed else LIKELY
 
 
-def is_open(left: HeldOutMisfit) -> bool:
+def is_open(fit: TermFit) -> bool:
     """Tell whether held-out lines are predicted worse than by a complete model."""
-    return left.measure_ratio() > _OPEN * left.expect_ratio()
+    left, fast = fit.held_out, _has_fast(fit)
+    return left.measure_ratio(fast=fast) > _OPEN * left.expect_ratio(fast=fast)
+
+
+def _has_fast(fit: TermFit) -> bool:
+    return any(term.is_fast for term in fit.terms)
 
 
 class NameTrial:
@@ -131,21 +136,21 @@ class NameTrial:
     def _need_more(self, fit: TermFit, names: Sequence[CandidateTerm]) -> bool:
         """Tell whether names explain the lines only with structure, or too little."""
         beside = [t for t in fit.terms if t not in names and not t.has_cause]
-        if not beside and not is_open(fit.held_out):
+        if not beside and not is_open(fit):
             return False
         nothing = self._fitter.fit([])
         alone = self._fitter.fit(names, refine=False) if beside else fit
         whole = self._fitter.compare_fits(fit, nothing)
         if self._fitter.compare_fits(alone, nothing) < LEAST_PURITY * whole:
             return True
-        return is_open(fit.held_out) and (
-            _excess(alone.held_out) > (1.0 - LEAST_PURITY) * _excess(nothing.held_out)
-        )
+        fast, least = _has_fast(fit), 1.0 - LEAST_PURITY
+        left, before = (_excess(f.held_out, fast=fast) for f in (alone, nothing))
+        return is_open(fit) and left > least * before
 
 
-def _excess(left: HeldOutMisfit) -> float:
+def _excess(left: HeldOutMisfit, *, fast: bool) -> float:
     """Return the mean squared misfit above that of a complete model."""
-    return left.measure_ratio() ** 2 - left.expect_ratio() ** 2
+    return left.measure_ratio(fast=fast) ** 2 - left.expect_ratio(fast=fast) ** 2
 
 
 def _is_free_beside(term: CandidateTerm, name: CandidateTerm) -> bool:
