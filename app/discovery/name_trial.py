@@ -5,7 +5,7 @@ An unlisted cause may look like it, or like two names at once. So each name, and
 them together, are tried against structure without a cause in their place: free
 functions of time, place, side of approach, speed and direction of the beam.
 
-    beats   the log evidence of the names less that of the free forms: a true shape
+    lead    the log evidence of the names less that of the free forms: a true shape
             needs fewer numbers for the same lines
     purity  where free forms of its kind stay beside a name, the share of the evidence
             of both that the name brings alone: a cause has hardly a remainder
@@ -22,11 +22,11 @@ from dataclasses import dataclass
 
 from app.discovery.evidence import HeldOutMisfit
 from app.discovery.term_fitter import TermFit, TermFitter
-from app.discovery.term_search import LEAST_PURITY, TermSearch
+from app.discovery.term_search import EQUIVALENT, LEAST_PURITY, TermSearch
 from app.kinematics.effects.candidate_term import CandidateTerm
 
 CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
-_LEAST_LEAD = 5.0  # log evidence of a name over free forms
+_LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms
 _CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
 _OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
 _MOST_FREE = 4  # free forms in the place of a name

@@ -177,12 +177,13 @@ class TermFitter:
     def compare_fits(self, one: TermFit, other: TermFit) -> float:
         """Return how much greater the log evidence of one fit is than of another.
 
-        At least: with the machine as smooth as suits the one or the other.
+        The mean with the machine as smooth as suits the one, and the other.
         """
-        return min(
+        gains = [
             self._measure_evidence(one, prior) - self._measure_evidence(other, prior)
             for prior in (one.prior, other.prior)
-        )
+        ]
+        return 0.5 * (gains[0] + gains[1])
 
     def _measure_evidence(self, fit: TermFit, prior: MachinePrior) -> float:
         """Return the log evidence of all terms of a fit, less the search's cost."""
