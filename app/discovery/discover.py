@@ -37,7 +37,6 @@ from app.kinematics.effects.catalogue import list_families
 from app.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height
-_LARGEST = 3  # effects that the noise is fitted beside
 _MOST_CELLS = 12_000  # of all Runs: memory and time grow with them
 
 
@@ -164,7 +163,7 @@ def discover(
     lines = build_lines(runs, fine, baseline)
     fitter = TermFitter(lines, baseline.prior, terms)
     search = TermSearch(fitter)
-    best = search.add_terms(most=_LARGEST)
+    best = search.find_largest()
     on_progress(0.6)
     if best.terms:
         # What the effects caused is no longer counted as noise.

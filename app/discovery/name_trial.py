@@ -59,12 +59,7 @@ class TriedNames:
 
 def is_open(fit: TermFit) -> bool:
     """Tell whether held-out lines are predicted worse than by a complete model."""
-    left, fast = fit.held_out, _has_fast(fit)
-    return left.measure_ratio(fast=fast) > _OPEN * left.expect_ratio(fast=fast)
-
-
-def _has_fast(fit: TermFit) -> bool:
-    return any(term.is_fast for term in fit.terms)
+    return fit.gap_ratio > _OPEN
 
 
 class NameTrial:
@@ -143,7 +138,7 @@ class NameTrial:
         whole = self._fitter.compare_fits(fit, nothing)
         if self._fitter.compare_fits(alone, nothing) < LEAST_PURITY * whole:
             return True
-        fast, least = _has_fast(fit), 1.0 - LEAST_PURITY
+        fast, least = fit.has_fast, 1.0 - LEAST_PURITY
         left, before = (_excess(f.held_out, fast=fast) for f in (alone, nothing))
         return is_open(fit) and left > least * before
 

@@ -52,6 +52,17 @@ class TermFit:
         departure = self.prior.measure_departure(self.posterior.theta)
         return float(self.held_out.square.sum()) + departure
 
+    @property
+    def has_fast(self) -> bool:
+        """Whether a term changes within cells."""
+        return any(term.is_fast for term in self.terms)
+
+    @property
+    def gap_ratio(self) -> float:
+        """Misfit of held-out lines over that of a complete model."""
+        left, fast = self.held_out, self.has_fast
+        return left.measure_ratio(fast=fast) / left.expect_ratio(fast=fast)
+
     def other_terms(self, term: CandidateTerm) -> list[CandidateTerm]:
         """Return the terms without one of them."""
         return [other for other in self.terms if other is not term]

@@ -12,6 +12,7 @@ from app.kinematics.effects.candidate_term import CandidateTerm
 LEAST_EVIDENCE = 5.0  # log Bayes factor, cost paid: a false alarm in a hundred Runs
 EQUIVALENT = 3.0  # log Bayes factors closer than this decide nothing
 _MOST_TERMS = 6
+_MOST_LARGE, _CLOSED = 3, 1.03  # terms, or gap over that of a complete model
 _MOST_FREE = 3  # without a cause: more describe nothing better
 LEAST_PURITY = 0.85  # of the evidence that causes bring alone, structure beside them
 _TRIED = 2  # terms that held-out lines may refuse before the search ends
@@ -25,15 +26,20 @@ class TermSearch:
     def __init__(self, fitter: TermFitter) -> None:
         self._fitter = fitter
 
-    def select_terms(self, start: Sequence[CandidateTerm] = ()) -> TermFit:
+    def select_terms(self, start: Sequence[CandidateTerm]) -> TermFit:
         """Return the fit of all terms with evidence, starting from some."""
-        return self._remove_terms(self._prefer_causes(self.add_terms(start)))
+        best = self._add_terms(self._remove_terms(self._fitter.fit(start)))
+        return self._remove_terms(self._prefer_causes(best))
 
-    def add_terms(
-        self, start: Sequence[CandidateTerm] = (), most: int = _MOST_TERMS
-    ) -> TermFit:
-        """Return the fit that the search begins with: causes are not preferred yet."""
-        return self._add_terms(self._remove_terms(self._fitter.fit(start)), None, most)
+    def find_largest(self) -> TermFit:
+        """Return the fit of the few terms that noise can be judged beside."""
+        best = self._fitter.fit([])
+        for _ in range(_MOST_LARGE):
+            larger = self._add_terms(best, None, len(best.terms) + 1)
+            if larger is best or larger.gap_ratio < _CLOSED:
+                return larger
+            best = larger
+        return best
 
     def add_among(
         self, start: Sequence[CandidateTerm], among: Sequence[CandidateTerm], most: int
