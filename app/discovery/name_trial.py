@@ -113,9 +113,14 @@ class NameTrial:
         return self._fitter.compare_fits(best, self._describe(best, names))
 
     def _fails(self, best: TermFit, name: CandidateTerm, lead: float) -> bool:
-        beside = [term for term in best.terms if _is_free_beside(term, name)]
-        if lead < _LEAST_LEAD:
+        """Tell whether a name does not hold.
+
+        With structure left beside it, it has to be clearly better than a free form.
+        """
+        is_alone = all(term.has_cause for term in best.terms)
+        if lead < (_LEAST_LEAD if is_alone else _CERTAIN_LEAD):
             return True
+        beside = [term for term in best.terms if _is_free_beside(term, name)]
         return bool(beside) and self._find_purity(best, name, beside) < LEAST_PURITY
 
     def _find_purity(
