@@ -69,6 +69,7 @@ class NameTrial:
         self._fitter, self._search = fitter, search
         free = [term for term in fitter.catalogue if not term.has_cause]
         self._free = fitter.choose_promising(free)
+        self._flexible = [term for term in self._free if term.family.varies_with]
 
     def judge(self, best: TermFit) -> TriedNames:
         """Return the names that hold, and those that do not."""
@@ -88,14 +89,19 @@ class NameTrial:
     def _doubt(
         self, best: TermFit, names: Sequence[CandidateTerm], lead: dict[str, float]
     ) -> TriedNames:
-        fit = self._describe(best, names) if names else best
+        fit = self._replace(best, names, self._free) if names else best
         return TriedNames(fit, best, tuple(names), lead)
 
-    def _describe(self, best: TermFit, out: Sequence[CandidateTerm]) -> TermFit:
+    def _replace(
+        self,
+        best: TermFit,
+        out: Sequence[CandidateTerm],
+        among: Sequence[CandidateTerm],
+    ) -> TermFit:
         """Return the fit with free forms in the place of names."""
         kept = [term for term in best.terms if term not in out]
         most = len(kept) + max(_MOST_FREE, len(out))
-        return self._search.add_among(kept, self._free, most)
+        return self._search.add_among(kept, among, most)
 
     def _measure_lead(self, best: TermFit, names: Sequence[CandidateTerm]) -> float:
         """Return the log evidence of names over that of free forms in their place.
@@ -106,11 +112,12 @@ class NameTrial:
         kept = [term for term in best.terms if term not in names]
         without = self._fitter.fit(kept, refine=False)
         own = self._fitter.compare_fits(best, without)
-        ranked = self._fitter.rank_promising(without, self._free)
+        ranked = self._fitter.rank_promising(without, self._flexible)
         most = _MOST_FREE * max([0.0, *(r.evidence for r in ranked[:1])])
         if own - most >= _CERTAIN_LEAD:
             return own - most
-        return self._fitter.compare_fits(best, self._describe(best, names))
+        instead = self._replace(best, names, self._flexible)
+        return self._fitter.compare_fits(best, instead)
 
     def _fails(self, best: TermFit, name: CandidateTerm, lead: float) -> bool:
         """Tell whether a name does not hold.
