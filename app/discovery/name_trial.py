@@ -20,6 +20,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from app.discovery.evidence import HeldOutMisfit
 from app.discovery.term_fitter import TermFit, TermFitter
 from app.discovery.term_search import EQUIVALENT, LEAST_PURITY, TermSearch
@@ -29,6 +31,7 @@ CERTAIN, LIKELY, POSSIBLE = "certain", "likely", "possible"
 _LEAST_LEAD = -EQUIVALENT  # log evidence of a name over free forms
 _CERTAIN_LEAD, _CERTAIN_EVIDENCE = 10.0, 20.0
 _OPEN = 1.08  # gap over that of a complete model: clean Runs stay below
+_SIGMAS = 4.0  # of what chance makes of the squared gap
 _MOST_FREE = 4  # free forms in the place of a name
 
 
@@ -59,7 +62,8 @@ class TriedNames:
 
 def is_open(fit: TermFit) -> bool:
     """Tell whether held-out lines are predicted worse than by a complete model."""
-    return fit.gap_ratio > _OPEN
+    by_chance = float(np.sqrt(2.0 / fit.held_out.freedom.sum()))
+    return fit.gap_ratio > max(_OPEN, np.sqrt(1.0 + _SIGMAS * by_chance))
 
 
 class NameTrial:

@@ -15,7 +15,10 @@ from app.kinematics.effects.thermal_growth import WarmingUp
 from app.kinematics.model import restore_effect
 from app.web.pages import LANGUAGES, catalogue
 
-UNIT = re.compile(r"_(um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s|urad|rad|um|mm|ms|hz|s)$")
+UNIT = re.compile(
+    r"_(um_per_m_K|um_per_m|um_per_s|urad_per_m|ppm_per_K|ppm_per_s"
+    r"|urad|rad|um|mm|ms|hz|s)$"
+)
 ROOT = Path(__file__).parents[2]
 CONTRACT = (
     "backlash",

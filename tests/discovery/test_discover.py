@@ -3,6 +3,7 @@
 import pytest
 
 from app.discovery.discover import discover
+from app.discovery.name_trial import CERTAIN
 from app.results.discovery_json import discovery_json
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
@@ -30,6 +31,8 @@ def test_a_knock_is_named_with_its_moment_and_size(knocked):
     (found,) = knocked.findings
     assert found.candidate.family == "setup-step"
     assert not found.alternatives
+    assert found.grade == CERTAIN
+    assert knocked.possible == ()
     said = found.parameters
     begin = knocked.aligned[0].run.tracker.device_time_s[0]
     assert abs(said["t_s"].value - begin - 40.0) < 0.1
