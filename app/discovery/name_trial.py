@@ -63,7 +63,7 @@ class TriedNames:
 def is_open(fit: TermFit) -> bool:
     """Tell whether held-out lines are predicted worse than by a complete model."""
     by_chance = float(np.sqrt(2.0 / fit.held_out.freedom.sum()))
-    return fit.gap_ratio > max(_OPEN, np.sqrt(1.0 + _SIGMAS * by_chance))
+    return fit.gap_ratio**2 > _OPEN**2 + _SIGMAS * by_chance
 
 
 class NameTrial:
