@@ -152,7 +152,8 @@ def _nest(
 def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
     """Yield what shifts lines of a Run, and all with time, in each direction.
 
-    Knots of time are too far apart for one point.
+    Knots of time are too far apart for one point. Lines of rotary axes are arcs that
+    each show other errors: a shift of each would leave nothing to place the tracker by.
     """
     spacing_s = LONGEST_NOISE_S
     first, last = float(at.time_s.min()), float(at.time_s.max())
@@ -164,7 +165,7 @@ def _list_slow_shifts(at: Conditions) -> Iterator[Effect]:
     lines = tuple(np.unique(at.line[at.line >= 0]).tolist())
     for direction in LINEAR:
         yield EffectOfRun(TimeSpline(direction, spline, gauge), at.run)
-        if lines:
+        if lines and not at.machine.rotary_axes:
             yield EffectOfRun(LineShift(direction, lines), at.run)
 
 
