@@ -24,6 +24,13 @@ const UNITS = Object.entries({
   s: () => [1, "s"],
 });
 
+/** How sure a name is. */
+const GRADES = {
+  certain: () => t("discover.certain"),
+  likely: () => t("discover.likely"),
+  possible: () => t("discover.possible"),
+};
+
 /** An effect: numbers, cause, what to do, evidence. */
 export function effectCard(effect) {
   const content = card(nameOf(effect), numbers(effect), facts(effect, effect.name));
@@ -61,7 +68,7 @@ function facts({ evidence, grade, indistinguishable_from: alike, ...effect }, na
   const share = number(100 * evidence.share_of_gap, 0);
   const factor = number(evidence.log_bayes_factor, 0);
   const rows = [
-    [t("discover.grade"), grade && !on && t(`discover.${grade}`)],
+    [t("discover.grade"), !on && GRADES[grade]?.()],
     [t("discover.depends_on"), on?.map(dependence).join(", ")],
     [t("discover.cause"), word("cause")],
     [t("discover.looks_like"), word("looks_like")],
