@@ -125,11 +125,12 @@ def _run(recording: synthetic.Recording) -> Run:
     axes = machine.axis_names
     if recording.mode == "standstill":
         commanded: Path | Configurations = Configurations(
-            axes, program.position, program.dwell_s
+            axes, program.position, program.dwell_s, program.target
         )
     else:
+        feed_mm_min = program.feed_mm_s * 60.0
         commanded = Path(
-            axes, program.position, program.feed_mm_s * 60.0, program.dwell_s
+            axes, program.position, feed_mm_min, program.dwell_s, program.target
         )
     samples = TrackerSamples(
         np.arange(n), recording.time_s, recording.position_mm, recording.status

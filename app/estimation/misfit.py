@@ -34,7 +34,13 @@ from app.estimation.misfit_blocks import (
 from app.estimation.noise import limit_noise
 from app.estimation.score import compute_score
 from app.estimation.setup_steps import Step, StepSearch, find_steps
-from app.estimation.step_candidates import Drift, Prospects, Shared, StepSums
+from app.estimation.step_candidates import (
+    Candidates,
+    Drift,
+    Prospects,
+    Shared,
+    StepSums,
+)
 from app.numerics.scaled_cholesky import ScaledCholesky
 
 _DRIFTS = 36  # pose and strain, each with three polynomials of time
@@ -42,6 +48,7 @@ _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tai
 _MOST_STEPS = 5
 OF_LINE = 0.3  # of the worst line's gain, for a step to come first
 _CELLS = 500  # of a block
+_LARGE_MM = 0.02  # of a step
 _STRIDE = 12  # cells from one step that is tried to the next
 
 
@@ -56,6 +63,7 @@ class Misfit:
     drift : gain of a drift of pose and size; drift_mm : root mean square of it
     steps : in the order of time; at least the best, where one can be told
     explained : gain of steps and drift; drift_left : of a drift beside the steps
+    unseen : rows before which a large step would pass for errors of the machine
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -70,6 +78,7 @@ class Misfit:
     steps: tuple[Step, ...]
     explained: float
     drift_left: float
+    unseen: frozenset[int]
 
     @property
     def rest(self) -> float:
@@ -167,8 +176,11 @@ class _Examination:
         drift = Drift(self.factor, np.sum(products, axis=0))
         size = drift.size @ drift_square @ drift.size / max(len(self.seen), 1)
         limit = compute_step_limit(len(begin))
+        steps, near, share = self._prepare_steps(sums, drift)
         search = StepSearch(
-            *self._prepare_steps(sums, drift),
+            steps,
+            near,
+            share,
             np.repeat(np.arange(len(begin)), end - begin),
             self.seen.at.time_s,
             lambda gain: limit * max(1.0, (square - gain) / freedom),
@@ -188,7 +200,19 @@ class _Examination:
             found.steps,
             found.explained,
             found.drift_left,
+            self._list_unseen(steps.bare, limit),
         )
+
+    def _list_unseen(self, steps: Candidates, limit: float) -> frozenset[int]:
+        """Return the rows before which a step of `_LARGE_MM` would not show.
+
+        Near both ends of the Run there is too little data for it, and no harm in it.
+        """
+        information = np.linalg.eigvalsh(steps.left[:, :3, :3])[:, 0]
+        unseen = information * _LARGE_MM**2 < limit
+        inside = ~np.logical_and.accumulate(unseen)
+        inside &= ~np.logical_and.accumulate(unseen[::-1])[::-1]
+        return frozenset(self.seen.row[steps.cell[unseen & inside]].tolist())
 
     def _cut(self) -> Iterator[slice]:
         """Yield the cells of blocks of whole lines."""

@@ -80,6 +80,12 @@ SENTENCES: Mapping[str, Sentence] = {
         "and solved with both places.",
         "Fasten tracker and reflector, and measure again where it matters.",
     ),
+    "knock-unseen": Sentence(
+        "Data are left out at rows {rows}, and nothing measured before is measured "
+        "again after: a knock of tracker or reflector there would look the same.",
+        "Fasten tracker and reflector; measure anew, the first target once more at the "
+        "end.",
+    ),
     "ramps-swing": Sentence(
         "The machine swings while it accelerates: a stretch of a ramp counts as if it "
         "were off by {distance_um}.",

@@ -65,6 +65,9 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             ),
             *_judge_ramps([runs[k] for k in own]),
             *_judge_drift([checked.misfits[k] for k in own]),
+            *_judge_unseen(
+                checked.left_out[number], [checked.misfits[k] for k in own]
+            ),
         ]
         reasons += [
             Reason(r.kind, r.state, r.values, name if several else "") for r in said
@@ -224,6 +227,21 @@ def _judge_drift(misfits: Sequence[Misfit]) -> Iterator[Reason]:
                 "limit_um": UM_PER_MM * _DRIFT_MM[0],
             },
         )
+
+
+def _judge_unseen(
+    left_out: Sequence[LeftOut], misfits: Sequence[Misfit]
+) -> Iterator[Reason]:
+    """Yield where a knock may be what made data wrong, and the fit cannot tell.
+
+    Where the target changes, and nothing from before is measured again, the seats of
+    later targets and the locations of axes follow a step of the set-up.
+    """
+    unseen = frozenset[int]().union(*(misfit.unseen for misfit in misfits))
+    rows = {each.row for each in left_out if each.row >= 0}
+    near = sorted(row for row in rows if unseen & {row - 1, row, row + 1})
+    if near:
+        yield Reason("knock-unseen", "doubtful", {"rows": _list_lines(near)})
 
 
 def _grade(value: float, limits: tuple[float, float]) -> State:

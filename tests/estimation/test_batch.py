@@ -136,7 +136,7 @@ def test_progress_is_told_from_start_to_end(record):
 def test_progress_is_complete_only_after_the_last_work(record, monkeypatch):
     run, _ = record(25)
     order: list[object] = []
-    works = (batch.assess_observability, batch.widen_by_unknown_precision)
+    works = (batch.widen_by_unknown_precision, batch.assess_observability)
     for work in works:
 
         def recorded(*arguments, work=work):

@@ -129,7 +129,7 @@ def test_lines_lost_with_the_beam_are_planned_anew_until_the_target(followed):
     assert followed.context.runs.get(job.id).complete
     file = followed.context.results / job.id / "result.json"
     found = compare_with_truth(json.loads(file.read_text()), followed.bench.truth_at)
-    assert found.left < 0.15
+    assert found.share_left < 0.15
     assert found.covered > 0.8
 
 

@@ -64,12 +64,12 @@ def test_inch_changes_what_is_shown_and_nothing_else(panel, service):
     expect(page.locator("[data-symbol=EXX] h3 .unit")).to_have_text("µin")
     expect(page.locator("[data-symbol=EAX] h3 .unit")).to_have_text("µrad")
     page.goto(page.url.split("#")[0] + "#/plan")
-    expect(page.locator(".suffix")).to_have_text(["in/min", "min", "µin"])
-    expect(page.locator("#feed")).to_have_value("236.2")
+    units = ["in", "in", "in", "min", "in/min", "µin"]
+    expect(page.locator(".suffix")).to_have_text(units)
     page.locator("#next button").click()
     page.wait_for_url("**/#/check/*")
     ((_, _, order),) = service.requests
-    assert order["feed_mm_min"] == 6000
+    assert "feed_mm_min" not in order  # left to the planner, as in millimetres
 
 
 def test_a_feed_typed_in_inches_is_sent_in_millimetres(panel, service):
