@@ -65,9 +65,7 @@ def judge(checked: CheckedEstimate, names: Sequence[str]) -> Verdict:
             ),
             *_judge_ramps([runs[k] for k in own]),
             *_judge_drift([checked.misfits[k] for k in own]),
-            *_judge_unseen(
-                checked.left_out[number], [checked.misfits[k] for k in own]
-            ),
+            *_judge_unseen(checked.left_out[number], [checked.misfits[k] for k in own]),
         ]
         reasons += [
             Reason(r.kind, r.state, r.values, name if several else "") for r in said
