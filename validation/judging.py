@@ -83,8 +83,9 @@ def map_mm(
 def true_parameters(model: MachineModel, truth: TruthMachine) -> np.ndarray:
     """Return the parameters of a model that make the truth's map, gauge included.
 
-    With one target some error motions merge; what they merge into is the truth that a
-    table can hold. The spline's own misfit is far below a tracker's noise.
+    With one target some error motions merge into others, which are the truth that a
+    table can hold; themselves they are 0. The spline's own misfit is far below a
+    tracker's noise.
     """
     rng = np.random.default_rng(0)
     low = np.array([a.low for a in model.machine.linear_axes])
@@ -94,6 +95,8 @@ def true_parameters(model: MachineModel, truth: TruthMachine) -> np.ndarray:
     edges = np.where(rng.uniform(size=(300, 3)) < 0.5, ends, inside[:300])
     position = np.vstack([inside, edges])
     columns = model.jacobian(make_standstill(model.machine, position))
+    for name in model.confounded:
+        columns[:, :, model.slices[name]] = 0.0
     rigid = np.zeros((len(position), 3, 6))
     rigid[:, :, :3] = np.eye(3)
     for k, axis in enumerate(np.eye(3)):
@@ -112,10 +115,13 @@ def table_deviations(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return estimate − truth, its uncertainty and a number for each motion.
 
-    Over all table values that are not fixed by their gauge, squarenesses included.
+    Over all table values that are not fixed by their gauge, squarenesses included;
+    motions that the target does not tell from others are left out.
     """
     off, sigma, group = [], [], []
     for number, effect in enumerate(model.effects):
+        if effect.name in model.confounded:
+            continue
         part = model.slices[effect.name]
         rows = np.eye(part.stop - part.start)
         if isinstance(effect, ErrorMotion):
