@@ -43,6 +43,7 @@ def test_the_task_runs_from_connect_to_result(panel, service):
     expect(page.locator(".path-view[data-drawn]")).to_be_visible()
     with held(page, page.locator(NEXT, has_text="Hold to start motion")):
         page.wait_for_url(f"**/#/run/{job}")
+    expect(page.locator(".big-progress")).to_be_visible()
     service.advance(job, 11.0)
     expect(page.locator(".big-progress strong")).to_have_text("50%")
     expect(page.locator(".stages [aria-current]")).to_have_text("Measuring")
