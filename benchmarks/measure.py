@@ -1,7 +1,8 @@
 """Measures a function in a process of its own: wall time, processor time, peak memory.
 
 A process each, because peak memory never falls again, and what one candidate has
-warmed up (imports, BLAS threads, caches of the allocator) must not help the next.
+warmed up (imports, caches of the allocator) must not help the next; with as many BLAS
+threads as the command line takes.
 Compare candidates of one run only, and as ratios: machines differ, and so does this one
 from hour to hour.
 """
@@ -9,12 +10,15 @@ from hour to hour.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+
+from app.thread_limits import choose_thread_limits
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,7 @@ def _wall(measurement: Measurement) -> float:
 
 
 def _once(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Measurement:
+    os.environ.update(choose_thread_limits())
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_child, args=(sender, function, arguments))

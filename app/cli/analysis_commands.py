@@ -20,7 +20,7 @@ from app.cli.terminal import (
     OutputFolder,
     PerpendicularOnly,
     ResultFile,
-    compute_on_one_thread,
+    collect_seldom,
     print_files,
     print_json,
     require_folder,
@@ -66,7 +66,7 @@ def analyse(
     json: Json = False,
 ) -> None:
     """Measurements to error tables with their uncertainty, and a report."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.estimation.prior_model import read_prior_model
     from app.files.bundle import read_bundle
     from app.numerics.adaptive_trials import TrialPlan
@@ -123,7 +123,7 @@ def discover(
     json: Json = False,
 ) -> None:
     """Find what the model of a measurement lacks, and what to drive to be sure."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.estimation.prior_model import read_prior_model
     from app.files.bundle import read_bundle
     from app.reporting.analysis_files import read_runs

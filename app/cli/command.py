@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -16,6 +17,7 @@ from app.cli import (
     service_commands,
 )
 from app.errors import BadInput, TruepathError
+from app.thread_limits import choose_thread_limits
 from drivers.interfaces.errors import DeviceError
 
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
@@ -30,7 +32,11 @@ app = typer.Typer(
 
 
 def main() -> NoReturn:
-    """Run the command line of this process and exit with its status."""
+    """Run the command line of this process and exit with its status.
+
+    No command has imported NumPy yet, which reads the limits at its import.
+    """
+    os.environ.update(choose_thread_limits())
     sys.exit(run(sys.argv[1:]))
 
 

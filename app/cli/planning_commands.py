@@ -15,7 +15,7 @@ from app.cli.terminal import (
     Json,
     OutputFolder,
     PerpendicularOnly,
-    compute_on_one_thread,
+    collect_seldom,
     print_files,
     print_json,
     print_table,
@@ -43,7 +43,7 @@ def grade(
     json: Json = False,
 ) -> None:
     """What a set-up is worth, from its geometry alone; nothing moves."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.files.commanded_file import read_set_up
     from app.results.grade_json import grade_set_up
 
@@ -116,7 +116,7 @@ def plan(
     json: Json = False,
 ) -> None:
     """The measurement that tells most in its time, and what it will leave unknown."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.estimation.prior_model import read_prior_model
     from app.files.machine_file import read_machine
     from app.files.workspace_file import read_workspace

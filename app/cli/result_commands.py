@@ -13,7 +13,7 @@ from app.cli.terminal import (
     Json,
     OutputFolder,
     ResultFile,
-    compute_on_one_thread,
+    collect_seldom,
     list_files,
     print_files,
     print_json,
@@ -43,7 +43,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """A result against a direct measurement of single error motions."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.reporting.comparison_report import compare_files
     from app.results.comparison import ReferenceUncertainty
 
@@ -79,7 +79,7 @@ def export(
     json: Json = False,
 ) -> None:
     """A controller's compensation file, and what it leaves behind."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.compensation.export import export_files
 
     try:

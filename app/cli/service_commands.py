@@ -10,7 +10,7 @@ import typer
 from app.cli.terminal import (
     Json,
     OutputFolder,
-    compute_on_one_thread,
+    collect_seldom,
     list_files,
     print_files,
     print_json,
@@ -97,7 +97,7 @@ def demo(
     json: Json = False,
 ) -> None:
     """The main job on simulated devices, over real serial and Modbus links."""
-    compute_on_one_thread()
+    collect_seldom()
     from app.cli.demo import Demo
 
     faults = tuple(fault or ())

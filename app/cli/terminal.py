@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import typer
 
 from app.errors import BadInput
-from app.thread_limits import choose_thread_limits
 
 Json = Annotated[
     bool, typer.Option("--json", help="Print the summary on standard output as JSON.")
@@ -122,13 +121,10 @@ def require_folder(output: Path, content: str) -> None:
         raise BadInput(f"{output}: is a file; name a folder for {content}")
 
 
-def compute_on_one_thread() -> None:
-    """Keep linear algebra to one thread; call it before NumPy is imported.
+def collect_seldom() -> None:
+    """Look for cycles of objects seldom, in a command that computes and soon ends.
 
-    On busy cores the threads of a BLAS wait for each other and take several times the
-    processor time of one.
+    Imports make many objects that stay; looking through them again and again costs it
+    a twentieth of its time.
     """
-    os.environ.update(choose_thread_limits())
-    # Imports make many objects that stay; looking through them again and again for
-    # cycles costs a command that soon ends a twentieth of its time.
     gc.set_threshold(100_000, 50, 50)

@@ -1,0 +1,37 @@
+"""One thread of linear algebra a process, in every command."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+COMMAND = """
+import os, sys
+from app.cli.command import main
+assert "numpy" not in sys.modules
+sys.argv = ["truepath", "--version"]
+try:
+    main()
+except SystemExit:
+    import numpy
+    print(os.environ["OPENBLAS_NUM_THREADS"], len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.parametrize(("set_by_user", "threads"), [({}, 1), ({"OMP": 2}, 2)])
+def test_a_command_computes_on_one_thread_or_on_as_many_as_the_user_has_set(
+    set_by_user, threads
+):
+    kept = {name: v for name, v in os.environ.items() if "_NUM_THREADS" not in name}
+    kept |= {f"{name}_NUM_THREADS": str(n) for name, n in set_by_user.items()}
+    answer = subprocess.run(
+        [sys.executable, "-c", COMMAND],
+        env=kept,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    number, running = map(int, answer.stdout.split()[-2:])
+    assert number == threads
+    assert running == min(threads, len(os.sched_getaffinity(0)))
