@@ -14,7 +14,7 @@ The noise is at most what is usual here: it must not explain what it should show
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
@@ -24,15 +24,8 @@ from scipy.special import chdtri
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.direction import Fit
 from app.estimation.information import Information, add_information
-from app.estimation.misfit_blocks import (
-    MisfitBlock,
-    count_untimed,
-    explain_timing,
-    square_cells,
-    weigh,
-)
+from app.estimation.misfit_blocks import BlockMisfit, MisfitBlock
 from app.estimation.noise import limit_noise
-from app.estimation.score import compute_score
 from app.estimation.setup_steps import Step, StepSearch, find_steps
 from app.estimation.step_candidates import (
     Candidates,
@@ -43,7 +36,6 @@ from app.estimation.step_candidates import (
 )
 from app.numerics.scaled_cholesky import ScaledCholesky
 
-_DRIFTS = 36  # pose and strain, each with three polynomials of time
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST_STEPS = 5
 OF_LINE = 0.3  # of the worst line's gain, for a step to come first
@@ -149,34 +141,12 @@ class _Examination:
     def assess(self) -> Misfit:
         """Return what the fit leaves."""
         begin, end = np.array(self.seen.lines, np.int64).T
-        squares: list[Float64[np.ndarray, " k"]] = []
-        off: list[Float64[np.ndarray, " k"]] = []
-        shifts: list[float] = []
-        sums: list[StepSums] = []
-        products: list[Float64[np.ndarray, "q s"]] = []
-        drift_square = np.zeros((_DRIFTS, _DRIFTS))
-        square, freedom = 0.0, 3.0 * len(self.seen)
-        for cells in self._cut():
-            block = self._build(cells)
-            design, rest, noise = block.design, block.rest, self.about.noise
-            inside = self.starts[self.starts >= cells.start]
-            sums.append(block.sum_steps(inside[inside < cells.stop]))
-            products.append(block.multiply(block.drift))
-            drift_square += np.einsum("nip,niq->pq", block.drift, block.drift)
-            weighted = weigh(design, block.whitener, rest[:, :, None])
-            square += float(np.sum(rest[:, :, None] * weighted))
-            freedom -= design.timing.shape[2] + count_untimed(design, self.about)
-            shifts += [
-                self._shift(design, rest, slice(*line))
-                for line in design.observations.lines
-            ]
-            rest = rest - explain_timing(design, block.whitener, rest)
-            squares.append(square_cells(design, rest, noise))
-            off.append(np.linalg.norm(rest, axis=1))
-        drift = Drift(self.factor, np.sum(products, axis=0))
-        size = drift.size @ drift_square @ drift.size / max(len(self.seen), 1)
+        blocks = [self._build(cells).assess(self.starts) for cells in self._cut()]
+        square = sum(block.square for block in blocks)
+        freedom = float(sum(block.freedom for block in blocks))
+        drift = Drift(self.factor, np.sum([block.drift for block in blocks], axis=0))
         limit = compute_step_limit(len(begin))
-        steps, near, share = self._prepare_steps(sums, drift)
+        steps, near, share = self._prepare_steps([b.steps for b in blocks], drift)
         search = StepSearch(
             steps,
             near,
@@ -188,20 +158,26 @@ class _Examination:
         )
         found = find_steps(search, _MOST_STEPS if self.is_settled else 0)
         return Misfit(
-            np.concatenate(squares),
-            np.concatenate(off),
+            np.concatenate([block.cell for block in blocks]),
+            np.concatenate([block.off_mm for block in blocks]),
             begin,
             end,
-            np.array(shifts),
+            np.array([gain for block in blocks for gain in block.line]),
             square,
             freedom,
             drift.gain,
-            float(np.sqrt(max(size, 0.0))),
+            self._size_drift(blocks, drift),
             found.steps,
             found.explained,
             found.drift_left,
             self._list_unseen(steps.bare, limit),
         )
+
+    def _size_drift(self, blocks: Sequence[BlockMisfit], drift: Drift) -> float:
+        """Return the root mean square of a drift over the cells, in mm."""
+        total = np.sum([block.drift_square for block in blocks], axis=0)
+        square = drift.size @ total @ drift.size / max(len(self.seen), 1)
+        return float(np.sqrt(max(square, 0.0)))
 
     def _list_unseen(self, steps: Candidates, limit: float) -> frozenset[int]:
         """Return the rows before which a step of `_LARGE_MM` would not show.
@@ -226,28 +202,13 @@ class _Examination:
         design = self.about.build(self.seen.select(np.r_[cells]))
         rest = design.residual - design.columns @ self.theta
         parts = [design.columns, rest[:, :, None], self._drift_columns(design)]
-        pose = slice(self.machine, self.about.size)
-        whitener = design.whiten(self.about.noise)
-        return MisfitBlock(cells, design, whitener, np.concatenate(parts, axis=2), pose)
-
-    def _shift(
-        self, design: DesignMatrix, rest: Float64[np.ndarray, "n 3"], cells: slice
-    ) -> float:
-        """Return the gain of a shift of one line, by itself."""
-        own = replace(
+        return MisfitBlock(
+            cells,
+            self.about,
             design,
-            observations=design.observations.select(np.r_[cells]),
-            frame=design.frame[cells],
-            rows=design.rows[cells],
+            design.whiten(self.about.noise),
+            np.concatenate(parts, axis=2),
         )
-        timing = own.timing.any(axis=(0, 1))
-        kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
-        own = replace(own, rows=own.rows[:, :, kept])
-        P = own.columns[:, :, self.machine : self.machine + 3]
-        weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
-        F = P.reshape(-1, 3).T @ weighted
-        pulled = rest[cells].reshape(-1) @ weighted
-        return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
 
     def _drift_columns(self, design: DesignMatrix) -> Float64[np.ndarray, "n 3 s"]:
         """Return pose and strain, each growing with polynomials of time."""

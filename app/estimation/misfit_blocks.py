@@ -1,30 +1,58 @@
-"""Whole lines of a Run, with the columns of a fit and of what may be added to it."""
+"""Whole lines of a Run, with the columns of a fit and of what may be added to it.
+
+What the fit leaves of a block is told by sums that add up over the Run, and by squares
+of its cells and lines.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.estimation.design_matrix import DesignMatrix, Linearisation
 from app.estimation.noise import NoiseModel, total_precision
+from app.estimation.score import compute_score
 from app.estimation.step_candidates import StepSums
 from app.numerics.correlated_noise import Whitener
 
 
-@dataclass(frozen=True)
-class MisfitBlock:
-    """Some whole lines of a Run, with the columns of fit, residual and drift.
+@dataclass(frozen=True, slots=True)
+class BlockMisfit:
+    """What the fit leaves of a block.
 
-    pose : where the columns of the pose are
+    cell : squares of the cells' residuals, whitened; off_mm : their size
+    line : gain of a shift of each line
+    square : of all residuals, whitened; freedom : what noise alone would make of it
+    steps : sums of steps within the block
+    drift : products of all columns with the drift's; drift_square : of these alone, mm
     """
 
+    cell: Float64[np.ndarray, " n"]
+    off_mm: Float64[np.ndarray, " n"]
+    line: list[float]
+    square: float
+    freedom: int
+    steps: StepSums
+    drift: Float64[np.ndarray, "q s"]
+    drift_square: Float64[np.ndarray, "s s"]
+
+
+@dataclass(frozen=True)
+class MisfitBlock:
+    """Some whole lines of a Run, with the columns of fit, residual and drift."""
+
     cells: slice
+    about: Linearisation
     design: DesignMatrix
     whitener: Whitener
     columns: Float64[np.ndarray, "n 3 q"]
-    pose: slice
+
+    @property
+    def pose(self) -> slice:
+        """Where the columns of the pose are."""
+        return slice(self.about.machine_model.size, self.about.size)
 
     @property
     def rest(self) -> Float64[np.ndarray, "n 3"]:
@@ -35,6 +63,47 @@ class MisfitBlock:
     def drift(self) -> Float64[np.ndarray, "n 3 s"]:
         """Columns of the drift."""
         return self.columns[:, :, self.pose.stop + 1 :]
+
+    def assess(self, starts: Int64[np.ndarray, " l"]) -> BlockMisfit:
+        """Return what the fit leaves.
+
+        starts : cells of the Run before which a step may be
+        """
+        design, rest, drift = self.design, self.rest, self.drift
+        weighted = weigh(design, self.whitener, rest[:, :, None])
+        untimed = rest - explain_timing(design, self.whitener, rest)
+        timed = design.timing.shape[2] + count_untimed(design, self.about)
+        inside = (starts >= self.cells.start) & (starts < self.cells.stop)
+        lines = design.observations.lines
+        return BlockMisfit(
+            square_cells(design, untimed, self.about.noise),
+            np.linalg.norm(untimed, axis=1),
+            [self.measure_shift(slice(*line)) for line in lines],
+            float(np.sum(rest[:, :, None] * weighted)),
+            3 * len(rest) - timed,
+            self.sum_steps(starts[inside]),
+            self.multiply(drift),
+            np.einsum("nip,niq->pq", drift, drift),
+        )
+
+    def measure_shift(self, cells: slice) -> float:
+        """Return the gain of a shift of one line, by itself."""
+        design = self.design
+        own = replace(
+            design,
+            observations=design.observations.select(np.r_[cells]),
+            frame=design.frame[cells],
+            rows=design.rows[cells],
+        )
+        timing = own.timing.any(axis=(0, 1))
+        kept = np.concatenate([np.ones(own.fixed + 1, bool), timing])
+        own = replace(own, rows=own.rows[:, :, kept])
+        first = self.pose.start
+        P = own.columns[:, :, first : first + 3]
+        weighted = weigh(own, own.whiten(self.about.noise), P).reshape(-1, 3)
+        F = P.reshape(-1, 3).T @ weighted
+        pulled = self.rest[cells].reshape(-1) @ weighted
+        return float(np.sum(compute_score(F[None], F[None], pulled[None])[1] ** 2))
 
     def multiply(
         self, columns: Float64[np.ndarray, "n 3 k"]
