@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from app.kinematics.chain import NominalChain
-from app.kinematics.machine import Machine, Target
+from app.kinematics.machine import Axis, Machine, Target
 from app.kinematics.splines import CubicSpline
 
 
@@ -136,6 +136,15 @@ class Conditions:
     def axis_mm(self, axis: str) -> Float64[np.ndarray, " n"]:
         """Return the positions of one axis."""
         return self.position_mm[:, self.machine.axis_names.index(axis)]
+
+    def axis_share(self, axis: Axis) -> Float64[np.ndarray, " n"]:
+        """Return the positions of one axis within its travel, from 0 to 1."""
+        return (self.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
+
+    @property
+    def middle_s(self) -> float:
+        """Time half-way between the first moment and the last."""
+        return 0.5 * float(self.time_s.min() + self.time_s.max())
 
     def spline_rows(self, axis: str, spline: CubicSpline) -> Float64[np.ndarray, "n k"]:
         """Return a spline's rows at the positions of an axis, made once for all."""

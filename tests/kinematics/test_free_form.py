@@ -5,11 +5,11 @@ import pytest
 
 from app.kinematics.effects.conformance import example_conditions
 from app.kinematics.effects.free_form import (
-    LookErrorFamily,
     PlaneTurnFamily,
     SideShapeFamily,
     TiltWanderFamily,
 )
+from app.kinematics.effects.look_error import LookErrorFamily
 from app.kinematics.effects.tracker_air import ScaleDriftFamily, read_air_degc
 
 

@@ -12,6 +12,7 @@ angle.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -32,14 +33,42 @@ from app.kinematics.effects.catalogue import (
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import AXIS, DIRECTION, ROTARY_AXIS
 from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
-from app.kinematics.machine import LinearAxis, RotaryAxis
+from app.kinematics.machine import Axis, LinearAxis
 from app.kinematics.symbols import LINEAR
 
 _UNDER = replace(AXIS, phrase="under {}")
 
 
 @dataclass(frozen=True)
-class ElasticSag(Effect):
+class Sag(Effect):
+    """A guide gives way in one direction, by what another axis loads it with.
+
+    axis : the guide; by : what carries the load
+    """
+
+    axis: LinearAxis
+    by: Axis
+    direction: str
+
+    @property
+    def axis_pair(self) -> tuple[str, str]:
+        """The guide, and what carries the load."""
+        return self.axis.name, self.by.name
+
+    @abstractmethod
+    def load(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
+        """Return the load for each parameter, at most 1."""
+
+    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 p"]:
+        """Return the direction times the bend under the load."""
+        u = at.axis_share(self.axis)
+        bend = -4.0 * u * (1.0 - u)
+        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
+        return columns_along(arm, bend[:, None] * self.load(at))
+
+
+@dataclass(frozen=True)
+class ElasticSag(Sag):
     """Displacement in one direction by the product of two positions.
 
     θ : the displacement at mid guide under the carriage's far end
@@ -47,24 +76,14 @@ class ElasticSag(Effect):
 
     kind = "elastic-sag"
     units = {"": "mm"}
-    axis: LinearAxis
-    by: LinearAxis
-    direction: str
 
-    @property
-    def axis_pair(self) -> tuple[str, str]:
-        """Guide and carriage."""
-        return self.axis.name, self.by.name
-
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the direction times the product."""
-        u, v = (_share(axis, at) for axis in (self.axis, self.by))
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
-        return columns_along(arm, -4.0 * u * (1.0 - u) * v)
+    def load(self, at: Conditions) -> Float64[np.ndarray, "n 1"]:
+        """Return the position of the carriage along its travel."""
+        return at.axis_share(self.by)[:, None]
 
 
 @dataclass(frozen=True)
-class SwivelSag(Effect):
+class SwivelSag(Sag):
     """Displacement of a guide in one direction by the weight that a swivel carries.
 
     Its centre of gravity is off the swivel's axis, so that what rests on the guide goes
@@ -73,25 +92,10 @@ class SwivelSag(Effect):
 
     kind = "swivel-sag"
     units = {"sin": "mm", "cos": "mm"}
-    axis: LinearAxis
-    by: RotaryAxis
-    direction: str
 
-    @property
-    def axis_pair(self) -> tuple[str, str]:
-        """Guide and swivel."""
-        return self.axis.name, self.by.name
-
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
-        """Return the direction times the product."""
-        u, angle = _share(self.axis, at), np.radians(at.axis_mm(self.by.name))
-        arm = find_arm(f"E{self.direction}{self.axis.name}", at)
-        bent = -4.0 * u * (1.0 - u)
-        return columns_along(arm, bent[:, None] * sine_and_cosine(angle))
-
-
-def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
-    return (at.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
+    def load(self, at: Conditions) -> Float64[np.ndarray, "n 2"]:
+        """Return sine and cosine of the swivel's angle."""
+        return sine_and_cosine(np.radians(at.axis_mm(self.by.name)))
 
 
 class ElasticSagFamily(Family):

@@ -1,8 +1,8 @@
 """Free functions of what an error may depend on: structure that no cause is known for.
 
-Each moves the point along one arm by a sum of smooth shapes of time, positions,
-direction of approach, or the direction that the tracker looks in. They describe what no
-catalogued cause explains, and a cause has to explain more than they do.
+Each moves the point along one arm by a sum of smooth shapes of time, positions, or
+direction of approach. They describe what no catalogued cause explains, and a cause has
+to explain more than they do.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from itertools import permutations, product
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.polynomial import legendre
 
-from app.kinematics.conditions import Conditions, RecordedState
+from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Role, columns_along
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
@@ -27,15 +26,14 @@ from app.kinematics.effects.catalogue import (
     read_words,
 )
 from app.kinematics.effects.error_motion import find_arm
-from app.kinematics.effects.keys import AXIS, DIRECTION, MOTION, choose_from
+from app.kinematics.effects.keys import AXIS, DIRECTION, MOTION
+from app.kinematics.effects.polynomials import expand_share, multiply_shares
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.symbols import LINEAR, is_turn, list_error_motions
 
 _HALF_WAVES = 8
 _SIDE_DEGREES = 5
 _TURN_PAIRS = [(i, j) for i, j in product(range(3), range(1, 4)) if i + j < 5]
-_LOOK_PAIRS = [(i, j) for i, j in product(range(5), repeat=2) if 0 < i + j < 5]
-LOOKS = ("range", "azimuth", "elevation")
 
 
 class FreeForm(Effect):
@@ -163,9 +161,8 @@ class PlaneTurn(FreeForm):
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return products of polynomials of both positions."""
-        axes = self.axis, self.by
-        own, other = (_polynomials(_share(axis, at), 3) for axis in axes)
-        return np.stack([own[:, i] * other[:, j] for i, j in _TURN_PAIRS], axis=1)
+        shares = (at.axis_share(axis) for axis in (self.axis, self.by))
+        return multiply_shares(shares, _TURN_PAIRS)
 
 
 class PlaneTurnFamily(FreeFormFamily):
@@ -243,7 +240,7 @@ class SideShape(FreeForm):
 
     def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
         """Return polynomials of the position."""
-        return _polynomials(_share(self.axis, at), _SIDE_DEGREES)[:, 1:]
+        return expand_share(at.axis_share(self.axis), _SIDE_DEGREES)[:, 1:]
 
 
 class SideShapeFamily(FreeFormFamily):
@@ -286,113 +283,3 @@ class SideShapeFamily(FreeFormFamily):
             for axis in at.machine.linear_axes
             for direction in LINEAR
         ]
-
-
-@dataclass(frozen=True)
-class LookError(FreeForm):
-    """The range, or an angle, errs by the direction that the tracker looks in.
-
-    middle, half : (2,) of azimuth from the mean direction, and of elevation, rad
-    turn_rad : the mean azimuth; reach_mm : of the beam, about
-    """
-
-    kind = "look-error"
-    units = {f"{i}{j}": "mm" for i, j in _LOOK_PAIRS}
-    quantity: str
-    turn_rad: float
-    middle: tuple[float, float]
-    half: tuple[float, float]
-    reach_mm: float
-
-    def arm(self, at: Conditions) -> Float64[np.ndarray, "n 3"]:
-        """Return how the target seems to move."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3))
-        x, y, z = at.recorded.tracker_mm.T
-        flat = np.hypot(x, y)
-        long = np.hypot(flat, z)
-        moved = {
-            "range": np.stack([x, y, z], axis=1) / long[:, None],
-            "azimuth": np.stack([-y, x, 0.0 * z], axis=1) / self.reach_mm,
-            "elevation": np.stack([-z * x / flat, -z * y / flat, flat], axis=1)
-            / self.reach_mm,
-        }[self.quantity]
-        return moved @ at.recorded.rotation
-
-    def shapes(self, at: Conditions) -> Float64[np.ndarray, "n p"]:
-        """Return products of polynomials of both angles."""
-        if at.recorded is None:
-            return np.zeros((len(at), len(_LOOK_PAIRS)))
-        angles = look_angles(at.recorded, self.turn_rad)
-        each = zip(angles, self.middle, self.half, strict=True)
-        one, two = (_polynomials(0.5 + 0.5 * (a - m) / h, 4) for a, m, h in each)
-        return np.stack([one[:, i] * two[:, j] for i, j in _LOOK_PAIRS], axis=1)
-
-
-def look_angles(
-    recorded: RecordedState, turn_rad: float
-) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return azimuth from a direction, and elevation."""
-    x, y, z = recorded.tracker_mm.T
-    azimuth = np.angle(np.exp(1j * (np.arctan2(y, x) - turn_rad)))
-    return azimuth, np.arctan2(z, np.hypot(x, y))
-
-
-class LookErrorFamily(FreeFormFamily):
-    """Range, azimuth and elevation."""
-
-    name = "look-error"
-    varies_with = "place"
-    keys = {"quantity": choose_from("of {}", LOOKS)}
-    covariates = ("azimuth", "elevation")
-    mean_square = 0.15
-    sentence = (
-        "the tracker's {quantity} errs by the direction it looks in, by {rms_um:.2g} "
-        "µm at the target (root mean square)"
-    )
-    words = read_words("""
-        [en]
-        title = Error by the direction of the beam
-        cause = The tracker's circles and axes, or air that is warmer on one side.
-        looks_like = The error follows the direction that the tracker looks in, whatever
-            axis moves.
-        remedy = Compensate the tracker; keep warm air out of the beam; measure from a
-            second place to separate it from the machine.
-        [de]
-        title = Fehler nach der Richtung des Strahls
-        cause = Teilkreise und Achsen des Trackers, oder Luft, die auf einer Seite
-            wärmer ist.
-        looks_like = Der Fehler folgt der Richtung, in die der Tracker blickt, gleich
-            welche Achse fährt.
-        remedy = Den Tracker kompensieren; warme Luft vom Strahl fernhalten; von einem
-            zweiten Standort messen, um es von der Maschine zu trennen.
-        """)
-
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
-        """Return one a quantity."""
-        if at.recorded is None:
-            return []
-        x, y, z = at.recorded.tracker_mm.mean(axis=0).tolist()
-        turn_rad = float(np.arctan2(y, x))
-        angles = look_angles(at.recorded, turn_rad)
-        (m1, h1), (m2, h2) = (_middle_and_half(angle) for angle in angles)
-        reach_mm = float(np.hypot(np.hypot(x, y), z))
-        about = (turn_rad, (m1, m2), (h1, h2), reach_mm)
-        falling = USUAL_MM / np.array([i + j for i, j in _LOOK_PAIRS])
-        return [self.offer(LookError(look, *about), falling) for look in LOOKS]
-
-
-def _middle_and_half(values: Float64[np.ndarray, " n"]) -> tuple[float, float]:
-    low, high = float(values.min()), float(values.max())
-    return 0.5 * (low + high), max(0.5 * (high - low), 1e-6)
-
-
-def _share(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, " n"]:
-    return (at.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
-
-
-def _polynomials(
-    share: Float64[np.ndarray, " n"], degree: int
-) -> Float64[np.ndarray, "n d"]:
-    """Return Legendre polynomials of a share from 0 to 1."""
-    return legendre.legvander(2.0 * share - 1.0, degree)

@@ -13,7 +13,6 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.polynomial import legendre
 
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect, Role, columns_along
@@ -27,6 +26,7 @@ from app.kinematics.effects.catalogue import (
 )
 from app.kinematics.effects.error_motion import find_arm
 from app.kinematics.effects.keys import DIRECTION, PLANE
+from app.kinematics.effects.polynomials import multiply_shares
 from app.kinematics.machine import LinearAxis
 from app.kinematics.symbols import LINEAR
 
@@ -57,15 +57,9 @@ class PlaneError(Effect):
 
     def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 9"]:
         """Return the direction times the products."""
-        one, two = (_legendre(axis, at) for axis in (self.first, self.second))
-        products = np.stack([one[:, i] * two[:, j] for i, j in _PAIRS], axis=1)
+        shares = (at.axis_share(axis) for axis in (self.first, self.second))
         arm = find_arm(f"E{self.direction}{self.first.name}", at)
-        return columns_along(arm, products)
-
-
-def _legendre(axis: LinearAxis, at: Conditions) -> Float64[np.ndarray, "n d"]:
-    share = (at.axis_mm(axis.name) - axis.low) / (axis.high - axis.low)
-    return legendre.legvander(2.0 * share - 1.0, _DEGREE)
+        return columns_along(arm, multiply_shares(shares, _PAIRS))
 
 
 def _in_plane(plane: tuple[LinearAxis, LinearAxis], direction: str) -> PlaneError:

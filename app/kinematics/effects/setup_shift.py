@@ -63,8 +63,7 @@ class TableDriftFamily(Family):
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the drift."""
         span = max(float(np.ptp(at.time_s)), 1.0)
-        middle = 0.5 * float(at.time_s.min() + at.time_s.max())
-        return [self.offer(TableDrift(middle), [2.0 * USUAL_MM / span] * 3)]
+        return [self.offer(TableDrift(at.middle_s), [2.0 * USUAL_MM / span] * 3)]
 
 
 _STEP_S = 2.0
@@ -114,8 +113,7 @@ class SetupStepFamily(Family):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return the step in the middle of the run."""
-        middle = 0.5 * float(at.time_s.min() + at.time_s.max())
-        return [self.offer(SetupStep(middle), [USUAL_MM] * 3)]
+        return [self.offer(SetupStep(at.middle_s), [USUAL_MM] * 3)]
 
     def scan(self, candidate: Candidate, at: Conditions) -> Scan:
         """Return moments, none so early or late that one line would decide.

@@ -83,10 +83,6 @@ class Vibration(SinusoidOfTime):
         return columns_along(self.direction, sine_and_cosine(angle))
 
 
-def _find_middle_s(at: Conditions) -> float:
-    return 0.5 * float(at.time_s.min() + at.time_s.max())
-
-
 class TimeWaveFamily(SinusoidFamily):
     """Every direction, the period scanned down to a second."""
 
@@ -119,7 +115,7 @@ class TimeWaveFamily(SinusoidFamily):
 
     def propose(self, at: Conditions) -> Sequence[Candidate]:
         """Return one a direction."""
-        waves = [TimeWave(direction, 20.0, _find_middle_s(at)) for direction in LINEAR]
+        waves = [TimeWave(d, 20.0, at.middle_s) for d in LINEAR]
         return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
 
     def list_waves(
@@ -159,8 +155,7 @@ class VibrationFamily(SinusoidFamily):
         """Return one a direction."""
         if at.recorded is None:
             return []
-        middle_s = _find_middle_s(at)
-        waves = [Vibration(direction, _LIMIT_HZ, middle_s) for direction in LINEAR]
+        waves = [Vibration(d, _LIMIT_HZ, at.middle_s) for d in LINEAR]
         return [self.offer(wave, [USUAL_MM] * 2) for wave in waves]
 
     def list_waves(

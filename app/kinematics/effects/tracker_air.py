@@ -2,58 +2,72 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.kinematics.conditions import Conditions
-from app.kinematics.effects.base import Effect, Role
+from app.kinematics.conditions import Conditions, RecordedState
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
-    Family,
     Quantity,
     read_words,
 )
-from app.kinematics.effects.tracker_error import BeamBending
+from app.kinematics.effects.tracker_beam import BeamEffect, BeamFamily, raise_beam
 
 AIR = "air"  # name of the sensor
 _USUAL_PER_K = 1e-6  # refractive index of air
 _FEWEST_KELVIN = 0.1
 
 
+class ScaleError(BeamEffect):
+    """Every distance errs in proportion to itself and to what grows in time."""
+
+    @abstractmethod
+    def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
+        """Return how far it has grown."""
+
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return the beam."""
+        return recorded.tracker_mm
+
+    def sizes(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Float64[np.ndarray, "n 1"]:
+        """Return the growth."""
+        del recorded
+        return self.growth(at)[:, None]
+
+
 @dataclass(frozen=True)
-class ScaleByAir(Effect):
+class ScaleByAir(ScaleError):
     """Every distance is too long in proportion to the change of the air sensor."""
 
     kind = "tracker-scale-by-air"
-    role = Role.MEASUREMENT
     units = {"": "1/K"}
     start_degc: float
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the beam times the change."""
+    def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
+        """Return the change since the start; 0 where no sensor tells it."""
         celsius = read_air_degc(at)
-        if celsius is None:
-            return np.zeros((len(at), 3, 1))
-        return _lengthen(at, celsius - self.start_degc)
+        return np.zeros(len(at)) if celsius is None else celsius - self.start_degc
 
 
 @dataclass(frozen=True)
-class ScaleDrift(Effect):
+class ScaleDrift(ScaleError):
     """Every distance grows evenly with time, in proportion to itself."""
 
     kind = "tracker-scale-drift"
-    role = Role.MEASUREMENT
     units = {"": "1/s"}
     middle_s: float
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the beam times the time since the middle."""
-        return _lengthen(at, at.time_s - self.middle_s)
+    def growth(self, at: Conditions) -> Float64[np.ndarray, " n"]:
+        """Return the time since the middle."""
+        return at.time_s - self.middle_s
 
 
 def read_air_degc(at: Conditions) -> Float64[np.ndarray, " n"] | None:
@@ -66,21 +80,11 @@ def read_air_degc(at: Conditions) -> Float64[np.ndarray, " n"] | None:
     return recorded.temperature_degc[:, recorded.sensors.index(AIR)]
 
 
-def _lengthen(
-    at: Conditions, by: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, "n 3 1"]:
-    if at.recorded is None:
-        return np.zeros((len(at), 3, 1))
-    beam = at.recorded.tracker_mm @ at.recorded.rotation
-    return (beam * by[:, None])[:, :, None]
-
-
-class ScaleDriftFamily(Family):
+class ScaleDriftFamily(BeamFamily):
     """One candidate: by the air's sensor where it has seen a change, else by time."""
 
     name = "tracker-scale-drift"
     varies_with = "time"
-    role = Role.MEASUREMENT
     words = read_words("""
         [en]
         title = Drift of the tracker's scale
@@ -100,18 +104,18 @@ class ScaleDriftFamily(Family):
             den Tracker nahe an die Maschine stellen; die Halle sich setzen lassen.
         """)
 
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
         """Return the drift."""
-        if at.recorded is None:
-            return []
         celsius = read_air_degc(at)
         if celsius is not None and np.ptp(celsius) > _FEWEST_KELVIN:
             first = float(celsius[np.argmin(at.time_s)])
             return [self.offer(ScaleByAir(first), [2.0 * _USUAL_PER_K])]
         span = max(float(np.ptp(at.time_s)), 1.0)
-        length = float(np.linalg.norm(at.recorded.tracker_mm, axis=1).mean())
-        middle = 0.5 * float(at.time_s.min() + at.time_s.max())
-        return [self.offer(ScaleDrift(middle), [4.0 * USUAL_MM / (span * length)])]
+        length = float(np.linalg.norm(recorded.tracker_mm, axis=1).mean())
+        usual = 4.0 * USUAL_MM / (span * length)
+        return [self.offer(ScaleDrift(at.middle_s), [usual])]
 
     def state(self, found: CandidateEstimate) -> dict[str, Quantity]:
         """Return ppm by kelvin, or by second."""
@@ -119,12 +123,27 @@ class ScaleDriftFamily(Family):
         return {f"rate_ppm_per_{unit}": found.parameters[0].scale(1e6)}
 
 
-class BeamBendingFamily(Family):
+@dataclass(frozen=True)
+class BeamBending(BeamEffect):
+    """The beam bends up or down, as air that is warmer above than below bends it.
+
+    Its parameter is the curvature of a level beam, rad per mm.
+    """
+
+    kind = "beam-bending"
+    units = {"": "1/mm"}
+
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return how the target seems to rise, with the square of its distance."""
+        flat = np.linalg.norm(recorded.tracker_mm[:, :2], axis=1, keepdims=True)
+        return 0.5 * flat * raise_beam(recorded)
+
+
+class BeamBendingFamily(BeamFamily):
     """One candidate."""
 
     name = "beam-bending"
     varies_with = "place"
-    role = Role.MEASUREMENT
     stated = {"curvature_urad_per_m": 1e9}
     words = read_words("""
         [en]
@@ -143,9 +162,10 @@ class BeamBendingFamily(Family):
             Flächen fern halten; von einem zweiten Standort messen.
         """)
 
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
         """Return the curvature."""
-        if at.recorded is None:
-            return []
-        square = 3.0 * float(np.mean(at.recorded.tracker_mm**2))
+        del at
+        square = 3.0 * float(np.mean(recorded.tracker_mm**2))
         return [self.offer(BeamBending(), [4.0 * USUAL_MM / square])]

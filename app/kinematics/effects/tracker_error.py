@@ -1,4 +1,4 @@
-"""Errors of the tracker: circles off their axis or zero, a wrong distance, bent beams.
+"""Errors of the tracker: circles off their axis or zero, a wrong distance.
 
 No time averages them, and a tracker within its maker's specification has all of them.
 """
@@ -12,51 +12,53 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.kinematics.conditions import Conditions, RecordedState
-from app.kinematics.effects.base import Effect, Role, columns_along
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.catalogue import (
     USUAL_MM,
     Candidate,
     CandidateEstimate,
-    Family,
     Quantity,
     read_words,
 )
 from app.kinematics.effects.keys import choose_from
 from app.kinematics.effects.sinusoid import find_amplitude_and_phase, sine_and_cosine
+from app.kinematics.effects.tracker_air import BeamBending
+from app.kinematics.effects.tracker_beam import BeamEffect, BeamFamily, raise_beam
 
 _USUAL_RAD = 2e-5
 CIRCLES = ("azimuth", "elevation")
 
 
 @dataclass(frozen=True)
-class TrackerEccentricity(Effect):
+class TrackerEccentricity(BeamEffect):
     """The measured angle errs as sin and cos of itself, once a turn."""
 
     kind = "tracker-eccentricity"
-    role = Role.MEASUREMENT
     units = {"sin": "rad", "cos": "rad"}
     circle: str
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 2"]:
-        """Return how the target seems to move in the frame the tracker stands on."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3, 2))
-        x, y, z = at.recorded.tracker_mm.T
-        if self.circle == "azimuth":
-            angle = np.arctan2(y, x)
-            moved = np.stack([-y, x, np.zeros_like(x)], axis=1)
-        else:
-            angle = np.arctan2(z, np.hypot(x, y))
-            moved = _raise_beam(at.recorded)
-        return columns_along(moved @ at.recorded.rotation, sine_and_cosine(angle))
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return what a turn about the circle's axis moves the target by."""
+        if self.circle == "elevation":
+            return raise_beam(recorded)
+        x, y, _ = recorded.tracker_mm.T
+        return np.stack([-y, x, np.zeros_like(x)], axis=1)
+
+    def sizes(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Float64[np.ndarray, "n 2"]:
+        """Return sine and cosine of the angle."""
+        del at
+        x, y, z = recorded.tracker_mm.T
+        sides = (y, x) if self.circle == "azimuth" else (z, np.hypot(x, y))
+        return sine_and_cosine(np.arctan2(*sides))
 
 
-class TrackerEccentricityFamily(Family):
+class TrackerEccentricityFamily(BeamFamily):
     """Both circles."""
 
     name = "tracker-eccentricity"
     varies_with = "place"
-    role = Role.MEASUREMENT
     keys = {"circle": choose_from("({})", CIRCLES)}
     words = read_words("""
         [en]
@@ -77,10 +79,11 @@ class TrackerEccentricityFamily(Family):
             trennen.
         """)
 
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
         """Return one a circle."""
-        if at.recorded is None:
-            return []
+        del at, recorded
         effects = map(TrackerEccentricity, CIRCLES)
         return [self.offer(effect, [_USUAL_RAD] * 2) for effect in effects]
 
@@ -91,28 +94,23 @@ class TrackerEccentricityFamily(Family):
 
 
 @dataclass(frozen=True)
-class TrackerRangeOffset(Effect):
+class TrackerRangeOffset(BeamEffect):
     """Every distance is too long by the same amount."""
 
     kind = "tracker-range-offset"
-    role = Role.MEASUREMENT
     units = {"": "mm"}
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return the unit beam in the frame the tracker stands on."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3, 1))
-        distance = np.linalg.norm(at.recorded.tracker_mm, axis=1, keepdims=True)
-        beam = at.recorded.tracker_mm / distance
-        return (beam @ at.recorded.rotation)[:, :, None]
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
+        """Return the unit beam."""
+        beam = recorded.tracker_mm
+        return beam / np.linalg.norm(beam, axis=1, keepdims=True)
 
 
-class TrackerRangeOffsetFamily(Family):
+class TrackerRangeOffsetFamily(BeamFamily):
     """One candidate."""
 
     name = "tracker-range-offset"
     varies_with = "place"
-    role = Role.MEASUREMENT
     stated = {"offset_um": 1e3}
     words = read_words("""
         [en]
@@ -133,34 +131,31 @@ class TrackerRangeOffsetFamily(Family):
             Software des Trackers den richtigen Reflektor wählen.
         """)
 
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
         """Return the offset."""
-        if at.recorded is None:
-            return []
+        del at, recorded
         return [self.offer(TrackerRangeOffset(), [4.0 * USUAL_MM])]
 
 
 @dataclass(frozen=True)
-class ElevationIndex(Effect):
+class ElevationIndex(BeamEffect):
     """Every elevation is read too high by the same angle."""
 
     kind = "elevation-index"
-    role = Role.MEASUREMENT
     units = {"": "rad"}
 
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
+    def arm(self, recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
         """Return how the target seems to rise."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3, 1))
-        return (_raise_beam(at.recorded) @ at.recorded.rotation)[:, :, None]
+        return raise_beam(recorded)
 
 
-class ElevationIndexFamily(Family):
+class ElevationIndexFamily(BeamFamily):
     """One candidate."""
 
     name = "tracker-index"
     varies_with = "place"
-    role = Role.MEASUREMENT
     stated = {"index_urad": 1e6}
     words = read_words("""
         [en]
@@ -179,39 +174,12 @@ class ElevationIndexFamily(Family):
             beiden Lagen messen.
         """)
 
-    def propose(self, at: Conditions) -> Sequence[Candidate]:
+    def propose_for(
+        self, at: Conditions, recorded: RecordedState
+    ) -> Sequence[Candidate]:
         """Return the index."""
-        if at.recorded is None:
-            return []
+        del at, recorded
         return [self.offer(ElevationIndex(), [_USUAL_RAD])]
-
-
-@dataclass(frozen=True)
-class BeamBending(Effect):
-    """The beam bends up or down, as air that is warmer above than below bends it.
-
-    Its parameter is the curvature of a level beam, rad per mm.
-    """
-
-    kind = "beam-bending"
-    role = Role.MEASUREMENT
-    units = {"": "1/mm"}
-
-    def jacobian(self, at: Conditions) -> Float64[np.ndarray, "n 3 1"]:
-        """Return how the target seems to rise, with the square of its distance."""
-        if at.recorded is None:
-            return np.zeros((len(at), 3, 1))
-        flat = np.linalg.norm(at.recorded.tracker_mm[:, :2], axis=1, keepdims=True)
-        moved = 0.5 * flat * _raise_beam(at.recorded)
-        return (moved @ at.recorded.rotation)[:, :, None]
-
-
-def _raise_beam(recorded: RecordedState) -> Float64[np.ndarray, "n 3"]:
-    """Return how a target moves with its elevation, mm per rad."""
-    x, y, z = recorded.tracker_mm.T
-    azimuth = np.arctan2(y, x)
-    across = [-z * np.cos(azimuth), -z * np.sin(azimuth), np.hypot(x, y)]
-    return np.stack(across, axis=1)
 
 
 @dataclass(frozen=True, slots=True)
