@@ -134,13 +134,15 @@ def _follow(
     half_s = max(0.5 * cell_s, _PARABOLA * float(np.median(np.diff(time_s))))
     first = np.searchsorted(time_s, np.maximum(at_s - half_s, time_s[0]))
     last = np.searchsorted(time_s, np.minimum(at_s + half_s, time_s[-1]), "right")
-    found = np.zeros((2, len(at_s)))
-    for k, (a, b) in enumerate(zip(first, last, strict=True)):
-        lag = (time_s[a:b] - at_s[k]) / half_s
-        shapes = np.stack([np.ones(b - a), lag, lag**2], axis=1)
-        bent = np.linalg.lstsq(shapes, share[a:b], rcond=None)[0]
-        found[:, k] = bent[1] / half_s, 2.0 * bent[2] / half_s**2
-    return found
+    count = last - first
+    cell = np.repeat(np.arange(len(at_s)), count)
+    sample = np.arange(len(cell)) + np.repeat(last - np.cumsum(count), count)
+    lag = (time_s[sample] - at_s[cell]) / half_s
+    sums = np.array([np.bincount(cell, lag**p, len(at_s)) for p in range(5)])
+    right = [np.bincount(cell, share[sample] * lag**p, len(at_s)) for p in range(3)]
+    gram = sums[np.add.outer(range(3), range(3))].transpose(2, 0, 1)
+    bent = np.linalg.pinv(gram, hermitian=True) @ np.array(right).T[:, :, None]
+    return bent[:, 1:, 0].T * [[1.0 / half_s], [2.0 / half_s**2]]
 
 
 def _reduce_steady(

@@ -7,7 +7,7 @@ from heapq import heapify, heappop, heappush
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.ndimage import maximum_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
 
 from app.errors import AlignmentError
 from drivers.interfaces.records import TrackerSamples
@@ -109,8 +109,9 @@ def _aside(
     off = np.linalg.norm(speed - usual, axis=1) * step_s
     limit = _limit_mm(off, time_s)
     # The usual speed is off as well beside a jump, by far less.
-    nearby = maximum_filter1d(off, 2 * around + 1)
-    jumps = np.flatnonzero((off > limit) & (off > _BESIDE * nearby))
+    jumps = np.flatnonzero(off > limit)
+    nearby = sliding_window_view(np.pad(off, around), 2 * around + 1)[jumps]
+    jumps = jumps[off[jumps] > _BESIDE * nearby.max(axis=1, initial=0.0)]
     begin = np.concatenate([[0], jumps + 1])
 
     def goes_on(

@@ -1,9 +1,8 @@
 """The data that terms are fitted to, line by line: whitened, timing eliminated.
 
-With V = D + C the covariance of white and Ornstein–Uhlenbeck noise, aᵀ V⁻¹ b is the
-difference of two products: the information under white noise alone, less what the
-correlated noise and eliminated parameters remove. Both factors of a column are computed
-once and then give its products with any other column.
+With V the covariance of white and Ornstein–Uhlenbeck noise, aᵀ V⁻¹ b is a product of
+two whitened columns, each less what the eliminated parameters take away. They are
+computed once and then give products with any other column.
 """
 
 from __future__ import annotations
@@ -29,67 +28,55 @@ from app.numerics.correlated_noise import Whitener
 
 @dataclass(frozen=True)
 class WhitenedBlocks:
-    """Columns on lines, one line after another: aᵀ V⁻¹ b = a₊ᵀ b₊ − a₋ᵀ b₋.
+    """Columns on lines, one line after another: aᵀ V⁻¹ b is the product of two.
 
-    plus : (m, p); minus : (s, p); begin : (l + 1, 2) first row of each line in either,
-        and one past the last
+    rows : (m, p); begin : (l + 1,) first row of each line, and one past the last
     """
 
-    plus: Float64[np.ndarray, "m p"]
-    minus: Float64[np.ndarray, "s p"]
-    begin: Int64[np.ndarray, "l 2"]
+    rows: Float64[np.ndarray, "m p"]
+    begin: Int64[np.ndarray, " l"]
 
     @staticmethod
-    def of_line(
-        plus: Float64[np.ndarray, "m p"], minus: Float64[np.ndarray, "s p"]
-    ) -> WhitenedBlocks:
+    def of_line(rows: Float64[np.ndarray, "m p"]) -> WhitenedBlocks:
         """Return the blocks of one line."""
-        return WhitenedBlocks(plus, minus, np.array([[0, 0], [len(plus), len(minus)]]))
+        return WhitenedBlocks(rows, np.array([0, len(rows)]))
 
     @staticmethod
     def join(lines: Sequence[WhitenedBlocks]) -> WhitenedBlocks:
         """Return the blocks of all lines, in their order."""
-        length = [[0, 0], *([len(line.plus), len(line.minus)] for line in lines)]
-        return WhitenedBlocks(
-            np.concatenate([line.plus for line in lines]),
-            np.concatenate([line.minus for line in lines]),
-            np.cumsum(length, axis=0),
-        )
+        rows = [line.rows for line in lines]
+        begin = np.cumsum([0, *(len(each) for each in rows)])
+        return WhitenedBlocks(np.concatenate(rows), begin)
 
     @staticmethod
     def stack(columns: Sequence[WhitenedBlocks]) -> WhitenedBlocks | None:
         """Return columns on the same lines side by side; None of no columns."""
         if not columns:
             return None
-        return WhitenedBlocks(
-            np.concatenate([one.plus for one in columns], axis=1),
-            np.concatenate([one.minus for one in columns], axis=1),
-            columns[0].begin,
-        )
+        rows = np.concatenate([one.rows for one in columns], axis=1)
+        return WhitenedBlocks(rows, columns[0].begin)
 
     @property
     def width(self) -> int:
         """Number of columns."""
-        return self.plus.shape[1]
+        return self.rows.shape[1]
 
     def select(self, own: slice | Int64[np.ndarray, " k"]) -> WhitenedBlocks:
         """Return some of the columns."""
-        plus, minus = (np.asfortranarray(h[:, own]) for h in (self.plus, self.minus))
-        return WhitenedBlocks(plus, minus, self.begin)
+        return WhitenedBlocks(np.asfortranarray(self.rows[:, own]), self.begin)
 
     def between(self, first: int, last: int) -> WhitenedBlocks:
         """Return the blocks of some lines that follow one another."""
-        (a, b), (c, d) = self.begin[first], self.begin[last]
-        begin = self.begin[first : last + 1] - self.begin[first]
-        return WhitenedBlocks(self.plus[a:c], self.minus[b:d], begin)
+        begin = self.begin[first : last + 1]
+        return WhitenedBlocks(self.rows[begin[0] : begin[-1]], begin - begin[0])
 
     def multiply(self, other: WhitenedBlocks) -> Float64[np.ndarray, "p q"]:
         """Return the products of these columns with others, on the same lines."""
-        return self.plus.T @ other.plus - self.minus.T @ other.minus
+        return self.rows.T @ other.rows
 
     def squares(self) -> Float64[np.ndarray, " p"]:
         """Return the product of each column with itself."""
-        return np.sum(self.plus**2, axis=0) - np.sum(self.minus**2, axis=0)
+        return np.einsum("mp,mp->p", self.rows, self.rows)
 
 
 @dataclass(frozen=True)
@@ -133,7 +120,7 @@ class Line:
     def whiten(self, columns: Float64[np.ndarray, "n 3 p"]) -> WhitenedBlocks:
         """Return columns of this line's cells as they count."""
         own = np.matmul(self.design.frame, columns)
-        blocks = WhitenedBlocks.of_line(*self.whitener.whiten(own))
+        blocks = WhitenedBlocks.of_line(self.whitener.whiten(own))
         return _project_out(blocks, self.timing)
 
 
@@ -146,7 +133,7 @@ def build_line(
     """
     design = data.base.build(data.observations.select(np.arange(first, last)))
     whitener = design.whiten(data.base.noise)
-    blocks = WhitenedBlocks.of_line(*whitener.whiten(design.rows))
+    blocks = WhitenedBlocks.of_line(whitener.whiten(design.rows))
     base = slice(design.fixed + 1)
     timing, log_timing = _orthonormalise(blocks.select(slice(base.stop, None)))
     moves = design.observations.at.line >= 0
@@ -172,14 +159,13 @@ def _orthonormalise(timing: WhitenedBlocks) -> tuple[WhitenedBlocks, float]:
     factor = np.linalg.cholesky(timing.multiply(timing))
     inverse = np.linalg.inv(factor).T
     log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-    blocks = WhitenedBlocks.of_line(timing.plus @ inverse, timing.minus @ inverse)
-    return blocks, log_determinant
+    return WhitenedBlocks.of_line(timing.rows @ inverse), log_determinant
 
 
 def _project_out(columns: WhitenedBlocks, timing: WhitenedBlocks) -> WhitenedBlocks:
     """Return the columns of a line less what its orthonormal timing takes away."""
-    minus = np.concatenate([columns.minus, timing.multiply(columns)])
-    return WhitenedBlocks.of_line(columns.plus, minus)
+    taken = timing.rows @ timing.multiply(columns)
+    return WhitenedBlocks.of_line(columns.rows - taken)
 
 
 @dataclass(frozen=True)

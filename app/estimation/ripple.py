@@ -140,8 +140,10 @@ def _find_variance(
     total = np.zeros((4, places))
     for line in lines:
         position = line.position[:, number]
-        way = np.linalg.norm(np.ptp(line.position, axis=0)) if len(position) else 0.0
-        if len(position) < _FEWEST_CELLS or np.ptp(position) < _LEAST_SHARE * way:
+        if len(position) < _FEWEST_CELLS:
+            continue
+        way = np.abs(line.position[-1] - line.position[0])
+        if way[number] < _LEAST_SHARE * np.linalg.norm(way):
             continue
         off = position - motion.axis.low
         rest = _take_off_blocks(off, line.rest_mm[:, [direction]], block_mm)[:, 0]

@@ -71,6 +71,11 @@ class NominalChain:
     def _levers(self) -> dict[str, AxisLever]:
         return {}
 
+    @cached_property
+    def arms(self) -> dict[str, Float64[np.ndarray, "n 3"]]:
+        """What a unit of an error motion moves the target by, made once for all."""
+        return {}
+
     def _find_lever(self, name: str) -> AxisLever:
         machine = self.machine
         if name in machine.workpiece_side:

@@ -23,6 +23,7 @@ from app.numerics.rigid import cross_matrix
 # Shapes down to a fifth of the travel; finer ones the prior bridges.
 SHAPE_INTERVALS = 5
 _SOBOL = 11  # 2^11 points where there are rotary axes
+_ROUNDING = 1e-12  # of the largest singular value: a motion that does not show
 _NODES = 16  # Gauss–Legendre nodes an axis: for the shapes that splines take
 
 
@@ -86,8 +87,10 @@ def compute_volumetric_gram(
     (brunn-hanebeck-2005, eq. 24–26 and 34–36), the rigid motion left out.
     """
     at, weight = _quadrature(model.machine, target)
-    columns = build_volumetric_map(model, target).jacobian(at)
-    flat = (columns * np.sqrt(weight)[:, None, None]).reshape(-1, model.size)
+    columns, centre = _machine_columns(model, at), weight @ at.point_mm
+    columns -= _rigid_columns(at, centre) @ _fit_rigid(at, weight, centre, columns)
+    columns *= np.sqrt(weight)[:, None, None]
+    flat = columns.reshape(-1, model.size)
     return flat.T @ flat
 
 
@@ -170,11 +173,11 @@ def _fit_rigid(
     moved: Float64[np.ndarray, "n 3 ..."],
 ) -> Float64[np.ndarray, "6 ..."]:
     """Return the rigid motions that fit displacements best."""
-    root = np.sqrt(weight)
-    rigid = _rigid_columns(at, centre_mm) * root[:, None, None]
-    right = moved * root.reshape(-1, *(1,) * (moved.ndim - 1))
-    right = right.reshape(3 * len(at), *moved.shape[2:])
-    return np.linalg.lstsq(rigid.reshape(-1, 6), right, rcond=None)[0]
+    root = np.repeat(np.sqrt(weight), 3)
+    rigid = _rigid_columns(at, centre_mm).reshape(-1, 6) * root[:, None]
+    # A pseudo-inverse of six columns: quick, however many displacements there are.
+    fit = np.linalg.pinv(rigid, rcond=_ROUNDING) * root
+    return fit @ moved.reshape(3 * len(at), *moved.shape[2:])
 
 
 def _rigid_columns(

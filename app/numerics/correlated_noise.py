@@ -8,7 +8,9 @@ D + C,
     V⁻¹ = D⁻¹ − D⁻¹ (D⁻¹ + C⁻¹)⁻¹ D⁻¹,
 
 and D⁻¹ + C⁻¹ is a band of width three when coordinates are interleaved. D⁻¹ may be
-singular: a direction of no information (along the travel, say) has precision 0.
+singular: a direction of no information (along the travel, say) has precision 0. The
+band's factor also foretells every point from those before it (Kalman's filter in
+information form); what is new in the points, in units of its noise, is a root of V⁻¹.
 
 Points may also come a few at a time (`extend`). What follows tells more about the
 slow part of the last point, so that one waits; all before it are accounted for.
@@ -17,6 +19,7 @@ slow part of the last point, so that one waits; all before it are accounted for.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -33,29 +36,35 @@ _BAND = 3
 _ROUNDING = 1e-12  # of the largest precision: no information
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Whitener:
     """V⁻¹ of n points in order of time, ready for products.
 
     root : (n, 3, 3), W with WᵀW = D⁻¹
     factor : (4, 3n), banded Cholesky factor of D⁻¹ + C⁻¹, or empty for white noise
+    alone : (n, 3) precision of C's process, each point's given the one before
     log_determinant : of V, up to the constant of directions without information
     """
 
     root: Float64[np.ndarray, "n 3 3"]
     factor: Float64[np.ndarray, "b m"]
+    alone: Float64[np.ndarray, "n 3"]
     log_determinant: float
 
-    def whiten(
-        self, rows: Float64[np.ndarray, "n 3 p"]
-    ) -> tuple[Float64[np.ndarray, "m p"], Float64[np.ndarray, "s p"]]:
-        """Return (A, Z) with rowsᵀ V⁻¹ rows = AᵀA − ZᵀZ."""
-        white = self.root @ rows
-        flat = white.reshape(3 * len(rows), rows.shape[2])
+    def whiten(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "m p"]:
+        """Return E with rowsᵀ V⁻¹ rows = EᵀE."""
+        new = np.empty((3 * len(rows), rows.shape[2]))
         if not self.factor.size:
-            return flat, np.zeros((0, rows.shape[2]))
-        pulled = (np.swapaxes(self.root, 1, 2) @ white).reshape(flat.shape)
-        return flat, _solve_banded(self.factor, pulled)
+            np.matmul(self.root, rows, out=new.reshape(rows.shape))
+            return new
+        precision = np.swapaxes(self.root, 1, 2) @ self.root
+        pulled = (precision @ rows).reshape(new.shape)
+        self._foresight.write_new(rows, _solve_banded(self.factor, pulled), new)
+        return new
+
+    @cached_property
+    def _foresight(self) -> _Foresight:
+        return _Foresight.of(self.root, self.alone, self.factor)
 
     def apply(self, rows: Float64[np.ndarray, "n 3 p"]) -> Float64[np.ndarray, "n 3 p"]:
         """Return V⁻¹ rows."""
@@ -88,12 +97,13 @@ def factorise(
     """
     root, log_white = _white_root(white_precision)
     if not ou_sigma.any():
-        return Whitener(root, np.empty((0, 0)), log_white)
+        return Whitener(root, np.empty((0, 0)), np.empty((0, 3)), log_white)
     ou = build_ou_precision(time_s, ou_sigma, ou_time_s)
     band = _interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     log_sum = 2.0 * float(np.log(factor[0]).sum())
-    return Whitener(root, factor, log_white + ou.log_determinant + log_sum)
+    log_determinant = log_white + ou.log_determinant + log_sum
+    return Whitener(root, factor, ou.alone, log_determinant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +111,13 @@ class OrnsteinUhlenbeckPrecision:
     """C⁻¹, tridiagonal in time for each coordinate.
 
     diagonal : (n, 3); below : (n, 3), from each point to the next, the last one 0
+    alone : (n, 3) precision of each point given the one before
     log_determinant : of C
     """
 
     diagonal: Float64[np.ndarray, "n 3"]
     below: Float64[np.ndarray, "n 3"]
+    alone: Float64[np.ndarray, "n 3"]
     log_determinant: float
 
     def multiply(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -133,14 +145,62 @@ def build_ou_precision(
     keep = np.exp(-step / ou_time_s)
     # −expm1 keeps its digits where steps are far shorter than the correlation time.
     fresh = np.maximum(-np.expm1(-2.0 * step / ou_time_s), 1e-12)
-    unit = np.ones(len(time_s))
+    alone = np.ones(len(time_s))
+    alone[1:] = 1.0 / fresh
+    unit = alone.copy()
     unit[:-1] += keep**2 / fresh
-    unit[1:] += 1.0 / fresh - 1.0
     below = np.zeros(len(time_s))
     below[:-1] = -keep / fresh
     scaled_below = below[:, None] / (sigma * np.roll(sigma, -1, axis=0))
     log_c = 2.0 * float(np.log(sigma).sum()) + 3.0 * float(np.log(fresh).sum())
-    return OrnsteinUhlenbeckPrecision(unit[:, None] / sigma**2, scaled_below, log_c)
+    diagonal, alone = (each[:, None] / sigma**2 for each in (unit, alone))
+    return OrnsteinUhlenbeckPrecision(diagonal, scaled_below, alone, log_c)
+
+
+@dataclass(frozen=True, slots=True)
+class _Foresight:
+    """How what is new in a point follows from it and from the solution before it.
+
+    own : (n, 3, 3) R; before : (k, 3, 3) N, of the last k points, which have one before
+    """
+
+    own: Float64[np.ndarray, "n 3 3"]
+    before: Float64[np.ndarray, "k 3 3"]
+
+    @staticmethod
+    def of(
+        root: Float64[np.ndarray, "n 3 3"],
+        alone: Float64[np.ndarray, "m 3"],
+        factor: Float64[np.ndarray, "4 b"],
+    ) -> _Foresight:
+        """Return it for the last n of m points with a factor.
+
+        With the factor's blocks B below its diagonal and the solution z, the process is
+        foretold as c = −P B z, P⁻¹ = Q⁻¹ − B Bᵀ. New is y − c, of covariance D + P.
+        """
+        block = np.zeros((len(alone) - 1, 3, 3))
+        for i in range(3):
+            for j in range(i, 3):
+                block[:, i, j] = factor[3 + i - j, j:-3:3]
+        precision = alone[:, :, None] * np.eye(3)
+        precision[1:] -= block @ np.swapaxes(block, 1, 2)
+        spread = np.linalg.inv(precision[-len(root) :])
+        total = np.eye(3) + root @ spread @ np.swapaxes(root, 1, 2)
+        own = np.linalg.solve(np.linalg.cholesky(total), root)
+        last = slice(max(len(root) - len(block), 0), None)
+        return _Foresight(own, own[last] @ spread[last] @ block)
+
+    def write_new(
+        self,
+        rows: Float64[np.ndarray, "n 3 p"],
+        solved: Float64[np.ndarray, "m p"],
+        new: Float64[np.ndarray, "b p"],
+    ) -> None:
+        """Write what is new in each point, in units of its noise."""
+        out, count = new.reshape(rows.shape), len(self.before)
+        np.matmul(self.own, rows, out=out)
+        solved = solved.reshape(-1, 3, rows.shape[2])
+        out[len(out) - count :] += self.before @ solved[:-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,11 +270,11 @@ def extend(
     The sums are those of `factorise` once the last state is marginalised.
     """
     root, log_white = _white_root(white_precision)
-    white = root @ rows
-    flat = white.reshape(-1, rows.shape[2])
+    columns = rows.shape[2]
     if not ou_sigma.any():
+        flat = (root @ rows).reshape(-1, columns)
         return flat.T @ flat, log_white, None
-    pulled = (np.swapaxes(root, 1, 2) @ white).reshape(flat.shape)
+    pulled = (white_precision @ rows).reshape(-1, columns)
     if state is not None:
         time_s = np.concatenate([[state.time_s], time_s])
         ou_sigma = np.concatenate([state.sigma[None], ou_sigma])
@@ -228,13 +288,17 @@ def extend(
     band = _interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     solved = _solve_banded(factor, pulled)
-    settled = solved[:-3]
     log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
     last = _last_block(factor)
     newest = OrnsteinUhlenbeckState(
         float(time_s[-1]), ou_sigma[-1], last @ last.T, last @ solved[-3:]
     )
-    gain = flat.T @ flat - settled.T @ settled
+    new = np.empty((3 * len(rows) + 3, columns))
+    _Foresight.of(root, ou.alone, factor).write_new(rows, solved, new[:-3])
+    new[-3:] = solved[-3:]  # the newest state is not marginalised
+    gain = new.T @ new
+    if state is not None:
+        gain -= state.marginalise()[0]
     return gain, log_white + log_ou + log_sum, newest
 
 

@@ -101,7 +101,8 @@ def _draw_parameters(
 ) -> Float64[np.ndarray, "p d"]:
     value, vector = np.linalg.eigh(covariance)
     unit = np.random.default_rng(0).standard_normal((len(covariance), _DRAWS))
-    return vector @ (np.sqrt(np.maximum(value, 0.0))[:, None] * unit)
+    # By the symmetric root: eigenvectors of one eigenvalue are any of many, by chance.
+    return (vector * np.sqrt(np.maximum(value, 0.0))) @ (vector.T @ unit)
 
 
 def _measure_lengths(error: Float64[np.ndarray, "n 3 d"]) -> Float64[np.ndarray, "3 d"]:

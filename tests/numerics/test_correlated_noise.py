@@ -48,6 +48,24 @@ def test_slow_and_white_noise_are_whitened_exactly(case):
     assert built.log_determinant == pytest.approx(np.linalg.slogdet(V)[1])
 
 
+@pytest.mark.parametrize(("slow", "sees"), [(1.0, 3), (1.0, 2), (0.0, 3), (0.0, 2)])
+def test_what_is_new_in_each_point_is_a_root_of_the_precision(case, slow, sees):
+    time_s, white, sigma, rows = case
+    white = white * (np.arange(3) < sees) * (np.arange(3) < sees)[:, None]
+    built = factorise(time_s, white, slow * sigma, TAU_S)
+    new = built.whiten(rows)
+    assert np.allclose(new.T @ new, summed(built, rows), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("step_s", [1e-4, 1e-3])
+def test_points_that_follow_at_once_are_whitened_to_many_digits(rng, step_s):
+    time_s, white, sigma, rows = make_case(rng)
+    time_s = step_s * np.arange(len(time_s))
+    built = factorise(time_s, white, sigma, 60.0)
+    new, expected = built.whiten(rows), summed(built, rows)
+    assert np.abs(new.T @ new - expected).max() < 1e-7 * np.abs(expected).max()
+
+
 def test_without_slow_noise_only_white_weights_remain(case):
     time_s, white, sigma, rows = case
     built = factorise(time_s, white, 0.0 * sigma, TAU_S)

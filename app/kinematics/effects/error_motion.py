@@ -74,10 +74,15 @@ class ErrorMotion(ErrorCurve):
 
 def find_arm(symbol: str, at: Conditions) -> Float64[np.ndarray, "n 3"]:
     """Return what a unit of the error moves the target by: e_d, or e_d × L."""
-    axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
-    local = find_local_directions(axis) if isinstance(axis, RotaryAxis) else np.eye(3)
-    direction = local[:, DIRECTION[symbol[1]]]
-    return at.chain.lever(axis.name).displace(direction, is_turn=is_turn(symbol))
+    arms = at.chain.arms
+    if symbol not in arms:
+        axis = at.machine.axes[at.machine.axis_names.index(symbol[2])]
+        turned = isinstance(axis, RotaryAxis)
+        local = find_local_directions(axis) if turned else np.eye(3)
+        direction, lever = local[:, DIRECTION[symbol[1]]], at.chain.lever(axis.name)
+        arms[symbol] = lever.displace(direction, is_turn=is_turn(symbol))
+        arms[symbol].flags.writeable = False
+    return arms[symbol]
 
 
 def find_usual_size(symbol: str) -> float:

@@ -44,9 +44,9 @@ class InertialBend(Effect):
         share = at.axis_acceleration(self.axis.name) / _UNIT_MM_S2
         moving = np.flatnonzero(share)
         if len(moving):
-            there = at.select(moving)
             for k, symbol in enumerate(list_error_motions(self.axis.name)):
-                columns[moving, :, k] = find_arm(symbol, there) * share[moving, None]
+                arm = find_arm(symbol, at)[moving]
+                columns[moving, :, k] = arm * share[moving, None]
         return columns
 
     def prior(self) -> QuadraticPrior:
