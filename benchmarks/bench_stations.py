@@ -139,16 +139,6 @@ class Index(HiddenEffect):
         """Draw none: sizes come from the specification."""
         raise NotImplementedError
 
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing."""
-        return {}
-
-    def parameters(self, clock: Any) -> dict[str, float]:
-        """Return the index."""
-        del clock
-        return {"index_rad": self.index_rad}
-
     def misread(self, polar: np.ndarray) -> np.ndarray:
         """Return the error of the elevation."""
         error = np.zeros_like(polar)

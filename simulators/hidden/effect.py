@@ -56,12 +56,14 @@ class HiddenEffect(ABC):
     needs_model : only a model made before shows it; one fitted to the same recording
         has it already
     on_ramps_alone : where the feed is constant it does nothing
+    unstated : numbers that files leave out, beside those with a usual value
     """
 
     name: ClassVar[str]
     in_catalogue: ClassVar[bool] = True
     needs_model: ClassVar[bool] = False
     on_ramps_alone: ClassVar[bool] = False
+    unstated: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     @abstractmethod
@@ -76,16 +78,13 @@ class HiddenEffect(ABC):
         }
 
     def parameters(self, clock: TrackerClock) -> Mapping[str, Value]:
-        """Return its numbers as files state them, times on the tracker's clock.
-
-        Those that have no usual value.
-        """
+        """Return its numbers as files state them, times on the tracker's clock."""
         del clock
-        unusual = {field.name for field in fields(self) if field.default is MISSING}
+        usual = {field.name for field in fields(self) if field.default is not MISSING}
         return {
             name: value
             for name, value in asdict(self).items()
-            if name in unusual and not isinstance(value, str)
+            if name not in {*usual, *self.unstated} and not isinstance(value, str)
         }
 
     def truth(self, clock: TrackerClock) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +17,7 @@ class FloatingSlide(HiddenEffect):
 
     name = "floating-slide"
     in_catalogue = False
+    unstated = ("usual_mm_s",)
     axis: str
     direction: str
     lift_um: float
@@ -29,11 +29,6 @@ class FloatingSlide(HiddenEffect):
         axis = occasion.axis(rng)
         direction = str(rng.choice([d for d in "XYZ" if d != axis]))
         return cls(axis, direction, 3.0 * occasion.size_um, 0.5 * occasion.feed_mm_s)
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the lift at high speed."""
-        del clock
-        return {"lift_um": self.lift_um}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the oil film carries."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _ARM_M = 0.25
 
@@ -33,16 +32,6 @@ class LeaningColumn(HiddenEffect):
         first, second, _ = rng.permutation(list("XYZ"))
         amplitude = 2.0 * occasion.size_um / _ARM_M
         return cls(f"E{rng.choice(list('ABC'))}{first}", str(second), amplitude)
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """The angle, and the axis that it depends on beside its own."""
-        return {"motion": self.motion, "by": self.by}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the amplitude."""
-        del clock
-        return {"amplitude_urad": self.amplitude_urad}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return the lean where both axes are."""

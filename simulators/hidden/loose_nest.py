@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _SEATS = 1000
 
@@ -20,6 +19,7 @@ class LooseNest(HiddenEffect):
 
     name = "loose-nest"
     in_catalogue = False
+    unstated = ("chance",)
     spread_um: float
     chance: int
 
@@ -27,16 +27,6 @@ class LooseNest(HiddenEffect):
     def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
         """Draw how it will sit."""
         return cls(0.7 * occasion.size_um, int(rng.integers(1 << 30)))
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing: there is one."""
-        return {}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the spread."""
-        del clock
-        return {"spread_um": self.spread_um}
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return where it sits on each line."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +30,6 @@ class SettlingStand(HiddenEffect):
         tilt = 4.0 * 1e3 * occasion.size_um / occasion.distance_mm
         tau_s = float(rng.uniform(0.15, 0.4) * occasion.duration_s)
         return cls((tilt * float(np.cos(angle)), tilt * float(np.sin(angle))), tau_s)
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing: there is one."""
-        return {}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float | tuple[float, ...]]:
-        """Return both tilts and the time constant."""
-        del clock
-        return {"tilt_urad": self.tilt_urad, "tau_s": self.tau_s}
 
     def shift_mm(self, motion: Motion, time_s: np.ndarray) -> np.ndarray:
         """Return how the points turn about a foot below the travel's low corner."""

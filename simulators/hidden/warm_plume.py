@@ -8,7 +8,6 @@ from typing import Self
 import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion
-from simulators.tracker_head import TrackerClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,20 +28,6 @@ class WarmPlume(HiddenEffect):
             float(rng.uniform(-np.pi, np.pi)),
             float(rng.uniform(0.08, 0.2)),
         )
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Nothing: there is one."""
-        return {}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return height, place and width."""
-        del clock
-        return {
-            "amplitude_um": self.amplitude_um,
-            "middle_rad": self.middle_rad,
-            "width_rad": self.width_rad,
-        }
 
     def misread(self, polar: np.ndarray) -> np.ndarray:
         """Return what beams through it lack."""

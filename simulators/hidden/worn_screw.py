@@ -9,7 +9,6 @@ import numpy as np
 
 from simulators.hidden.effect import HiddenEffect, Occasion, error_motion
 from simulators.hidden.motion import Motion
-from simulators.tracker_head import TrackerClock
 
 _TURNOVER_MM = 0.2
 
@@ -20,6 +19,7 @@ class WornScrew(HiddenEffect):
 
     name = "worn-screw"
     in_catalogue = False
+    unstated = ("middle", "spread")
     axis: str
     width_um: float
     middle: float
@@ -31,16 +31,6 @@ class WornScrew(HiddenEffect):
         middle, spread = rng.uniform(0.3, 0.7), rng.uniform(0.08, 0.14)
         width_um = 6.0 * occasion.size_um
         return cls(occasion.axis(rng), width_um, float(middle), float(spread))
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """Its axis."""
-        return {"axis": self.axis}
-
-    def parameters(self, clock: TrackerClock) -> dict[str, float]:
-        """Return the width in the middle of the worn part."""
-        del clock
-        return {"width_um": self.width_um}
 
     def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
         """Return how far the nut lags: half the width there, by the side it is on."""
