@@ -3,39 +3,33 @@
 Solve, look at what is left (`misfit`), act on the plainest contradiction, solve again.
 A step of the tracker's or reflector's place makes two Runs of one, each with a pose of
 its own. Cells and whole lines that the rest of the measurement contradicts are left
-out. Limits are such that a clean measurement of 3 000 cells loses none in 99 of 100;
-what contradicts everywhere is no disturbance, and is left to the verdict.
+out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
-from jaxtyping import Bool, Float64
-from scipy.special import chdtri
+from jaxtyping import Bool
 
 from app.alignment.left_out import LeftOut
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
-from app.estimation.batch import Estimate, RunEstimate, estimate
+from app.estimation.batch import Estimate, estimate
+from app.estimation.contradictions import (
+    LEAST_KNOCK_MM,
+    find_knocks,
+    remove_plainest,
+    spread_over_cells,
+)
 from app.estimation.direction import Fit
 from app.estimation.known_effects import KnownEffects
-from app.estimation.misfit import (
-    OF_LINE,
-    Misfit,
-    assess_misfit,
-    compute_step_limit,
-)
-from app.estimation.run_parts import (
-    Knock,
-    RunPart,
-    leave_out,
-    measure_knock,
-    split_at_all,
-)
-from app.estimation.setup_steps import Step
+from app.estimation.misfit import Misfit, assess_misfit
+from app.estimation.run_estimate import RunEstimate
+from app.estimation.run_parts import Knock, RunPart, leave_out, measure_knock
 from app.estimation.usual_machine import (
     find_shifted_stops,
     fit_as_learnt,
@@ -46,13 +40,6 @@ from app.kinematics.coarse_model import RunModels
 from app.progress import ShareProgress, ignore_progress
 
 _ROUNDS = 8
-_RISK = 0.003  # of a clean measurement, for each kind of test
-_MARGIN = 1.5  # noise has longer tails than χ²
-_LEAST_MM = 0.002  # of a knock; less is the air's
-_OF_EXCESS = 0.25  # of what noise does not explain, that a step has to
-_NO_DRIFT = 0.3  # of the gain of steps: a drift explains no more beside them
-MOST = 0.2  # of the cells of a Run; more are no disturbance
-_OF_LARGEST = 0.05  # of the worst square: smaller ones may be its doing
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +78,7 @@ def estimate_checked(
     """
     parts = [RunPart(number, seen) for number, seen in enumerate(observed)]
 
-    def solve(parts: list[RunPart], begin: float, end: float) -> Estimate:
+    def solve(parts: Sequence[RunPart], begin: float, end: float) -> Estimate:
         return estimate(
             models,
             [part.seen for part in parts],
@@ -101,46 +88,78 @@ def estimate_checked(
             on_progress=lambda share: on_progress(begin + share * (end - begin)),
         )
 
-    found = solve(parts, 0.0, 0.7)
-    misfits = _assess(found)
-    suspects = _find_shifted(found, models)
-    if suspects:
-        fewer = _leave_out_lines(parts, suspects, found, misfits)
-        confirmed = _confirm(suspects, solve(fewer, 0.7, 0.75), found)
-        if any(each.any() for each in confirmed):
-            parts = _leave_out_lines(parts, confirmed, found, misfits)
-            found = solve(parts, 0.75, 0.8)
-            misfits = _assess(found)
+    solved = _Solved.of(parts, solve(parts, 0.0, 0.7))
+    solved = _remove_shifted(solved, models, solve)
+    solved = _remove_in_turn(solved, solve)
+    on_progress(1.0)
+    return solved.state(len(observed))
+
+
+# Parts of Runs, and the shares of progress from which and to which it goes.
+_Solve = Callable[[Sequence[RunPart], float, float], Estimate]
+
+
+@dataclass(frozen=True, slots=True)
+class _Solved:
+    """Parts of Runs, their estimate, and what it leaves of each."""
+
+    parts: list[RunPart]
+    found: Estimate
+    misfits: tuple[Misfit, ...]
+
+    @classmethod
+    def of(cls, parts: list[RunPart], found: Estimate) -> Self:
+        """Return them with what the estimate leaves."""
+        fit = _fit_of(found)
+        misfits = tuple(assess_misfit(fit, k) for k in range(len(found.runs)))
+        return cls(parts, found, misfits)
+
+    def state(self, runs: int) -> CheckedEstimate:
+        """Return what is told of so many Runs given."""
+        left_out = [
+            [x for part in self.parts if part.given == k for x in part.seen.left_out]
+            for k in range(runs)
+        ]
+        return CheckedEstimate(
+            self.found,
+            tuple(part.given for part in self.parts),
+            tuple(map(tuple, left_out)),
+            tuple(_list_knocks(self.parts, self.found)),
+            self.misfits,
+        )
+
+
+def _remove_shifted(solved: _Solved, models: RunModels, solve: _Solve) -> _Solved:
+    """Return the estimate without stops that a usual machine cannot follow."""
+    suspects = _find_shifted(solved.found, models)
+    if not suspects:
+        return solved
+    without = solve(_leave_out_lines(solved, suspects), 0.7, 0.75)
+    confirmed = _confirm(suspects, without, solved.found)
+    if not any(each.any() for each in confirmed):
+        return solved
+    parts = _leave_out_lines(solved, confirmed)
+    return _Solved.of(parts, solve(parts, 0.75, 0.8))
+
+
+def _remove_in_turn(solved: _Solved, solve: _Solve) -> _Solved:
+    """Return the estimate without one contradiction after the other."""
     for turn in range(_ROUNDS):
-        fewer = remove_plainest(parts, _list_fitted(found), misfits)
+        fitted = _list_fitted(solved.found)
+        fewer = remove_plainest(solved.parts, fitted, solved.misfits)
         if fewer is None:
             break
         try:
             found = solve(fewer, 0.8 + 0.02 * turn, 0.82 + 0.02 * turn)
         except Unidentifiable:
             break  # too little is left: the verdict says what contradicts
-        parts = fewer
-        misfits = _assess(found)
-    on_progress(1.0)
-    return CheckedEstimate(
-        found,
-        tuple(part.given for part in parts),
-        tuple(
-            tuple(x for part in parts if part.given == k for x in part.seen.left_out)
-            for k in range(len(observed))
-        ),
-        tuple(_list_knocks(parts, found)),
-        misfits,
-    )
+        solved = _Solved.of(fewer, found)
+    return solved
 
 
 def _fit_of(found: Estimate) -> Fit:
     assert found.fit is not None  # noqa: S101 (it was asked to be kept)
     return found.fit
-
-
-def _assess(found: Estimate) -> tuple[Misfit, ...]:
-    return tuple(assess_misfit(_fit_of(found), k) for k in range(len(found.runs)))
 
 
 def _list_fitted(found: Estimate) -> list[Observations]:
@@ -152,7 +171,7 @@ def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
     return any(
         step.alone > float(misfit.line.max(initial=0.0))
         for misfit in misfits
-        for step in _find_knocks(misfit)
+        for step in find_knocks(misfit)
     )
 
 
@@ -186,107 +205,18 @@ def _confirm(
 
 
 def _leave_out_lines(
-    parts: list[RunPart],
-    lines: list[Bool[np.ndarray, " l"]],
-    found: Estimate,
-    misfits: Sequence[Misfit],
+    solved: _Solved, lines: list[Bool[np.ndarray, " l"]]
 ) -> list[RunPart]:
     """Return the parts without some of their lines."""
     fewer: list[RunPart] = []
     for part, fitted, misfit, chosen in zip(
-        parts, _list_fitted(found), misfits, lines, strict=True
+        solved.parts, _list_fitted(solved.found), solved.misfits, lines, strict=True
     ):
-        bad = _spread_over_cells(misfit, chosen)
+        bad = spread_over_cells(misfit, chosen)
         edges = part.seen.find_edges(fitted)
         seen = leave_out(part.seen, bad, misfit.off_mm, edges)
         fewer.append(RunPart(part.given, seen) if bad.any() else part)
     return fewer
-
-
-def remove_plainest(
-    parts: Sequence[RunPart],
-    fitted: Sequence[Observations],
-    misfits: Sequence[Misfit],
-) -> list[RunPart] | None:
-    """Return the parts without the plainest contradiction; None where there is none.
-
-    fitted : what the misfits are of: cells of the parts, some of them joined
-    """
-    fewer: list[RunPart] = []
-    for part, joined, misfit in zip(parts, fitted, misfits, strict=True):
-        edges = part.seen.find_edges(joined)
-        bad = _find_bad_cells(misfit)
-        knocks = _find_knocks(misfit)
-        gain = max((step.alone for step in knocks), default=0.0)
-        if knocks and gain > OF_LINE * float(misfit.line.max(initial=0.0)):
-            fewer += split_at_all(part, knocks, edges, misfit.off_mm)
-        elif bad.any():
-            seen = leave_out(part.seen, bad, misfit.off_mm, edges)
-            fewer.append(RunPart(part.given, seen))
-        elif knocks:
-            fewer += split_at_all(part, knocks, edges, misfit.off_mm)
-        else:
-            fewer.append(part)
-    same = len(fewer) == len(parts) and all(
-        new.seen is old.seen for new, old in zip(fewer, parts, strict=True)
-    )
-    return None if same else fewer
-
-
-def _find_knocks(misfit: Misfit) -> list[Step]:
-    """Return the steps that neither noise nor drift explains.
-
-    All together explain much of what noise does not; else an effect that the model
-    lacks may look like steps.
-    """
-    limit = compute_step_limit(len(misfit.line)) * misfit.rest
-    found = [
-        step for step in misfit.steps if step.gain > limit and step.moved_mm > _LEAST_MM
-    ]
-    excess = misfit.square - misfit.freedom
-    alone = max((step.alone for step in found), default=0.0)
-    beside = sum(step.gain for step in found)
-    if misfit.drift_left < _NO_DRIFT * beside:
-        return found
-    if alone < 0.5 * max((step.gain for step in found), default=0.0):
-        return []
-    is_most = beside > 2.0 * _OF_EXCESS * (excess - misfit.drift)
-    return found if alone > _OF_EXCESS * excess or is_most else []
-
-
-def _find_bad_cells(misfit: Misfit) -> Bool[np.ndarray, " n"]:
-    """Tell which cells, or else which whole lines, the others contradict."""
-    bad = stand_out(misfit.cell)
-    if not bad.any():
-        bad = _spread_over_cells(misfit, stand_out(misfit.line))
-    return bad if bad.mean() < MOST else np.zeros_like(bad)
-
-
-def _spread_over_cells(
-    misfit: Misfit, lines: Bool[np.ndarray, " l"]
-) -> Bool[np.ndarray, " n"]:
-    cells = np.zeros(len(misfit.cell), bool)
-    for first, last in zip(misfit.begin[lines], misfit.end[lines], strict=True):
-        cells[first:last] = True
-    return cells
-
-
-def stand_out(
-    square: Float64[np.ndarray, " n"],
-    usual: Float64[np.ndarray, " m"] | None = None,
-    among: int = 0,
-) -> Bool[np.ndarray, " n"]:
-    """Tell which squares of three components are too large.
-
-    usual : squares whose median is that of noise; these where left out
-    among : how many are tested; these where there are more
-    """
-    usual = square if usual is None else usual
-    if not len(square) or not len(usual):
-        return np.zeros(len(square), bool)
-    scale = max(1.0, float(np.median(usual)) / 2.366)
-    limit = _MARGIN * scale * float(chdtri(3, _RISK / max(len(square), among)))
-    return square > max(limit, _OF_LARGEST * float(square.max()))
 
 
 def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
@@ -300,6 +230,6 @@ def _list_knocks(parts: list[RunPart], found: Estimate) -> list[Knock]:
         middle = 0.5 * (found.runs[k - 1].centre_mm + found.runs[k].centre_mm)
         knock = measure_knock((before, after), poses, middle)
         reach = float(np.ptp(after.seen.at.point_mm, axis=0).max())
-        if knock.moved_mm + knock.turned_rad * reach > _LEAST_MM:
+        if knock.moved_mm + knock.turned_rad * reach > LEAST_KNOCK_MM:
             knocks.append(knock)  # else what was between is left out, and all as before
     return knocks

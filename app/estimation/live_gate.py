@@ -19,13 +19,9 @@ from jaxtyping import Float64
 from app.alignment.left_out import LeftOut
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
+from app.estimation.contradictions import MOST, remove_plainest, stand_out
 from app.estimation.design_matrix import Linearisation
 from app.estimation.direction import Fit
-from app.estimation.disturbances import (
-    MOST,
-    remove_plainest,
-    stand_out,
-)
 from app.estimation.information import (
     Information,
     Posterior,

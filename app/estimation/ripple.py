@@ -22,7 +22,8 @@ from scipy.interpolate import CubicSpline
 
 from app.alignment.observations import Observations
 from app.alignment.reduction import beam_frame
-from app.estimation.batch import Estimate, RunEstimate
+from app.estimation.batch import Estimate
+from app.estimation.run_estimate import RunEstimate
 from app.estimation.within_cells import measure_lag, straighten
 from app.files.run import Run
 from app.kinematics.effects.error_motion import ErrorMotion

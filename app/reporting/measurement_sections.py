@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.estimation.batch import SeatEstimate
+from app.estimation.run_estimate import SeatEstimate
 from app.files.units import UM_PER_MM, URAD_PER_RAD
 from app.kinematics.machine import Axis, Machine, position_unit
 from app.kinematics.symbols import describe_symbol

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.left_out import LeftOut
-from app.estimation.batch import Estimate, RunEstimate
+from app.estimation.batch import Estimate
 from app.estimation.contributions import Contributions
 from app.estimation.disturbances import CheckedEstimate
 from app.estimation.prior_model import PriorModel
+from app.estimation.run_estimate import RunEstimate
 from app.estimation.run_parts import Knock
 from app.files.run import RunSummary
 from app.files.units import UM_PER_MM

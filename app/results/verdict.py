@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.alignment.left_out import LeftOut
-from app.estimation.batch import RunEstimate
 from app.estimation.disturbances import CheckedEstimate
 from app.estimation.misfit import Misfit
 from app.estimation.prior_model import PriorModel
+from app.estimation.run_estimate import RunEstimate
 from app.estimation.run_parts import Knock
 from app.files.run import number_names
 from app.files.units import UM_PER_MM

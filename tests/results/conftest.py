@@ -9,9 +9,10 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from app.estimation.batch import Estimate, Observability, Residuals, RunEstimate
+from app.estimation.batch import Estimate, Observability
 from app.estimation.extrapolation import full_travel
 from app.estimation.noise import NoiseModel
+from app.estimation.run_estimate import Residuals, RunEstimate
 from app.files.result_file import CalibrationResult
 from app.files.run import RunSummary
 from app.kinematics.identifiable import build_identifiable_model
