@@ -20,6 +20,7 @@ closed form from seed and time alone, at any speed of the clock.
     error_motions   random smooth error motions; turning_motions: of rotary axes
     rotary_joint    a rotary axis, its location and error motions
     truth_machine   where the tool really is
+    random_machine  machines that err, drawn
     profile         feed along one line with limited acceleration and jerk
     timeline        a whole motion, piece by piece; hold, resume, override
     tracker_head    range and angles of a point, with noise correlated in time

@@ -24,9 +24,10 @@ from simulators.hidden.drawing import as_json, parse_hidden
 from simulators.hidden.effect import HiddenEffect
 from simulators.machine_file import parse_machine
 from simulators.profile import Limits
+from simulators.random_machine import random_machine
 from simulators.scenario import load_machine
 from simulators.tracker_head import random_clock
-from simulators.truth_machine import TruthMachine, random_machine
+from simulators.truth_machine import TruthMachine
 
 _START_TIMEOUT_S = 20.0
 _STOP_TIMEOUT_S = 3.0

@@ -26,13 +26,14 @@ from simulators.hidden.motion import Motion
 from simulators.hidden.superposition import locate_target_mm, misread
 from simulators.machine_file import MachineFile, parse_machine
 from simulators.profile import Limits
+from simulators.random_machine import random_machine
 from simulators.randomness import generator
 from simulators.recording import Recording
 from simulators.scale_sensors import read_sensors
 from simulators.scenario import load_machine
 from simulators.timeline import Program, Timeline, follow
 from simulators.tracker_head import Air, TrackerClock, TrackerPose
-from simulators.truth_machine import TruthMachine, random_machine
+from simulators.truth_machine import TruthMachine
 
 BEAM_BROKEN = 1
 

@@ -16,9 +16,9 @@ from simulators.hidden.drawing import from_json
 from simulators.links import Port, PtyPort, TcpPort
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
+from simulators.random_machine import random_machine
 from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
 from simulators.tracker_head import Air
-from simulators.truth_machine import random_machine
 
 # Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
 PERIOD_S = 0.02

@@ -39,7 +39,8 @@ from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic, turning_paths
 from simulators.machine_file import MachineFile, parse_machine
 from simulators.paths import standstill_points
-from simulators.truth_machine import TruthMachine, perfect, random_machine
+from simulators.random_machine import random_machine
+from simulators.truth_machine import TruthMachine, perfect
 
 MACHINES, FIRST_SEED, POINTS, GRID = 20, 1001, 200, 300
 OFF_MM, OTHER = 0.02, "another"

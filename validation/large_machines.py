@@ -23,7 +23,7 @@ from app.estimation.knots import join_cells
 from app.results.analysis import analyse
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine
-from simulators.truth_machine import join_rack, random_machine
+from simulators.random_machine import join_rack, random_machine
 
 FEED_MM_MIN, STEP_MM = 24_000.0, 0.008
 FIRST_SEED = 1001  # nothing was improved on these machines

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from app.alignment.seating import MOST_SIGMAS, Seating, Seats
+from app.alignment.stop_chains import find_longest_chain, match_places
 from app.alignment.stops import StopSequence
 from app.errors import AlignmentError
 from app.numerics.rigid import RigidTransform
 
-SKIP = 4  # how many standstills or waypoints in a row may be missing
 TOLERANCE_MM = 1.0  # most machine errors are far smaller, wrong lines far longer
 _WIDER_MM = 2.5, 5.0  # of a machine that is far off
 _CLEAR = 0.9  # of the standstills: so many in a row are no chance
@@ -68,7 +68,7 @@ def match_stops(
         seated, _ = seat_places(places[stop], waypoint_mm, waypoint, seating)
         pose = fit_rigid(seated[waypoint], places[stop])
         near_mm = TOLERANCE_MM + seating.reach_mm
-        stop, waypoint = _rematch(places, pose.apply(seated), near_mm)
+        stop, waypoint = match_places(places, pose.apply(seated), near_mm)
         seated, seats = seat_places(places[stop], waypoint_mm, waypoint, seating)
     pose = fit_rigid(seated[waypoint], places[stop])
     _require_right_handed(places[stop], seated[waypoint], pose, ordered_by)
@@ -76,7 +76,7 @@ def match_stops(
     if seating is None:
         off = np.linalg.norm(pose.apply(seated)[waypoint] - places[stop], axis=1)
         reach_mm = max(TOLERANCE_MM, _SPREAD * float(np.median(off)))
-    stop, waypoint = _rematch(places, pose.apply(seated), reach_mm)
+    stop, waypoint = match_places(places, pose.apply(seated), reach_mm)
     pose = fit_rigid(seated[waypoint], places[stop])
     return Matching(stop, waypoint, pose, seats, reach_mm)
 
@@ -134,11 +134,11 @@ def _recognise(
     """
     m, w = len(places), len(waypoints)
     alike = np.zeros((w, w)) + slack_mm
-    stop, waypoint = _longest_chain(places, waypoints, alike + TOLERANCE_MM)
+    stop, waypoint = find_longest_chain(places, waypoints, alike + TOLERANCE_MM)
     clear = max(3, round(_CLEAR * min(w, m)))
     if len(stop) < clear and not alike.any():
         for within_mm in _WIDER_MM:
-            wider = _longest_chain(places, waypoints, alike + within_mm)
+            wider = find_longest_chain(places, waypoints, alike + within_mm)
             if len(wider[0]) >= clear:
                 return wider
     if len(stop) < max(3, round(0.5 * min(w, max(m, 1)))):
@@ -150,93 +150,6 @@ def _recognise(
             f"{_WIDER_MM[-1]:g} mm looks like this as well"
         )
     return stop, waypoint
-
-
-def _longest_chain(
-    places: Float64[np.ndarray, "m 3"],
-    waypoints: Float64[np.ndarray, "w 3"],
-    within: Float64[np.ndarray, "w w"],
-) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Dynamic programming over pairs (standstill, waypoint) with few skips.
-
-    A link is allowed where the distance to the previous pair fits, and to the pair
-    before that one as well; each pair adds one, each skip costs a little.
-
-    within : by how much the distance of two waypoints may differ
-    """
-    m, w = len(places), len(waypoints)
-    score = np.ones((m, w))
-    back = np.full((m, w, 2), -1)
-    nominal = np.linalg.norm(waypoints[:, None] - waypoints[None], axis=2)
-    for i in range(1, m):
-        for di in range(1, min(SKIP, i) + 1):
-            j = i - di
-            step = float(np.linalg.norm(places[i] - places[j]))
-            for da in range(1, min(SKIP, w - 1) + 1):
-                a, b = np.arange(da, w), np.arange(w - da)
-                fits = np.abs(nominal[a, b] - step) < within[a, b]
-                fits &= _fits_two_back(places, nominal, within, back, i, j, a, b)
-                better = score[j, b] + 1.0 - 0.2 * (di + da - 2)
-                take = fits & (better > score[i, a])
-                score[i, a[take]] = better[take]
-                back[i, a[take]] = np.column_stack([np.full(take.sum(), j), b[take]])
-    return _trace_back(score, back)
-
-
-def _fits_two_back(
-    places: Float64[np.ndarray, "m 3"],
-    nominal: Float64[np.ndarray, "w w"],
-    within: Float64[np.ndarray, "w w"],
-    back: Int64[np.ndarray, "m w 2"],
-    i: int,
-    j: int,
-    a: Int64[np.ndarray, " n"],
-    b: Int64[np.ndarray, " n"],
-) -> np.ndarray:
-    earlier, waypoint = back[j, b, 0], back[j, b, 1]
-    distance = np.linalg.norm(places[i] - places[earlier], axis=1)
-    off = np.abs(nominal[a, waypoint] - distance)
-    return (earlier < 0) | (off < within[a, waypoint])
-
-
-def _trace_back(
-    score: Float64[np.ndarray, "m w"], back: Int64[np.ndarray, "m w 2"]
-) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    if score.size == 0:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    i, a = (int(v) for v in np.unravel_index(int(np.argmax(score)), score.shape))
-    chain: list[tuple[int, int]] = []
-    while i >= 0:
-        chain.append((i, a))
-        i, a = int(back[i, a, 0]), int(back[i, a, 1])
-    pairs = np.array(chain[::-1])
-    return pairs[:, 0], pairs[:, 1]
-
-
-def _rematch(
-    places: Float64[np.ndarray, "m 3"],
-    expected: Float64[np.ndarray, "w 3"],
-    within: float | Float64[np.ndarray, " w"] = TOLERANCE_MM,
-) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """Longest common order of standstills and waypoints that lie at one place."""
-    m, w = len(places), len(expected)
-    near = np.linalg.norm(places[:, None] - expected[None], axis=2) < within
-    length = np.zeros((m + 1, w + 1), np.int64)
-    for i in range(m):
-        hit = length[i, :-1] + near[i]
-        length[i + 1, 1:] = np.maximum.accumulate(np.maximum(hit, length[i, 1:]))
-    pairs: list[tuple[int, int]] = []
-    i, a = m, w
-    while i and a:
-        if length[i, a] == length[i - 1, a]:
-            i -= 1
-        elif length[i, a] == length[i, a - 1]:
-            a -= 1
-        else:
-            i, a = i - 1, a - 1
-            pairs.append((i, a))
-    found = np.array(pairs[::-1]).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
 
 
 def require_targets(
@@ -302,7 +215,7 @@ def _find_measured(
     """Return words on the target that was measured instead; none where it is none."""
     for name in names:
         expected = expect(name)
-        found, _ = _rematch(places, expected, _BESIDE_MM)
+        found, _ = match_places(places, expected, _BESIDE_MM)
         if 2 * len(found) > min(len(places), len(expected)):
             return f"the tracker measured {name} instead; "
     return ""

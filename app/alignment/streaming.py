@@ -26,13 +26,13 @@ from app.alignment.observations import Observations, Pass
 from app.alignment.seating import Seating, Seats, find_seating, seat_targets
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import (
-    SKIP,
     TOLERANCE_MM,
     Matching,
     fit_rigid,
     match_stops,
     seat_places,
 )
+from app.alignment.stop_chains import SKIP
 from app.alignment.stops import StopStream, join_stops
 from app.errors import AlignmentError
 from app.files.run import Run

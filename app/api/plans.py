@@ -8,7 +8,6 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import PlainTextResponse
 from pydantic import BaseModel, Field
 
-from app.api.jobs import IdempotencyKeyHeader, format_etag, make_key
 from app.api.models.base import PREFIX, Mm, Problem
 from app.api.models.plan import (
     PlanCheck,
@@ -19,6 +18,7 @@ from app.api.models.plan import (
     PlanResource,
 )
 from app.api.problems import declare_problems, describe_failure
+from app.api.request_headers import IdempotencyKeyHeader, format_etag, make_key
 from app.api.service import Service, ServiceDep
 from app.errors import NotFound
 from app.files.commanded_file import decode_commanded_json

@@ -21,8 +21,8 @@ from app.kinematics.identifiable import build_identifiable_model
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine
+from simulators.random_machine import join_rack, random_machine
 from simulators.scenario import load_machine
-from simulators.truth_machine import join_rack, random_machine
 from tests.estimation.estimating import estimate
 
 LONG = (3000.0, 800.0, 600.0)

@@ -18,10 +18,10 @@ from app.motion.configurations import Configurations
 from drivers.interfaces.records import Path, TrackerSamples
 from simulators import paths, synthetic
 from simulators.machine_file import parse_machine
+from simulators.random_machine import random_machine
 from simulators.scenario import load_machine
 from simulators.synthetic import Setting
 from simulators.tracker_head import Air
-from simulators.truth_machine import random_machine
 from tests.estimation.estimating import estimate
 
 MACHINE = 71  # the machine of every recording; noise, clock and pose are another's

@@ -16,7 +16,7 @@ from app.kinematics.symbols import (
     list_error_motions,
 )
 from simulators.machine_file import parse_machine
-from simulators.truth_machine import random_machine
+from simulators.random_machine import random_machine
 
 OFFSET = (20.0, -30.0, -150.0)
 CHAINS = [(), ("X",), ("Y",), ("X", "Y"), ("Z",), ("Y", "X")]

@@ -19,9 +19,9 @@ from app.kinematics.symbols import (
     list_locations,
 )
 from simulators.machine_file import parse_machine
+from simulators.random_machine import random_machine
 from simulators.rotary_joint import local_frame
 from simulators.scenario import load_machine
-from simulators.truth_machine import random_machine
 
 CHAINS = [
     "w-C-b-X-Y-Z-B-t",

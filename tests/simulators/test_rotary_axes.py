@@ -17,12 +17,13 @@ from simulators.errors import SimulatorError
 from simulators.faults import Schedule, parse_fault
 from simulators.machine_file import MachineFile, Reflector, parse_machine
 from simulators.profile import Limits
+from simulators.random_machine import random_machine
 from simulators.rotary_joint import RotaryJoint, local_frame
 from simulators.scenario import load_machine
 from simulators.timeline import follow, path_length
 from simulators.tracker_device import TrackerDevice, TrackerParts
 from simulators.tracker_head import Air, TrackerClock, random_pose
-from simulators.truth_machine import perfect, random_machine
+from simulators.truth_machine import perfect
 
 BUNDLED = ("head-table", "trunnion")
 

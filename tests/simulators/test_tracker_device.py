@@ -31,10 +31,10 @@ from drivers.tracker.streaming.messages import (
 from simulators.faults import Schedule, parse_fault
 from simulators.machine_file import MachineFile
 from simulators.profile import Limits
+from simulators.random_machine import random_machine
 from simulators.timeline import Program, Timeline, follow, standing
 from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
 from simulators.tracker_head import Air, TrackerClock, random_pose
-from simulators.truth_machine import random_machine
 
 CLOCK = TrackerClock(100.0, 1e-5)
 

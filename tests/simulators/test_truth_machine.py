@@ -9,14 +9,11 @@ import pytest
 
 from simulators.errors import SimulatorError
 from simulators.joint import rotation_matrices
+from simulators.linear_joint import LinearJoint
 from simulators.machine_file import MachineFile, Reflector, parse_machine
+from simulators.random_machine import random_machine
 from simulators.scenario import list_machines, load_machine
-from simulators.truth_machine import (
-    LinearJoint,
-    TruthMachine,
-    perfect,
-    random_machine,
-)
+from simulators.truth_machine import TruthMachine, perfect
 
 CHAINS = [
     "-".join(["w", *order[:k], "b", *order[k:], "t"])

@@ -1,0 +1,164 @@
+"""A job as clients see it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field
+
+from app.api.models.base import JOB_ID, Links, Problem
+from app.files.verdict import State as VerdictState
+from app.jobs.transitions import State
+
+
+class JobProgress(BaseModel):
+    """How far the stage is."""
+
+    done: float
+    total: float
+    unit: str = Field(examples=["lines"])
+    eta_s: float | None
+    stage: str = Field(examples=["measuring"])
+    elapsed_s: float
+    position: list[float] = Field(description="Axis positions in mm and deg.")
+
+
+class JobHealth(BaseModel):
+    """What the tracker's link has seen."""
+
+    samples: int
+    lost_samples: int
+    crc_errors: int
+
+
+class ResultLinks(Links):
+    """Where the result is."""
+
+    result: Annotated[str, "/jobs/{id}/result"]
+    error_tables_json: Annotated[str, "/jobs/{id}/result/error-tables.json"]
+    error_tables_csv: Annotated[str, "/jobs/{id}/result/error-tables.csv"]
+    report_html: Annotated[str, "/jobs/{id}/result/report.html"]
+
+
+class DiscoveryLinks(Links):
+    """Where the answer of a discovery is."""
+
+    discovery: Annotated[str, "/jobs/{id}/discovery"]
+    report_html: Annotated[str, "/jobs/{id}/discovery/report.html"]
+    model: Annotated[str, "/models/{id}"]
+
+
+class JobLinks(Links):
+    """Where else to look."""
+
+    self: Annotated[str, "/jobs/{id}"]
+    events: Annotated[str, "/jobs/{id}/events"]
+    plan: Annotated[str, "/jobs/{id}/plan"]
+    run: Annotated[str | None, "/runs/{run_id}"]
+
+
+class EarlyEndOut(BaseModel):
+    """Why the rest of the plan was left out."""
+
+    reason: Literal["target-reached"]
+    reached_um: float = Field(
+        description="`volumetric_uncertainty_um` (k = 1) at that moment."
+    )
+    done: int = Field(description="Finished lines or points behind that number.")
+    total: int = Field(description="Lines or points of the plan.")
+
+
+class MonteCarloOut(BaseModel):
+    """The trials that were asked for."""
+
+    seed: int
+    interval: str = Field(examples=["symmetric"])
+
+
+class StationCheckOut(BaseModel):
+    """How a station agrees with the one before, by the known points."""
+
+    station: int
+    place_mm: list[float] | None = Field(
+        description="Where the tracker was found, in the frame that it stands on."
+    )
+    moved_mm: float | None
+    residual_um: float | None = Field(
+        description="Root mean square distance of the known points from where the "
+        "last station saw them."
+    )
+    allowed_um: float | None
+    problem: str = Field(
+        examples=["not-moved"],
+        description="not-seen, not-moved or residual; empty if the station is good.",
+    )
+    text: str
+
+
+class StationOut(BaseModel):
+    """The station that is measured, or asked for, of several."""
+
+    number: int = Field(examples=[2])
+    total: int = Field(examples=[3])
+    position_mm: list[float] = Field(
+        description="Where the tracker is to stand, in the frame that it stands on."
+    )
+    checks: list[StationCheckOut]
+
+
+class JobOut(BaseModel):
+    """A job. `version` counts its changes of state; send it as If-Match."""
+
+    id: str = Field(examples=[JOB_ID])
+    kind: str = Field(examples=["measure-otf"])
+    state: str = Field(examples=["ready"], description="One of " + ", ".join(State))
+    desired_state: str = Field(examples=["ready"])
+    version: int = Field(examples=[3])
+    stage: str = Field(examples=["measuring"])
+    progress: JobProgress
+    health: JobHealth
+    perpendicular_only: bool
+    monte_carlo: MonteCarloOut | None = Field(
+        description="The trials that the uncertainty is held against."
+    )
+    target_um: float | None = Field(
+        description="`volumetric_uncertainty_um` (k = 1) at which it may end early."
+    )
+    early_end: EarlyEndOut | None = Field(description="Null if it did not.")
+    verdict: VerdictState | None = Field(
+        description="What the result says of itself; the reasons are in it. Null "
+        "where there is none."
+    )
+    station: StationOut | None = Field(
+        description="Of a plan of several stations. In the state awaiting-move the "
+        "tracker is to be set down at position_mm; then arm the job again."
+    )
+    created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
+    started: str | None
+    ended: str | None
+    run_id: str | None
+    run_ids: list[str] = Field(
+        description="All its Runs, in order: `run_id` is the first, of extra lines "
+        "the last."
+    )
+    result: ResultLinks | None
+    discovery: DiscoveryLinks | None = Field(
+        description="Of a job of kind discover or measure-extra that has succeeded."
+    )
+    error: Problem | None = Field(
+        description="Why it ended badly; in an unfinished job, why it stands."
+    )
+    links: JobLinks
+
+
+class JobPage(BaseModel):
+    """Jobs, the newest first."""
+
+    items: list[JobOut]
+    next: str | None = Field(description="`after` of the next page.")
+
+
+class Stopped(BaseModel):
+    """The jobs that a blanket abort has reached."""
+
+    jobs: list[JobOut]
