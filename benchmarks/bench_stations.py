@@ -35,7 +35,8 @@ from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.tracker_error import TrackerSpecification
 from app.kinematics.machine import Machine
 from app.kinematics.volumetric_map import build_volumetric_map
-from app.motion.workspace import Box, StationAreas, Workspace
+from app.motion.line_of_sight import Box
+from app.motion.workspace import StationAreas, Workspace
 from app.planning.plan import Plan
 from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder

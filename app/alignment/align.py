@@ -21,12 +21,13 @@ from app.alignment.nominal_path import (
     NominalPath,
     compute_nominal_path,
 )
-from app.alignment.observations import Observations, Pass, add_surroundings
+from app.alignment.observations import Observations, Pass
 from app.alignment.reduction import CELL_MM
 from app.alignment.seating import find_seating, seat_targets
 from app.alignment.segmentation import Stream, cut_into_passes
 from app.alignment.sequence import Matching, match_stops, require_targets
 from app.alignment.stops import StopSequence, find_stops
+from app.alignment.surroundings import add_surroundings
 from app.errors import AlignmentError
 from app.files.run import Run
 

@@ -11,10 +11,8 @@ from jaxtyping import Bool, Float64, Int64
 
 from app.alignment.left_out import LeftOut
 from app.alignment.reduction import CELL_S, beam_frame
-from app.kinematics.conditions import Conditions, RecordedState
-from app.motion.configurations import Configurations
+from app.kinematics.conditions import Conditions
 from app.numerics.rigid import RigidTransform
-from drivers.interfaces.records import Path, TemperatureSamples
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,81 +231,3 @@ def _join_conditions(at: Conditions, means: CellMeans) -> Conditions:
         recorded=recorded,
         acceleration=None if at.acceleration is None else means.of(at.acceleration),
     )
-
-
-def add_surroundings(
-    observations: Observations,
-    commanded: Path | Configurations,
-    temperature: TemperatureSamples | None = None,
-    number: int = 0,
-) -> Observations:
-    """Return the observations, their conditions knowing Run and surroundings.
-
-    number : which of several Runs it is
-    """
-    recorded = RecordedState(
-        _rates(observations),
-        observations.count / observations.at.machine.tracker.rate_hz,
-        _since_reversal(_in_order(commanded, observations), observations),
-        observations.tracker_mm,
-        observations.pose.rotation,
-        *_temperatures(temperature, observations.at.time_s),
-    )
-    return replace(
-        observations, at=replace(observations.at, run=number, recorded=recorded)
-    )
-
-
-def _in_order(
-    commanded: Path | Configurations, observations: Observations
-) -> Float64[np.ndarray, "w a"]:
-    """Return the commanded positions in the columns of the cells."""
-    columns = [
-        commanded.axes.index(name) for name in observations.at.machine.axis_names
-    ]
-    return commanded.position[:, columns]
-
-
-def _rates(observations: Observations) -> Float64[np.ndarray, "n a"]:
-    rates = np.zeros_like(observations.at.position_mm)
-    for first, last in observations.lines:
-        if observations.at.line[first] < 0:
-            continue
-        cells = np.arange(first, last)
-        steady = cells[~observations.is_ramp[first:last]]
-        a, b = (steady if len(steady) > 1 else cells)[[0, -1]]
-        span = observations.at.time_s[b] - observations.at.time_s[a]
-        if span > 0.0:
-            moved = observations.at.position_mm[b] - observations.at.position_mm[a]
-            speed = np.linalg.norm(observations.at.velocity_mm_s[cells], axis=1)
-            mean = speed[steady - first].mean() if len(steady) > 1 else speed.mean()
-            pace = np.where(observations.is_ramp[cells], speed / mean, 1.0)
-            rates[cells] = pace[:, None] * moved / span
-    return rates
-
-
-def _since_reversal(
-    position: Float64[np.ndarray, "w a"], observations: Observations
-) -> Float64[np.ndarray, "n a"]:
-    step = np.diff(position, axis=0, prepend=position[:1])
-    travelled = np.full_like(position, np.inf)  # when the move to a row begins
-    sign, gone = np.zeros(position.shape[1]), np.full(position.shape[1], np.inf)
-    for row, move in enumerate(step):
-        now = np.sign(move)
-        gone = np.where((now != 0) & (sign != 0) & (now != sign), 0.0, gone)
-        travelled[row] = gone
-        gone = gone + np.abs(move)
-        sign = np.where(now != 0, now, sign)
-    before = position[np.maximum(observations.row - 1, 0)]
-    return travelled[observations.row] + np.abs(observations.at.position_mm - before)
-
-
-def _temperatures(
-    samples: TemperatureSamples | None, time_s: Float64[np.ndarray, " n"]
-) -> tuple[tuple[str, ...], Float64[np.ndarray, "n s"] | None]:
-    if samples is None or not len(samples.time_s):
-        return (), None
-    celsius = np.zeros((len(time_s), len(samples.names)))
-    for k in range(len(samples.names)):
-        celsius[:, k] = np.interp(time_s, samples.time_s, samples.celsius[:, k])
-    return samples.names, celsius

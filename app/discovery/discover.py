@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.alignment.align import align
-from app.alignment.observations import Observations, add_surroundings
+from app.alignment.observations import Observations
 from app.alignment.reduction import CELL_MM
+from app.alignment.surroundings import add_surroundings
 from app.discovery.findings import (
     Finding,
     Gap,

@@ -21,8 +21,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.alignment.cell_blocks import CellBlock
-from app.alignment.observations import Observations, add_surroundings
+from app.alignment.observations import Observations
 from app.alignment.streaming import StreamingAlignment
+from app.alignment.surroundings import add_surroundings
 from app.errors import Unidentifiable
 from app.estimation.confounded_prior import WholePrior
 from app.estimation.design_matrix import Linearisation

@@ -34,7 +34,8 @@ from app.files.file_model import (
 )
 from app.files.whole_files import read_whole
 from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.motion.workspace import Box, Reflector, StationAreas, Workspace
+from app.motion.line_of_sight import Box, Reflector
+from app.motion.workspace import StationAreas, Workspace
 
 _NEAREST_MM = 200.0  # of a place that is chosen, where nothing is stated
 Size = Annotated[float, Field(ge=0.0)]

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations, add_surroundings
+from app.alignment.observations import Observations
+from app.alignment.surroundings import add_surroundings
 from app.estimation.prior import diagonal_precision
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.machine import Machine, remove_rotary_axes

@@ -15,8 +15,9 @@ from jaxtyping import Float64
 
 from app.alignment.cell_blocks import STANDSTILL_SETTLE_S
 from app.alignment.cell_observations import approach_signs
-from app.alignment.observations import Observations, add_surroundings
+from app.alignment.observations import Observations
 from app.alignment.segmentation import RAMP_SETTLE_S
+from app.alignment.surroundings import add_surroundings
 from app.errors import PlanningError
 from app.estimation.noise import NoiseModel
 from app.kinematics.conditions import Conditions, make_standstill, observe_targets

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.errors import PlanningError
-from app.motion.workspace import Box, StationAreas
+from app.motion.line_of_sight import Box
+from app.motion.workspace import StationAreas
 from app.planning.station_information import (
     StationInformation,
     StationJudge,

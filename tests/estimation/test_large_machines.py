@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.observations import add_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.errors import Unidentifiable
 from app.estimation.baseline import fit_baseline
 from app.estimation.disturbances import estimate_checked

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.files.machine_file import machine_from_json
-from app.motion.workspace import Box, Reflector, StationAreas, Workspace
+from app.motion.line_of_sight import Box, Reflector
+from app.motion.workspace import StationAreas, Workspace
 from simulators.scenario import load_machine
 
 TRACKER = (250.0, -1200.0, 0.0)

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.errors import PlanningError
-from app.motion.workspace import Box, Workspace
+from app.motion.line_of_sight import Box
+from app.motion.workspace import Workspace
 from tests.planning.limit_checker import Limits, violations
 
 LOW, HIGH = np.array([0.0, 0.0, -300.0]), np.array([500.0, 400.0, 0.0])

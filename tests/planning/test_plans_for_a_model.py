@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.observations import add_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.errors import BundleError
 from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_from_json

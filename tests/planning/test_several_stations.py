@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from app.errors import PlanningError
-from app.motion.workspace import Box, StationAreas, Workspace
+from app.motion.line_of_sight import Box
+from app.motion.workspace import StationAreas, Workspace
 from app.planning.forecast import forecast
 from app.planning.known_points import choose_known_points
 from app.planning.plan_making import make_plan

@@ -7,7 +7,8 @@ import pytest
 
 from app.errors import PlanningError
 from app.kinematics.effects.tracker_error import TrackerSpecification
-from app.motion.workspace import Box, Reflector, StationAreas, Workspace
+from app.motion.line_of_sight import Box, Reflector
+from app.motion.workspace import StationAreas, Workspace
 from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.alignment.align import align
-from app.alignment.observations import add_surroundings
+from app.alignment.surroundings import add_surroundings
 from app.discovery.discover import discover
 from app.errors import BundleError
 from app.estimation.monte_carlo import draw_outputs, prepare_trials
