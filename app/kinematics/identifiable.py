@@ -11,8 +11,7 @@ A motion is confounded if at every position of its axis its arm is a combination
 arms of motions that are kept. Most such motions the others absorb, and estimates are
 made without them first. A turn of a rotary axis about the line of two targets is told
 in some directions and not in others: no single turn absorbs it. Squarenesses and
-locations of rotary axes enter one by one where they add a shape that pose, motions and
-seats of the targets do not make yet.
+locations of rotary axes enter where they add to that (`single_numbers`).
 """
 
 from __future__ import annotations
@@ -23,19 +22,13 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.linalg import block_diag
 
 from app.kinematics.conditions import Conditions, observe_targets
-from app.kinematics.effects.base import Effect, Role
+from app.kinematics.effects.base import Effect
 from app.kinematics.effects.error_motion import find_arm, make_error_motion
-from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
-from app.kinematics.effects.nuisance import (
-    TargetSeat,
-    TrackerPose,
-    list_target_seats,
-)
 from app.kinematics.machine import SAME_TARGET_MM, Axis, Machine, RotaryAxis, Target
 from app.kinematics.model import MachineModel
+from app.kinematics.single_numbers import list_numbers, select_numbers
 from app.kinematics.symbols import describe_symbol, is_turn, list_error_motions
 
 # Of an error motion. How much it bends is for the prior to say: closer knots only cost
@@ -48,7 +41,6 @@ _PLACES, _AROUND = 5, 40  # positions of an axis, configurations of the others a
 _PROBE = 700  # configurations that stand for the whole volume
 _INTERVALS = 8  # shapes of motions against which single numbers are held
 _SAME_ARM = 1e-6
-_NEW_SHAPE = 0.02  # splines make a sine to a hundredth
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +126,7 @@ def _list_confounded(
     runs = tuple(_targets_at(machine, offsets) for offsets in offsets_mm)
     _, _, confounded = _find_identifiable(machine, runs)
     axes = {s: axis for axis in machine.axes for s in list_error_motions(axis.name)}
-    singles: list[Effect] = [*list_squarenesses(machine.axis_names)]
-    for axis in machine.rotary_axes:
-        singles += list_axis_locations(axis)
-    known = {effect.name: effect for effect in singles}
+    known = {effect.name: effect for effect in list_numbers(machine)}
     return tuple(
         known.get(one.symbol) or _make_confounded(one.symbol, axes[one.symbol])
         for one in confounded
@@ -193,11 +182,23 @@ def _find_identifiable(
             kept.append(symbol)
         else:
             confounded.append(found)
-    others, left_out = _single_numbers(machine, runs, kept)
+    others, untold = select_numbers(runs, *_probe_volume(machine, runs, kept))
     partly = {one.symbol[2] for one in confounded if one.varies}
-    left_out = [replace(one, varies=one.symbol[2] in partly) for one in left_out]
+    left_out = [Confounded(s, mates, s[2] in partly) for s, mates in untold.items()]
     motions = tuple(s for s in symbols if s in kept)
     return motions, tuple(others), (*confounded, *left_out)
+
+
+def _probe_volume(
+    machine: Machine, runs: Sequence[Sequence[Target]], kept: Sequence[str]
+) -> tuple[list[Conditions], list[Effect]]:
+    """Return probes of the volume by the targets of each Run, and error motions."""
+    each_run = [
+        replace(_probe(machine, targets, _PROBE, run), run=run)
+        for run, targets in enumerate(runs)
+    ]
+    axes = {axis.name: axis for axis in machine.axes}
+    return each_run, [make_error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
 
 
 def _probe_arms(
@@ -249,100 +250,3 @@ def _probe(
         column = machine.axis_names.index(fixed)
         position[:, column] = position[0, column]
     return observe_targets(machine, position, targets)
-
-
-def _single_numbers(
-    machine: Machine, runs: Sequence[Sequence[Target]], kept: list[str]
-) -> tuple[list[Effect], list[Confounded]]:
-    each_run = [
-        replace(_probe(machine, targets, _PROBE, run), run=run)
-        for run, targets in enumerate(runs)
-    ]
-    axes = {axis.name: axis for axis in machine.axes}
-    known: list[Effect] = [make_error_motion(s, axes[s[2]], _INTERVALS) for s in kept]
-    poses, seats = _find_seats(runs, each_run)
-    blocks = [poses, *(_columns(e, each_run) for e in (*known, *seats))]
-    basis, _ = np.linalg.qr(np.hstack(blocks))
-    added: list[Effect] = []
-    confounded: list[Confounded] = []
-    for effect in _list_numbers(machine):
-        own = _columns(effect, each_run)
-        size = float(np.linalg.norm(own))
-        new = _remove(basis, own)
-        if size > 0.0 and np.linalg.norm(new) > _NEW_SHAPE * size:
-            more, _ = np.linalg.qr(new)
-            basis = np.hstack([basis, more])
-            added.append(effect)
-        else:
-            mates = _nearest(own, [*known, *added], each_run) if size > 0.0 else ()
-            confounded.append(Confounded(effect.name, mates))
-    return [*added, *seats], confounded
-
-
-def _list_numbers(machine: Machine) -> list[Effect]:
-    """Return squarenesses and locations."""
-    found: list[Effect] = [*list_squarenesses(machine.axis_names)]
-    for axis in machine.rotary_axes:
-        found += list_axis_locations(axis)
-    return found
-
-
-def _find_seats(
-    runs: Sequence[Sequence[Target]], each_run: Sequence[Conditions]
-) -> tuple[Float64[np.ndarray, "m q"], list[TargetSeat]]:
-    """Return the columns of the poses, and the seats that are no matter of a pose.
-
-    A seat that looks like an error motion stays: its prior says how much it may be.
-    """
-    poses = _pose_columns(each_run)
-    basis, _ = np.linalg.qr(poses)
-    found: list[TargetSeat] = []
-    for seat in list_target_seats(runs):
-        own = _columns(seat, each_run)
-        new = _remove(basis, own)
-        if np.linalg.norm(new) > _NEW_SHAPE * np.linalg.norm(own):
-            more, size, _ = np.linalg.svd(new, full_matrices=False)
-            basis = np.hstack([basis, more[:, size > _NEW_SHAPE * size[0]]])
-            found.append(seat)
-    return poses, found
-
-
-def _remove(
-    basis: Float64[np.ndarray, "m b"], columns: Float64[np.ndarray, "m p"]
-) -> Float64[np.ndarray, "m p"]:
-    """Return what an orthonormal basis does not make of columns."""
-    once = columns - basis @ (basis.T @ columns)
-    return once - basis @ (basis.T @ once)
-
-
-def _pose_columns(each_run: Sequence[Conditions]) -> Float64[np.ndarray, "m q"]:
-    """Return the columns of the tracker's poses, a pose a Run."""
-    poses: list[Float64[np.ndarray, "_ 6"]] = []
-    for at in each_run:
-        x, y, z = (float(v) for v in at.point_mm.mean(axis=0))
-        poses.append(_columns(TrackerPose((x, y, z)), [at]))
-    return np.asarray(block_diag(*poses), np.float64)
-
-
-def _columns(
-    effect: Effect, each_run: Sequence[Conditions]
-) -> Float64[np.ndarray, "m p"]:
-    J = np.concatenate([effect.jacobian(at) for at in each_run])
-    return J.reshape(-1, J.shape[2])
-
-
-def _nearest(
-    own: Float64[np.ndarray, "m 1"], known: list[Effect], each_run: Sequence[Conditions]
-) -> tuple[str, ...]:
-    """Return the effects that make most of a shape."""
-    blocks = [_columns(e, each_run) for e in known]
-    scale = [1.0 / max(float(np.linalg.norm(b)), 1e-12) for b in blocks]
-    stacked = np.hstack([b * s for b, s in zip(blocks, scale, strict=True)])
-    solution, *_ = np.linalg.lstsq(stacked, own, rcond=1e-6)
-    ends = np.cumsum([b.shape[1] for b in blocks])
-    part = [float(np.linalg.norm(p)) for p in np.split(solution, ends[:-1])]
-    return tuple(
-        e.name
-        for e, p in zip(known, part, strict=True)
-        if p > 0.2 * max(part) and e.role is Role.MACHINE
-    )
