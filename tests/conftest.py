@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path as FilePath
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -211,3 +214,19 @@ def trunnion(mill: Machine) -> Machine:
         (Target("T", "tool", (0, 0, -80)), Target("W", "workpiece", (90, 0, 0))),
         TrackerNoise(stands_on="base"),
     )
+
+
+@pytest.fixture(scope="module")
+def import_code(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Callable[[str, str], ModuleType]]:
+    """Import code by a name under which child processes can import it as well."""
+    folder = tmp_path_factory.mktemp("modules")
+    sys.path.insert(0, str(folder))
+
+    def load(name: str, code: str) -> ModuleType:
+        (folder / f"{name}.py").write_text(code)
+        return importlib.import_module(name)
+
+    yield load
+    sys.path.remove(str(folder))

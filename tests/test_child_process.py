@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import json
 import logging
@@ -44,12 +43,8 @@ def sleep(link):
 
 
 @pytest.fixture(scope="module")
-def bodies(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bodies")
-    (folder / "child_bodies.py").write_text(BODIES)
-    sys.path.insert(0, str(folder))
-    yield importlib.import_module("child_bodies")
-    sys.path.remove(str(folder))
+def bodies(import_code):
+    return import_code("child_bodies", BODIES)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 import subprocess
@@ -55,12 +54,8 @@ def sleep(file, *, on_progress):
 
 
 @pytest.fixture(scope="module")
-def tasks(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tasks")
-    (folder / "lane_tasks.py").write_text(TASKS)
-    sys.path.insert(0, str(folder))
-    yield importlib.import_module("lane_tasks")
-    sys.path.remove(str(folder))
+def tasks(import_code):
+    return import_code("lane_tasks", TASKS)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import subprocess
 import sys
@@ -45,12 +44,8 @@ def sleep(file, number):
 
 
 @pytest.fixture(scope="module")
-def tasks(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("blocks")
-    (folder / "block_tasks.py").write_text(TASKS)
-    sys.path.insert(0, str(folder))
-    yield importlib.import_module("block_tasks")
-    sys.path.remove(str(folder))
+def tasks(import_code):
+    return import_code("block_tasks", TASKS)
 
 
 @pytest.fixture

@@ -599,21 +599,18 @@ def test_an_order_out_of_travel_never_leaves_the_parent(connected, order):
         connected.cell.begin(replace(order, commanded=far))
 
 
-def test_an_unknown_driver_is_named():
-    driven = Driven(CellConfig("no-such-tracker", {}, "modbus", {}))
+@pytest.mark.parametrize(
+    ("tracker", "options", "said"),
+    [
+        ("no-such-tracker", {}, "no trackers called 'no-such-tracker'"),
+        ("streaming", {"prot": "x"}, "prot"),
+    ],
+)
+def test_an_unknown_driver_or_option_is_named(tracker, options, said):
+    driven = Driven(CellConfig(tracker, options, "modbus", {}))
     driven.cell.start()
     try:
-        with pytest.raises(TruepathError, match="no trackers called 'no-such-tracker'"):
-            driven.cell.connect()
-    finally:
-        driven.cell.close()
-
-
-def test_wrong_options_of_a_driver_are_named():
-    driven = Driven(CellConfig("streaming", {"prot": "x"}, "modbus", {}))
-    driven.cell.start()
-    try:
-        with pytest.raises(TruepathError, match="prot"):
+        with pytest.raises(TruepathError, match=said):
             driven.cell.connect()
     finally:
         driven.cell.close()

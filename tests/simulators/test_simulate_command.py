@@ -72,33 +72,22 @@ def test_a_line_on_standard_input_is_a_fault(
     simulate: Callable[..., Command],
 ) -> None:
     process, where = simulate("--tracker", "tcp")
-    assert process.stdin is not None
     with StreamingTracker(**where["tracker"]) as tracker:
         tracker.start(500.0)
-        process.stdin.write("tracker:beam-break\n")
-        process.stdin.flush()
-        deadline_s = time.monotonic() + 5.0
-        while not tracker.read(0.1).status.any():
-            assert time.monotonic() < deadline_s
+        order(process, "tracker:beam-break")
+        wait_until(lambda: bool(tracker.read(0.1).status.any()))
 
 
 def test_a_line_on_standard_input_moves_the_tracker(
     simulate: Callable[..., Command],
 ) -> None:
     process, where = simulate("--tracker", "tcp")
-    assert process.stdin is not None
     with StreamingTracker(**where["tracker"]) as tracker:
         tracker.start(500.0)
-        before_mm = np.linalg.norm(tracker.read(2.0).position_mm[0])
-        process.stdin.write("move here\nmove 3000,200,0\n")
-        process.stdin.flush()
-        deadline_s = time.monotonic() + 5.0
-        while True:
-            now_mm = np.linalg.norm(tracker.read(0.5).position_mm[-1])
-            if abs(now_mm - before_mm) > 500.0:
-                break
-            assert time.monotonic() < deadline_s
-    assert now_mm == pytest.approx(3000.0, abs=400.0)
+        before_mm = measure_range_mm(tracker)
+        order(process, "move here", "move 3000,200,0")
+        wait_until(lambda: abs(measure_range_mm(tracker) - before_mm) > 500.0)
+        assert measure_range_mm(tracker) == pytest.approx(3000.0, abs=400.0)
 
 
 def test_killed_it_takes_its_simulators_along(
@@ -107,9 +96,26 @@ def test_killed_it_takes_its_simulators_along(
     process, where = simulate()
     os.kill(process.pid, signal.SIGKILL)
     process.wait(10)
+    wait_until(lambda: not any(runs(pid) for pid in where["pids"].values()))
+
+
+def order(process: subprocess.Popen[str], *lines: str) -> None:
+    """Write lines to a command's standard input."""
+    assert process.stdin is not None
+    process.stdin.writelines(f"{line}\n" for line in lines)
+    process.stdin.flush()
+
+
+def wait_until(is_met: Callable[[], bool]) -> None:
+    """Wait for a condition, five seconds at most."""
     deadline_s = time.monotonic() + 5.0
-    while any(runs(pid) for pid in where["pids"].values()):
+    while not is_met():
         assert time.monotonic() < deadline_s
+
+
+def measure_range_mm(tracker: StreamingTracker) -> float:
+    """Return the distance of the last sample that has come."""
+    return float(np.linalg.norm(tracker.read(2.0).position_mm[-1]))
 
 
 def runs(pid: int) -> bool:
