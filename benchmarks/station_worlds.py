@@ -19,10 +19,10 @@ from target_seats import draw_machine, remove_rigid_motion
 from app.alignment.align import align_all
 from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import build_run_models
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.tracker_error import TrackerSpecification
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.machine import Machine
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.line_of_sight import Box

@@ -22,10 +22,10 @@ from app.estimation.batch import Estimate, estimate
 from app.estimation.design_matrix import linearise
 from app.estimation.information import compute_posterior
 from app.estimation.normal_equations import compute_information
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import build_run_models
 from app.kinematics.conditions import make_standstill
 from app.kinematics.effects.error_motion import ErrorMotion
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.results.error_tables import build_error_tables
 from simulators import synthetic

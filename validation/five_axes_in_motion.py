@@ -30,8 +30,8 @@ from target_seats import (
 from app.discovery.discover import discover
 from app.estimation.live import LiveEstimator
 from app.files.machine_file import machine_from_json
-from app.files.model_file import EstimatedModel
 from app.kinematics.conditions import make_standstill
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.configurations import split_by_target
 from app.motion.motion_times import travel_time_s

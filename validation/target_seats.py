@@ -19,9 +19,9 @@ from recordings import run_of
 from app.alignment.align import align
 from app.estimation.batch import estimate
 from app.files.machine_file import machine_from_json
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import build_run_models
 from app.kinematics.conditions import make_standstill
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.numerics.rigid import cross_matrix
 from app.planning.default_path import default_path

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from app.alignment.cell_gate import leave_out_cells
 from app.alignment.left_out import LeftOut, describe_samples
@@ -86,14 +86,9 @@ def _reduce_ramp(
     """
     share, aside = curve.nearest(stream.points_mm(part.start, part.stop))
     on, rotation = aside < stream.reach_mm, stream.pose.rotation
-    left_out = describe_samples(
-        "off-line", each.row, stream.time_s[part][~on], aside[~on]
-    )
-    time, share, tracker_mm = (
-        stream.time_s[part][on],
-        share[on],
-        stream.tracker_mm[part][on],
-    )
+    time, share, tracker_mm = stream.time_s[part], share[on], stream.tracker_mm[part]
+    left_out = describe_samples("off-line", each.row, time[~on], aside[~on])
+    time, tracker_mm = time[on], tracker_mm[on]
 
     def way(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         return curve.point_mm(np.interp(time_s, time, share)) @ rotation.T
@@ -255,12 +250,9 @@ def reduce_standstills(
         row = int(nominal.first[place])
         if last - first < _FEWEST_SAMPLES or row != nominal.last[place]:
             continue
-        time = stream.time_s[first:last]
         left_mm = stream.tracker_mm[[first, last - 1]] - stops.position_mm[stop]
         wait_s = _TO_REST * np.linalg.norm(left_mm, axis=1) / slow_mm_s
-        begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
-        settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
-        inside = first + np.flatnonzero(settled)
+        inside = _find_settled(stream, first, last, wait_s)
         if len(inside) < _FEWEST_SAMPLES or _creeps(stream.tracker_mm[inside]):
             continue
         span = float(stream.time_s[inside[-1]] - stream.time_s[inside[0]])
@@ -272,7 +264,7 @@ def reduce_standstills(
             count_cells(span),
         )
         left_out = _describe_outliers(cells, stream.time_s[inside], row)
-        expected = np.zeros((len(cells.time_s), 3))
+        expected = _at_rest(cells.time_s)
         cells, off = leave_out_cells(cells, expected, run.machine.tracker, row)
         n = len(cells.time_s)
         position = np.tile(run.commanded.position[row], (n, 1))
@@ -280,6 +272,19 @@ def reduce_standstills(
         said = (*left_out, *off)
         found.append(CellBlock(cells, row, -1, still, position, np.zeros(n), 0.0, said))
     return found
+
+
+def _find_settled(
+    stream: Stream, first: int, last: int, wait_s: Float64[np.ndarray, "2"]
+) -> Int64[np.ndarray, " m"]:
+    """Return the samples of a standstill without those at both ends.
+
+    wait_s : to leave out at its begin and at its end, at the least
+    """
+    time = stream.time_s[first:last]
+    begin_s, end_s = np.maximum(wait_s, STANDSTILL_SETTLE_S)
+    settled = (time > time[0] + begin_s) & (time < time[-1] - end_s)
+    return first + np.flatnonzero(settled)
 
 
 def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:

@@ -28,13 +28,13 @@ from app.estimation.baseline import (
     refit_noise,
 )
 from app.estimation.term_equations import build_lines
-from app.files.model_file import EstimatedModel
 from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.candidate_term import propose_terms
 from app.kinematics.effects.catalogue import list_families
+from app.kinematics.estimated_model import EstimatedModel
 from app.progress import ShareProgress, ignore_progress
 
 FINE_CELL_MM = 3.0  # a wave of 6 mm keeps two thirds of its height

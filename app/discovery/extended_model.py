@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from app.discovery.discover import Discovery, Finding
-from app.files.model_file import EstimatedModel
 from app.kinematics.effects.base import Effect
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import MachineModel, restore_effect
 
 

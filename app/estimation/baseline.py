@@ -29,10 +29,10 @@ from app.estimation.knots import can_refine, find_intervals, refine_motions
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import LONGEST_NOISE_S, NestedModels, add_effects
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.nuisance import TrackerPose
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import MachineModel
 from app.numerics.rigid import RigidTransform
 

@@ -30,8 +30,8 @@ from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.ramp_noise import widen_ramps
 from app.estimation.run_estimate import RunEstimate, compute_residuals, estimate_run
 from app.estimation.runs import RunInformation, RunInput
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import NestedModels, RunModels
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import MachineModel
 from app.progress import ShareProgress, ignore_progress
 
@@ -125,24 +125,36 @@ def estimate(
         raise Unidentifiable(undetermined) from error
     fit = include_confounded(fit, models.nested.confounded)
     on_progress(0.9)
+    shapes = assess_observability(models.shapes, inputs)
+    found = _state(fit, observed, shapes, known, perpendicular_only)
+    on_progress(1.0)
+    return found if keep_fit else replace(found, fit=None)
+
+
+def _state(
+    fit: Fit,
+    observed: Sequence[Observations],
+    observability: Observability,
+    known: KnownEffects,
+    perpendicular_only: bool,
+) -> Estimate:
+    """Return what a fit says, the uncertainty as wide as its prior is uncertain."""
     result = widen_by_unknown_precision(fit.prior, fit.result)
     result = add_hidden_variance(result, fit.model, fit.prior.precision)
-    found = Estimate(
+    return Estimate(
         fit.model,
         result.theta,
         result.covariance,
         fit.prior.precision,
-        assess_observability(models.shapes, inputs),
+        observability,
         fit.direction,
         perpendicular_only,
         tuple(estimate_run(run, result) for run in fit.runs),
         find_measured_ranges(*observed),
         known,
         known.compute_chances(fit.model, fit.result),
-        fit if keep_fit else None,
+        fit,
     )
-    on_progress(1.0)
-    return found
 
 
 def _guess_inputs(

@@ -42,7 +42,6 @@ from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.normal_equations import RecursiveEstimator
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInput
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import (
     add_bends,
     add_half_widths,
@@ -50,6 +49,7 @@ from app.kinematics.coarse_model import (
 )
 from app.kinematics.effects.base import Effect, Parameter, Role
 from app.kinematics.effects.nuisance import TrackerPose
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.identifiable import (
     build_identifiable_model,
     list_partly_told_effects,

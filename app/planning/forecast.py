@@ -24,8 +24,8 @@ from app.estimation.normal_equations import RecursiveEstimator
 from app.estimation.observability import assess_observability, usual_precision_matrix
 from app.estimation.prior import diagonal_precision, guess_prior
 from app.estimation.runs import RunInput, collect_information, combine_runs
-from app.files.model_file import EstimatedModel
 from app.kinematics.coarse_model import add_bends
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.identifiable import (
     build_identifiable_model,
     list_confounded_effects,

@@ -14,15 +14,16 @@ from importlib.metadata import version
 from app.alignment.align import align_all
 from app.errors import BundleError
 from app.estimation.contributions import find_contributions
-from app.estimation.disturbances import estimate_checked
+from app.estimation.disturbances import CheckedEstimate, estimate_checked
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
 from app.estimation.ripple import add_ripple
 from app.files.one_machine import one_machine
 from app.files.run import Run, RunSummary, number_names, summarize_run
 from app.kinematics.coarse_model import build_run_models
+from app.kinematics.machine import Machine
 from app.numerics.adaptive_trials import Mapper, TrialPlan
-from app.planning.grade import SetUp, grade_together
+from app.planning.grade import Grade, SetUp, grade_together
 from app.progress import Progress, ignore_progress, scale_progress
 from app.results.findings import Findings, Provenance, state_checked_findings
 from app.results.trial_results import run_trials
@@ -62,38 +63,42 @@ def analyse(
     observed = align_all(runs, names)
     estimating = scale_progress(on_progress, aligned, solved, "estimating")
     estimating(0.0)
-    models = build_run_models(
-        machine, [each.at.offset_mm for each in observed], known.effects
-    )
     checked = estimate_checked(
-        models,
+        build_run_models(
+            machine, [each.at.offset_mm for each in observed], known.effects
+        ),
         observed,
         known=known,
         perpendicular_only=perpendicular_only,
         on_progress=estimating,
     )
     estimated = add_ripple(checked.estimate, [runs[number] for number in checked.given])
-    set_ups = [
-        SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
-        for run, found in zip(runs, checked.first_parts, strict=True)
-    ]
-    grade = grade_together(machine, set_ups, perpendicular_only=perpendicular_only)
+    grade = _grade_set_ups(machine, runs, checked, perpendicular_only)
     trials = None
     if monte_carlo is not None:
         validating = scale_progress(on_progress, solved, tried, "validating")
         validating(0.0)
         trials = run_trials(estimated, monte_carlo, mapper, validating)
     on_progress(tried, "reporting")
-    provenance = Provenance(
-        summaries,
-        version("truepath"),
-        datetime.now(UTC),
-        model,
-    )
+    provenance = Provenance(summaries, version("truepath"), datetime.now(UTC), model)
     brought = find_contributions(estimated, checked.given)
     checked = replace(checked, estimate=replace(estimated, fit=None))
     found = state_checked_findings(checked, provenance, trials, grade)
     return replace(found, contributions=brought)
+
+
+def _grade_set_ups(
+    machine: Machine,
+    runs: Sequence[Run],
+    checked: CheckedEstimate,
+    perpendicular_only: bool,
+) -> Grade:
+    """Return what the set-ups of all Runs can tell, the tracker where it was found."""
+    set_ups = [
+        SetUp(run.machine, run.commanded, found.pose.invert().translation_mm)
+        for run, found in zip(runs, checked.first_parts, strict=True)
+    ]
+    return grade_together(machine, set_ups, perpendicular_only=perpendicular_only)
 
 
 def _summarize(runs: Sequence[Run]) -> tuple[RunSummary, ...]:

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from app.estimation.extrapolation import Ranges
-from app.files.model_file import EstimatedModel
 from app.files.units import scale_of
 from app.kinematics.effects.base import ErrorCurve
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.machine import Axis, RotaryAxis, Target, position_unit
 from app.kinematics.symbols import SQUARENESS, find_unit
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.files.model_file import EstimatedModel
 from app.files.units import unit_of
 from app.kinematics.effects.base import Effect, ErrorCurve
+from app.kinematics.estimated_model import EstimatedModel
 from app.results.error_tables import build_error_table, choose_table_positions
 from app.results.number_format import SIGN, format_expanded, format_number
 

@@ -25,12 +25,13 @@ from app.estimation.extrapolation import find_measured_ranges
 from app.estimation.observability import assess_observability
 from app.estimation.prior_model import PriorModel
 from app.files.machine_file import machine_to_json
-from app.files.model_file import EstimatedModel, model_to_json
+from app.files.model_file import model_to_json
 from app.files.result_file import MODEL_SCHEMA
 from app.files.run import Run, digest_run
 from app.files.units import unit_of
 from app.files.verdict import Verdict, verdict_json
 from app.kinematics.effects.nuisance import list_target_seats
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.volumetric_map import build_shape_model
 from app.results.discovery_json import effect_json
 from app.results.error_table_files import observability_json, tables_json

@@ -14,8 +14,8 @@ import numpy as np
 
 from app.estimation.known_effects import KnownEffects
 from app.estimation.prior_model import PriorModel
-from app.files.model_file import EstimatedModel
 from app.kinematics.effects.catalogue import Quantity
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import CatalogueEffect
 from app.planning.forecast import Forecast
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from app.files.model_file import EstimatedModel
 from app.files.units import UM_PER_MM
 from app.kinematics.conditions import make_standstill
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.machine import LinearAxis, Machine
 from app.kinematics.volumetric_map import build_volumetric_map
 

@@ -8,12 +8,12 @@ import pytest
 from app.compensation.error_map import map_errors
 from app.compensation.export import export_result
 from app.files.machine_file import machine_from_json
-from app.files.model_file import EstimatedModel
 from app.files.result_file import CalibrationResult
 from app.kinematics.effects.backlash import BacklashFamily
 from app.kinematics.effects.elastic_sag import ElasticSagFamily
 from app.kinematics.effects.position_wave import ScrewCyclicFamily
 from app.kinematics.effects.servo_mismatch import ServoMismatchFamily
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import MachineModel, restore_effect
 from app.results.error_tables import compute_half_differences
 from simulators.scenario import load_machine

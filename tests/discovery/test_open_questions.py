@@ -20,8 +20,8 @@ from app.discovery.extended_model import ExtendedModel, baseline_model
 from app.discovery.open_questions import design_discrimination
 from app.errors import BundleError
 from app.files.commanded_file import decode_commanded, encode_commanded
-from app.files.model_file import EstimatedModel
 from app.files.run import Run
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import MachineModel
 from app.motion.travel import check_travel
 from app.planning.discrimination import DiscriminationDesign

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.files.model_file import EstimatedModel
 from app.kinematics.effects.nuisance import TrackerPose
+from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.symbols import is_straightness, is_turn
 from app.results.error_tables import build_error_tables, choose_table_positions
 

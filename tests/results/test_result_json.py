@@ -10,11 +10,12 @@ import pytest
 from app.errors import BundleError
 from app.files.covariance_file import pack_symmetric
 from app.files.machine_file import machine_from_json
-from app.files.model_file import EstimatedModel, model_to_json
+from app.files.model_file import model_to_json
 from app.files.result_file import result_from_json
 from app.files.verdict import Reason, Verdict
 from app.kinematics.effects.base import Role
 from app.kinematics.effects.nuisance import TrackerPose
+from app.kinematics.estimated_model import EstimatedModel
 from app.results.error_tables import build_error_tables
 from app.results.findings import state_findings
 from app.results.prediction import predict
