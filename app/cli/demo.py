@@ -18,7 +18,7 @@ import numpy as np
 
 from app.cli.summary import print_result, summarise_result, warn_of_verdict
 from app.cli.terminal import NotedProgress, print_json, say, show_progress
-from app.compensation.export import remove_rigid_motion
+from app.compensation.remaining_error import remove_rigid_motion
 from app.errors import BadInput, MeasurementFailed, PlanningError
 from app.files.bundle import write_bundle
 from app.files.commanded_file import decode_commanded_json

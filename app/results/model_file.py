@@ -80,10 +80,6 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
     baseline = found.baseline
     offsets_mm = [run.observations.at.offset_mm for run in baseline.runs]
     shapes = build_shape_model(baseline.model.machine, *offsets_mm)
-    runs = [
-        {"name": one.run.name, "input_sha256": digest_run(one.run)}
-        for one in found.aligned
-    ]
     return NextModel(
         grown,
         verdict,
@@ -106,17 +102,26 @@ def build_next_model(found: Discovery, parent: PriorModel | None) -> NextModel:
             "observability": observability_json(
                 assess_observability(shapes, baseline.runs)
             ),
-            "provenance": {
-                "software": "truepath",
-                "software_version": version("truepath"),
-                "created": datetime.now(UTC).isoformat(timespec="seconds"),
-                "run": found.run_names,
-                "input_sha256": runs[0]["input_sha256"],
-                "runs": [*(parent.runs if parent else ()), *runs],
-            },
+            "provenance": _describe_origin(found, parent),
             "model": model_to_json(grown),
         },
     )
+
+
+def _describe_origin(found: Discovery, parent: PriorModel | None) -> dict[str, Any]:
+    """Return by what, when, and from which Runs the model was made."""
+    runs = [
+        {"name": one.run.name, "input_sha256": digest_run(one.run)}
+        for one in found.aligned
+    ]
+    return {
+        "software": "truepath",
+        "software_version": version("truepath"),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "run": found.run_names,
+        "input_sha256": runs[0]["input_sha256"],
+        "runs": [*(parent.runs if parent else ()), *runs],
+    }
 
 
 def _describe_parent(
