@@ -33,6 +33,7 @@ from app.estimation.runs import RunInformation, RunInput
 from app.kinematics.coarse_model import NestedModels, RunModels
 from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.model import MachineModel
+from app.kinematics.volumetric_map import ShapeModel
 from app.progress import ShareProgress, ignore_progress
 
 _RAMP_ROUNDS = 2
@@ -125,8 +126,7 @@ def estimate(
         raise Unidentifiable(undetermined) from error
     fit = include_confounded(fit, models.nested.confounded)
     on_progress(0.9)
-    shapes = assess_observability(models.shapes, inputs)
-    found = _state(fit, observed, shapes, known, perpendicular_only)
+    found = _state(fit, observed, models.shapes, inputs, known, perpendicular_only)
     on_progress(1.0)
     return found if keep_fit else replace(found, fit=None)
 
@@ -134,11 +134,15 @@ def estimate(
 def _state(
     fit: Fit,
     observed: Sequence[Observations],
-    observability: Observability,
+    shapes: ShapeModel,
+    inputs: Sequence[RunInput],
     known: KnownEffects,
     perpendicular_only: bool,
 ) -> Estimate:
-    """Return what a fit says, the uncertainty as wide as its prior is uncertain."""
+    """Return what a fit says, the uncertainty as wide as its prior is uncertain.
+
+    shapes : for what the inputs determine
+    """
     result = widen_by_unknown_precision(fit.prior, fit.result)
     result = add_hidden_variance(result, fit.model, fit.prior.precision)
     return Estimate(
@@ -146,7 +150,7 @@ def _state(
         result.theta,
         result.covariance,
         fit.prior.precision,
-        observability,
+        assess_observability(shapes, inputs),
         fit.direction,
         perpendicular_only,
         tuple(estimate_run(run, result) for run in fit.runs),
