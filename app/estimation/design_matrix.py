@@ -124,20 +124,31 @@ class Linearisation:
         """Whether timing is a parameter: not where only deviations across count."""
         return bool(np.isfinite(self.noise.along_sigma_mm))
 
-    def build(self, observations: Observations, *, merge: int = 1) -> DesignMatrix:
+    def build(
+        self,
+        observations: Observations,
+        *,
+        merge: int = 1,
+        solved: Float64[np.ndarray, " p"] | None = None,
+    ) -> DesignMatrix:
         """Return the rows of cells that make up whole lines or standstills.
 
         merge : so many neighbouring cells of a line become one
+        solved : all parameters, where these are known: no columns of them, and the
+            residual is what they leave
         """
-        p, at = self.size, observations.at
+        p, at = self.size if solved is None else 0, observations.at
         lines = np.unique(at.line[at.line >= 0]) if self.has_timing else ()
         timing = TimingLaw(tuple(int(line) for line in lines))
         local = np.empty((len(observations), 3, p + 1 + len(timing.parameters)))
-        for effect in self.model.effects:
-            local[:, :, self.model.slices[effect.name]] = effect.jacobian(at)
         local[:, :, p] = self.pose.invert().apply(observations.tracker_mm) - at.point_mm
+        if solved is None:
+            for effect in self.model.effects:
+                local[:, :, self.model.slices[effect.name]] = effect.jacobian(at)
+        else:
+            local[:, :, p] -= self.model.displacement_mm(at, solved)
         if self.theta is not None:
-            local[:, :, p] -= local[:, :, : len(self.theta)] @ self.theta
+            local[:, :, p] -= self.machine_model.displacement_mm(at, self.theta)
         if timing.lines:
             local[:, :, p + 1 :] = timing.jacobian(at)
             local[observations.is_ramp, :, p + 1 :] = 0.0  # they are not timed
@@ -146,12 +157,20 @@ class Linearisation:
         frame = observations.beam_frame @ self.pose.rotation
         return DesignMatrix(observations, frame, frame @ local, p, timing.lines)
 
-    def split(self, observations: Observations) -> Iterator[DesignMatrix]:
-        """Yield the rows of all cells in their order, some whole lines at a time."""
+    def split(
+        self,
+        observations: Observations,
+        solved: Float64[np.ndarray, " p"] | None = None,
+    ) -> Iterator[DesignMatrix]:
+        """Yield the rows of all cells in their order, some whole lines at a time.
+
+        solved : all parameters, where these are known: as in `build`
+        """
         first = 0
         for _, last in observations.lines:
             if last - first >= _CELLS or last == len(observations):
-                yield self.build(observations.select(np.arange(first, last)))
+                cells = observations.select(np.arange(first, last))
+                yield self.build(cells, solved=solved)
                 first = last
 
     def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:

@@ -35,9 +35,7 @@ def linearise_about(
     theta = machine.theta
     pose = run.linearisation.correct_pose(run.own.restore(machine)[0])
     added_mm = compute_second_order_mm(model, seen.at, theta)
-    moved_mm = added_mm.copy()
-    for effect in model.effects:
-        moved_mm += effect.displacement_mm(seen.at, theta[model.slices[effect.name]])
+    moved_mm = added_mm + model.displacement_mm(seen.at, theta)
     rest_mm = pose.invert().apply(seen.tracker_mm) - seen.at.point_mm - moved_mm
     position = seen.at.position_mm + _find_lead(seen, rest_mm)
     return replace(

@@ -117,8 +117,8 @@ def compute_residuals(
 ) -> Residuals:
     """Return what errors of the machine and pose leave of the cells."""
     parts = [
-        (_fit_lines(design, theta, run.noise), design.travel)
-        for design in run.linearisation.split(run.observations)
+        (_fit_lines(design, run.noise), design.travel)
+        for design in run.linearisation.split(run.observations, theta)
     ]
     residual, travel = (np.concatenate(each) for each in zip(*parts, strict=True))
     across = residual - np.einsum("ni,ni->n", residual, travel)[:, None] * travel
@@ -134,10 +134,8 @@ def compute_residuals(
     )
 
 
-def _fit_lines(
-    design: DesignMatrix, theta: Float64[np.ndarray, " p"], noise: NoiseModel
-) -> Float64[np.ndarray, "n 3"]:
+def _fit_lines(design: DesignMatrix, noise: NoiseModel) -> Float64[np.ndarray, "n 3"]:
     """Return the residual, the timing of each line at its best."""
-    rest = (design.residual - design.columns @ theta)[:, :, None]
+    rest = design.residual[:, :, None]
     timing, _ = design.fit_timing(design.whiten(noise), rest)
     return (rest - design.timing @ timing)[:, :, 0]

@@ -158,6 +158,15 @@ class MachineModel:
             columns[:, :, self.slices[effect.name]] = effect.jacobian(at)
         return columns
 
+    def displacement_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return how far all effects together move the measured point."""
+        moved = np.zeros((len(at), 3))
+        for effect in self.effects:
+            moved += effect.displacement_mm(at, theta[self.slices[effect.name]])
+        return moved
+
     def with_effects(self, *more: Effect) -> MachineModel:
         """Return this model with further effects at the end."""
         return replace(self, effects=(*self.effects, *more))

@@ -55,6 +55,13 @@ class ErrorMotion(ErrorCurve):
         rows = at.spline_rows(self.axis.name, self.spline) @ self.gauge
         return columns_along(find_arm(self.symbol, at), rows)
 
+    def displacement_mm(
+        self, at: Conditions, theta: Float64[np.ndarray, " p"]
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Return the error's arm times its value."""
+        rows = at.spline_rows(self.axis.name, self.spline)
+        return find_arm(self.symbol, at) * (rows @ (self.gauge @ theta))[:, None]
+
     def prior(self) -> QuadraticPrior:
         """Return the bending energy of the beam (brunn-hanebeck-2005, eq. 12–13).
 
