@@ -28,8 +28,8 @@ from scipy.linalg import (
     cholesky_banded,
     solveh_banded,
 )
-from scipy.linalg.lapack import dtbtrs
 
+from app.numerics.forward_solve import ForwardSolve
 from app.numerics.scaled_cholesky import ScaledCholesky
 
 _BAND = 3
@@ -59,8 +59,12 @@ class Whitener:
             return new
         precision = np.swapaxes(self.root, 1, 2) @ self.root
         pulled = (precision @ rows).reshape(new.shape)
-        self._foresight.write_new(rows, _solve_banded(self.factor, pulled), new)
+        self._foresight.write_new(rows, self._forward.solve(pulled), new)
         return new
+
+    @cached_property
+    def _forward(self) -> ForwardSolve:
+        return ForwardSolve.of(self.factor)
 
     @cached_property
     def _foresight(self) -> _Foresight:
@@ -287,7 +291,7 @@ def extend(
         log_ou -= 2.0 * float(np.log(state.sigma).sum())
     band = _interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
-    solved = _solve_banded(factor, pulled)
+    solved = ForwardSolve.of(factor).solve(pulled)
     log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
     last = _last_block(factor)
     newest = OrnsteinUhlenbeckState(
@@ -324,15 +328,6 @@ def _white_root(
             )
             root[known, i, j] = rest[known] / root[known, i, i]
     return root, log_determinant
-
-
-def _solve_banded(
-    factor: Float64[np.ndarray, "b m"], right: Float64[np.ndarray, "m p"]
-) -> Float64[np.ndarray, "m p"]:
-    solved, info = dtbtrs(factor, np.asfortranarray(right), uplo="L")
-    if info:
-        raise np.linalg.LinAlgError(f"banded solve failed ({info})")
-    return solved
 
 
 def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"]:

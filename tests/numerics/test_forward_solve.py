@@ -1,0 +1,19 @@
+"""A banded factor is solved in chunks as the dense one."""
+
+import numpy as np
+import pytest
+
+from app.numerics.forward_solve import ForwardSolve
+
+
+@pytest.mark.parametrize("size", [1, 3, 23, 24, 25, 48, 100])
+@pytest.mark.parametrize("below", [1, 3])
+def test_a_banded_factor_is_solved_as_the_dense_one(rng, size, below):
+    factor = rng.uniform(-1.0, 1.0, (below + 1, size))
+    factor[0] = rng.uniform(3.0, 5.0, size)
+    dense = np.zeros((size, size))
+    for i in range(min(below + 1, size)):
+        dense += np.diag(factor[i, : size - i], -i)
+    right = rng.normal(size=(size, 5))
+    solved = ForwardSolve.of(factor).solve(right)
+    assert np.allclose(dense @ solved, right, rtol=1e-12, atol=1e-12)
