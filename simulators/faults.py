@@ -48,6 +48,7 @@ TRACKER_KINDS = {
     "noise": Kind("bytes of noise before a frame", 400.0, lasts=False),
     "beam-break": Kind("samples are not valid"),
     "spike": Kind("valid samples that are off by so many mm", 0.5, lasts=False),
+    "knock": Kind("its stand is pushed aside by so many mm", 0.02),
     "disconnect": Kind("the link closes and comes back", lasts=False),
     "wrong-identity": Kind("another device answers"),
     "target": Kind("it turns to the machine's target of this number", 1.0),

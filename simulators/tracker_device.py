@@ -60,6 +60,7 @@ PING_PATIENCE_S = 5.0
 STATUS_PERIOD_S = 0.5
 BUFFER_BYTES = 1 << 16
 _LOCKED_SIGNAL = 200
+_PUSH = np.array([0.6, -0.64, 0.48])  # of a knock, where to
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,9 +266,12 @@ class TrackerDevice:
             number = min(max(int(fault.amount), 1), len(reflectors))
             targets[mask] = reflectors[number - 1].name
         motion = self._follow_board(timeline)
-        return locate_target_mm(
+        place_mm = locate_target_mm(
             parts.truth, motion, moments_s, targets.tolist(), parts.hidden
         )
+        for fault, mask in self._faults.struck("knock", moments_s, rows):
+            place_mm[mask] += fault.amount * _PUSH
+        return place_mm
 
     def _follow_board(self, timeline: Timeline) -> Motion:
         """Return the motion so far: play and friction remember it, the board not."""

@@ -87,7 +87,7 @@ def _draw_once(
 ) -> World:
     rng = np.random.default_rng([seed, 11])
     content, air = random_content(seed), random_air(seed)
-    program = _draw_program(content, rng, lines)
+    program = draw_program(content, rng, lines)
     setting = Setting(air=air, sensors=bool(rng.uniform() < 0.5))
     if kind == "rough-stream":
         setting = replace(setting, defects=ROUGH)
@@ -117,7 +117,7 @@ def _choose_names(seed: int, kind: str) -> tuple[str, ...]:
     return ()
 
 
-def _draw_program(
+def draw_program(
     content: dict[str, Any], rng: np.random.Generator, lines: tuple[int, int]
 ) -> Program:
     """Draw the product's path or random chords, at one feed or at several."""

@@ -2,7 +2,8 @@
 
 `job` events have identifiers of the catalogue; a client that comes back with
 Last-Event-ID gets every one it has missed, in order, from the catalogue itself. Other
-events (`progress`, `live`, `estimate`, `tick`) are for now only: the newest count.
+events (`progress`, `live`, `estimate`, `notice`, `tick`) are for now only: the newest
+count.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ TICK_S = 1.0
 WAITING = 50
 """Live events that wait for a slow client; older ones are dropped."""
 
+_LIVE = ("progress", "live", "estimate", "plan", "notice")
+
 router = APIRouter(tags=["events"])
 
 _EXAMPLE = (
@@ -40,7 +43,7 @@ _EXAMPLE = (
 _STREAM: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Events `job` (kept, with id), and for now only: `progress`, "
-        "`live`, `estimate`, `tick`.",
+        "`live`, `estimate`, `plan`, `notice`, `tick`.",
         "content": {"text/event-stream": {"example": _EXAMPLE}},
     },
     **declare_problems(404, 429),
@@ -66,7 +69,7 @@ class Subscription:
         with self._lock:
             if job_event.id is not None:
                 self._news = True
-            elif job_event.type in ("progress", "live", "estimate", "plan"):
+            elif job_event.type in _LIVE:
                 self._waiting.append(job_event)
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._changed.set)

@@ -40,6 +40,7 @@ from app.estimation.live_gate import (
 from app.estimation.noise import NoiseModel
 from app.estimation.noise_fit import guess_noise, refine_runs
 from app.estimation.normal_equations import RecursiveEstimator
+from app.estimation.notices import ChangeWatch, Notice
 from app.estimation.prior import widen_by_unknown_precision
 from app.estimation.runs import RunInput
 from app.kinematics.coarse_model import (
@@ -141,6 +142,7 @@ class LiveEstimator:
         self._seats = self._alignment.seats  # that the sums are about
         self._parts: list[CellBlock] = []
         self._sums: RecursiveEstimator | None = None
+        self._watch = ChangeWatch(has_lines=isinstance(commanded, Path))
         self._earlier = Information.of_matrix(np.zeros((self._model.size,) * 2))
         self._foretold: Posterior | None = None  # of machine and pose, about the sums
         self._rows: frozenset[int] = frozenset()
@@ -199,6 +201,15 @@ class LiveEstimator:
             self._check,
         )
 
+    def list_notices(self) -> tuple[Notice, ...]:
+        """Return what has been noticed to change while it was measured."""
+        if self._sums is None:
+            return ()
+        prior = self._prior.precision_matrix(len(self._weak)) + np.diag(self._weak)
+        known = self._known.add_to(Information.of_matrix(prior), self._model)
+        time_s = float(self._parts[-1].cells.time_s[-1])
+        return self._watch.list_notices(known, time_s)
+
     def _find_rows(self, seen: Observations) -> frozenset[int]:
         """Return the lines, or else points, that were measured.
 
@@ -228,11 +239,12 @@ class LiveEstimator:
         assert self._foretold is not None  # noqa: S101 (the estimate has set it)
         said, used, cells = [*self._check.left_out, *seen.left_out], 0, 0
         for first, last in seen.lines:
-            line = replace(seen.select(np.arange(first, last)), left_out=())
+            whole = line = replace(seen.select(np.arange(first, last)), left_out=())
             if len(self._rows) >= _FORETELL:
                 about = sums.linearisation
                 self._gate, line = self._gate.check(about, self._foretold, line)
             said += line.left_out
+            self._watch.add(line if len(line) else whole)
             if len(line):
                 sums = sums.add(line)
                 self._rows |= self._find_rows(line)
@@ -291,6 +303,8 @@ class LiveEstimator:
             self._next_look = len(self._parts) + max(fresh, _FIRST_LOOK)
         about = Linearisation(self._model, self._tracker, pose, noise)
         self._sums = RecursiveEstimator.start(about).add(parts[-1].seen)
+        held_back = seen.select(np.flatnonzero(np.isin(seen.row, self._gate.held)))
+        self._watch.start_again(about, [*(part.seen for part in parts), held_back])
         self._rows = frozenset[int]().union(*(self._find_rows(p.seen) for p in parts))
         self._foretold = None  # the pose that it was about is another now
         self._check = replace(

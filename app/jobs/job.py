@@ -135,6 +135,35 @@ class EarlyEnd:
 
 
 @dataclass(frozen=True, slots=True)
+class LiveNotice:
+    """What the live estimate has noticed to change during the measurement.
+
+    number : 1, 2, … of the job; kind : of the change, `something-changed` without a
+        name; axis : of which, if of one; grade : `certain`, `likely` or `possible`
+    since_row : first line or point that it shows on; noticed_row : the newest one when
+        it was noticed; noticed_s : then, since the stream began
+    size_um, uncertainty_um : what it moves the measured points by (k = 1)
+    is_over : the newest lines show nothing of it any more
+    """
+
+    number: int
+    kind: str
+    grade: str
+    since_row: int
+    noticed_row: int
+    noticed_s: float
+    size_um: float
+    uncertainty_um: float
+    axis: str = ""
+    is_over: bool = False
+
+    @property
+    def heading(self) -> tuple[str, str, str, bool]:
+        """What it is called: a change of it is told anew."""
+        return self.kind, self.axis, self.grade, self.is_over
+
+
+@dataclass(frozen=True, slots=True)
 class Failure:
     """Why a job did not succeed.
 
@@ -160,6 +189,7 @@ class Job:
     monte_carlo : the trials that an analysis holds its uncertainty against
     verdict : state of its result or discovery, once that stands
     station : of a measurement from several places of the tracker
+    notices : what its live estimate has noticed
     """
 
     kind: JobKind
@@ -180,6 +210,7 @@ class Job:
     early_end: EarlyEnd | None = None
     verdict: VerdictState | None = None
     station: StationProgress | None = None
+    notices: tuple[LiveNotice, ...] = ()
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
     failure: Failure | None = None
@@ -218,7 +249,7 @@ class JobEvent:
     """One event of a job.
 
     type : `job` is stored in the catalogue and has its `id`, so that a client can
-        catch up; `progress`, `live`, `estimate` and `plan` are not
+        catch up; `progress`, `live`, `estimate`, `plan`, `notice` not
     """
 
     type: str
@@ -227,7 +258,7 @@ class JobEvent:
     id: int | None = None
 
 
-_JOB = TypeAdapter(Job)
+_JOB, _NOTICE = TypeAdapter(Job), TypeAdapter(LiveNotice)
 
 
 def encode_job(job: Job) -> dict[str, Any]:
@@ -238,6 +269,11 @@ def encode_job(job: Job) -> dict[str, Any]:
 def decode_job(content: Json) -> Job:
     """Return the record that `encode_job` wrote."""
     return _JOB.validate_python({k: v for k, v in content.items() if v is not None})
+
+
+def decode_notice(content: Json) -> LiveNotice:
+    """Return the notice that the live estimate tells."""
+    return _NOTICE.validate_python(content)
 
 
 def make_id() -> str:

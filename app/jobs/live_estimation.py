@@ -14,7 +14,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -164,6 +164,7 @@ class LiveSteering:
     target_um : volumetric uncertainty (k = 1) at which the rest is left out
     on_part : receives all rows after each part, and the body of the event `plan`
     on_target : receives the estimate that has reached the target
+    on_notices : receives all that has been noticed so far
     """
 
     live: LiveEstimation
@@ -172,6 +173,7 @@ class LiveSteering:
     target_um: float | None
     on_part: Callable[[Commanded, Mapping[str, Any]], None]
     on_target: Show = lambda _: None
+    on_notices: Callable[[Sequence[Mapping[str, Any]]], object] = lambda _: None
     _answer_by: float | None = None
     _parts: int = 1
     _is_concluded: bool = False
@@ -188,7 +190,12 @@ class LiveSteering:
                 pass
 
     def advance(self, *, may_conclude: bool = True) -> None:
-        """Conclude at the target, else pass on the next part. Never waits."""
+        """Tell what is noticed; conclude at the target, else pass on the next part.
+
+        Never waits.
+        """
+        if self.live.newest:
+            self.on_notices(self.live.newest.get("notices", ()))
         if self._is_concluded:
             return
         newest = self.live.newest if may_conclude else None

@@ -107,8 +107,13 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
             is_new = live.finish()
         now = live.estimate() if is_new else None
         if now is not None:
-            elapsed_s = round(now.time_s - (stream.begun_s or 0.0), 4)
-            body = estimate_json(now) | {"total": chooser.total, "elapsed_s": elapsed_s}
+            begun_s = stream.begun_s or 0.0
+            body = {
+                **estimate_json(now),
+                "notices": [notice_json(n, begun_s) for n in live.list_notices()],
+                "total": chooser.total,
+                "elapsed_s": round(now.time_s - begun_s, 4),
+            }
             link.send(Estimated({**body, "is_last": stream.is_over}))
         if stream.is_asked:
             stream.is_asked = False
@@ -196,6 +201,22 @@ def estimate_json(now: Any) -> dict[str, Any]:
         "error_tables": {table.symbol: _table(table) for table in tables.tables},
         "squareness_urad": {s.symbol: _number(s) for s in tables.squareness},
         **({"axis_location": places} if places else {}),
+    }
+
+
+def notice_json(notice: Any, begun_s: float) -> dict[str, Any]:
+    """Return a Notice in the words of a job."""
+    return {
+        "number": notice.number,
+        "kind": notice.kind,
+        "grade": notice.grade,
+        "axis": notice.axis,
+        "since_row": notice.since_row,
+        "noticed_row": notice.noticed_row,
+        "noticed_s": round(notice.noticed_s - begun_s, 2),
+        "size_um": round(_MICRO * notice.size_mm, 2),
+        "uncertainty_um": round(_MICRO * notice.sigma_mm, 2),
+        "is_over": notice.is_over,
     }
 
 

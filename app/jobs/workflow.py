@@ -30,6 +30,7 @@ from app.jobs.executor import Task
 from app.jobs.job import EarlyEnd, Failure, Job, JobKind, Json, Progress, Stage
 from app.jobs.live_estimation import LiveEstimation, LiveSteering
 from app.jobs.live_process import LiveEstimateOrder
+from app.jobs.notices import NoticeBoard
 from app.jobs.plan_orders import order_first_part
 from app.jobs.station_steps import StationSteps, begin_at_station
 from app.jobs.transitions import State, Verb
@@ -154,11 +155,13 @@ class _JobSteps:
         live = self._start_live_estimate(commanded)
         try:
             if live is None:
-                self._drive(commanded, None)
+                self._drive(commanded, None, None)
                 return
             with closing(live):
-                self._drive(commanded, live)
+                board = NoticeBoard(self.active)
+                self._drive(commanded, live, board)
                 live.finish()
+                board.keep((live.newest or {}).get("notices", ()))
         finally:
             record = self.context.runs.add_measured(self.job.id)
             if record is not None:
@@ -168,7 +171,12 @@ class _JobSteps:
     def _is_adaptive(self) -> bool:
         return self.job.kind is JobKind.MEASURE_ADAPTIVE
 
-    def _drive(self, commanded: Commanded, live: LiveEstimation | None) -> None:
+    def _drive(
+        self,
+        commanded: Commanded,
+        live: LiveEstimation | None,
+        board: NoticeBoard | None,
+    ) -> None:
         machine = self.context.require_machine()
         order = MeasurementOrder(
             run_name=f"{machine.name} {self.job.created}",
@@ -183,7 +191,7 @@ class _JobSteps:
             self.active,
             self.context.require_cell(),
             confirm_s=self.context.confirm_s,
-            steering=self._make_steering(commanded, live),
+            steering=self._make_steering(commanded, live, board),
         ).run(order)
 
     def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
@@ -205,9 +213,12 @@ class _JobSteps:
         return live
 
     def _make_steering(
-        self, commanded: Commanded, live: LiveEstimation | None
+        self,
+        commanded: Commanded,
+        live: LiveEstimation | None,
+        board: NoticeBoard | None,
     ) -> LiveSteering | None:
-        if live is not None:
+        if live is not None and board is not None:
             return LiveSteering(
                 live,
                 self.context.require_cell(),
@@ -215,6 +226,7 @@ class _JobSteps:
                 self.job.target_um,
                 self._store_part,
                 self._store_early_end,
+                board.show,
             )
         if self._is_adaptive:
             raise MeasurementFailed("an adaptive measurement needs its live estimate")

@@ -106,6 +106,25 @@ class StationOut(BaseModel):
     checks: list[StationCheckOut]
 
 
+class NoticeOut(BaseModel):
+    """What the live estimate has noticed to change during the measurement."""
+
+    number: int
+    kind: str = Field(
+        examples=["set-up-moved"],
+        description="set-up-moved, set-up-drifts, axes-grow, lost-motion-changed, "
+        "line-off; something-changed where no name holds.",
+    )
+    grade: Literal["certain", "likely", "possible"]
+    axis: str = Field(description="Of a lost motion; empty else.")
+    since_row: int = Field(description="First line or point that it shows on.")
+    noticed_row: int = Field(description="The newest one when it was noticed.")
+    noticed_s: float = Field(description="Then, since the stream began.")
+    size_um: float = Field(description="What it moves the measured points by.")
+    uncertainty_um: float
+    is_over: bool = Field(description="The newest lines show nothing of it any more.")
+
+
 class JobOut(BaseModel):
     """A job. `version` counts its changes of state; send it as If-Match."""
 
@@ -132,6 +151,9 @@ class JobOut(BaseModel):
     station: StationOut | None = Field(
         description="Of a plan of several stations. In the state awaiting-move the "
         "tracker is to be set down at position_mm; then arm the job again."
+    )
+    notices: list[NoticeOut] = Field(
+        description="What its live estimate has noticed, by number."
     )
     created: str = Field(examples=["2026-05-04T09:30:00.000Z"])
     started: str | None

@@ -1,0 +1,241 @@
+"""What has changed during a measurement under way, and since which line.
+
+Each kind of change has a course over the lines: a step from one line on, a growth with
+time, a shift of one line. What a fit would gain by it is a score test (`score`), given
+all that is not known of the machine: where few lines have told of its errors, these can
+explain a change as well, and it is not seen yet. The likelihood ratio over all moments
+is that of Willsky and Jones (1976). The changes found are taken one after the other,
+each beside those before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.special import chdtri
+
+from app.estimation.information import Information
+from app.estimation.score import compute_score
+from app.estimation.watch_sums import WatchSums
+from app.numerics.scaled_cholesky import ScaledCholesky
+
+KNOCK, LINE, DRIFT, GROWTH = "set-up-moved", "line-off", "set-up-drifts", "axes-grow"
+LOST_MOTION = "lost-motion-changed"
+LASTING = (DRIFT, GROWTH)
+_RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
+_MOST = 3  # changes that are told apart
+_NEAR = 3  # lines and standstills: changes as near as that are one
+_NEWEST, _OLDER = 24, 24  # lines since which a change is looked for: all, and some
+_DRIFT_ONSETS = 4
+_SETTLES = 3.0  # times that a drift which settles falls by e
+_FEW = 2  # lines before a change or after it
+
+
+@dataclass(frozen=True)
+class Course:
+    """Changes of one kind, at several moments.
+
+    kind : its name; axis : of which, if of one
+    columns : of those that are watched
+    onset : first line of each; factor : (m, l) of each line
+    """
+
+    kind: str
+    axis: str
+    columns: slice
+    onset: tuple[int, ...]
+    factor: Float64[np.ndarray, "m l"]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Courses beside a fit, and beside changes that are given.
+
+    known : what the columns share with the fit and with what is given
+    raw, left : their information, and what of it remains; pulled : what pulls
+    """
+
+    course: Course
+    known: Float64[np.ndarray, "m q k"]
+    raw: Float64[np.ndarray, "m k k"]
+    left: Float64[np.ndarray, "m k k"]
+    pulled: Float64[np.ndarray, "m k"]
+
+    @property
+    def gain(self) -> Float64[np.ndarray, " m"]:
+        """What the fit would gain by each."""
+        return np.sum(compute_score(self.left, self.raw, self.pulled)[1] ** 2, axis=1)
+
+    def leave_out(self, onset: int) -> Trial:
+        """Return it without what a change within a line leaves near it."""
+        near = np.abs(np.array(self.course.onset) - onset) <= _NEAR
+        if self.course.kind in LASTING:
+            return self
+        return replace(self, pulled=np.where(near[:, None], 0.0, self.pulled))
+
+    def select_one(self, k: int) -> Trial:
+        """Return one of them."""
+        own, one = self.course, slice(k, k + 1)
+        course = replace(own, onset=own.onset[one], factor=own.factor[one])
+        numbers = (self.known, self.raw, self.left, self.pulled)
+        return Trial(course, *(each[one] for each in numbers))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A change that the lines ask for.
+
+    kind, axis : what explains it best; onset : number of its first line
+    gain : by it; limit : that chance seldom makes
+    margin : by how much the next best kind explains less, each by what chance makes
+    size_mm : root mean square over the lines since, at its largest; sigma_mm : of it
+    """
+
+    kind: str
+    axis: str
+    onset: int
+    gain: float
+    limit: float
+    margin: float
+    size_mm: float
+    sigma_mm: float
+
+
+class ChangeSearch:
+    """Looks for changes in the sums of lines, given all else that is known.
+
+    known : of the machine and the pose, beside these lines
+    """
+
+    def __init__(self, sums: WatchSums, known: Information) -> None:
+        self._sums = sums
+        self._factor = ScaledCholesky.of(sums.data.matrix + known.matrix)
+        vector = sums.data.vector + known.vector
+        self._theta = self._factor.solve(vector)
+        self._square = sums.data.square + known.square - float(vector @ self._theta)
+        self._rest = sums.pulled - np.einsum("lpc,p->lc", sums.coupling, self._theta)
+        self._count = max(len(sums.row), 1)
+
+    def find(self) -> list[Change]:
+        """Return the changes that the lines ask for, the plainest first."""
+        trials = [self._prepare(course) for course in self._list_courses()]
+        found: list[Change] = []
+        explained = 0.0
+        while trials and len(found) < _MOST:
+            best, change = self._find_best(trials, explained)
+            if change.gain < change.limit:
+                break
+            found.append(change)
+            explained += float(best.gain[0])
+            near = change.onset if change.kind not in LASTING else -_NEAR - 1
+            trials = [self._give(best, each).leave_out(near) for each in trials]
+        return found
+
+    def _list_courses(self) -> list[Course]:
+        sums, lines = self._sums, len(self._sums.row)
+        if lines <= _FEW:
+            return []
+        columns, machine = sums.columns, sums.columns.machine
+        older = np.linspace(1, lines - _NEWEST, _OLDER)[: max(lines - _NEWEST, 0)]
+        newest = np.arange(max(1, lines - _NEWEST + 1), lines)
+        onset = np.unique(np.r_[older.round().astype(int), newest])
+        number = np.arange(lines)
+        step = (number >= onset[:, None]).astype(np.float64)
+        time_s = sums.time_s - sums.time_s[0]
+        began = np.unique(np.linspace(0, lines - _FEW - 1, _DRIFT_ONSETS).astype(int))
+        since_s = np.maximum(time_s - time_s[began][:, None], 0.0)
+        share = since_s / since_s.max(axis=1, keepdims=True)
+        settled = -np.expm1(-_SETTLES * share) / -np.expm1(-_SETTLES)
+        grown = np.concatenate([share, settled])
+        whole = slice(columns.pose.start, columns.growth.stop)
+        begins = tuple(began.tolist()) * 2
+        one = (number == onset[:, None]).astype(np.float64)
+        steps = tuple(onset.tolist())
+        return [
+            Course(KNOCK, "", columns.pose, steps, step),
+            Course(LINE, "", slice(0, 3), steps, one),
+            Course(DRIFT, "", columns.pose, begins, grown),
+            Course(GROWTH, "", whole, begins, grown),
+            *(
+                Course(LOST_MOTION, axis.name, columns.lost_motion(k), steps, step)
+                for k, axis in enumerate(machine.axes)
+            ),
+        ]
+
+    def _prepare(self, course: Course) -> Trial:
+        sums, own, factor = self._sums, course.columns, course.factor
+        coupling = np.tensordot(factor, sums.coupling[:, :, own], axes=1)
+        m, p, k = coupling.shape
+        half = self._factor.solve_half(coupling.transpose(1, 0, 2).reshape(p, m * k))
+        half = half.reshape(p, m, k).transpose(1, 0, 2)
+        raw = np.tensordot(factor**2, sums.own[:, own, own], axes=1)
+        left = raw - np.swapaxes(half, 1, 2) @ half
+        return Trial(course, half, raw, left, factor @ self._rest[:, own])
+
+    def _give(self, given: Trial, trial: Trial) -> Trial:
+        """Return a trial beside a change that is given."""
+        root, score = compute_score(given.left, given.raw, given.pulled)
+        factor = given.course.factor * trial.course.factor
+        shared = self._sums.own[:, given.course.columns, trial.course.columns]
+        shared = np.tensordot(factor, shared, axes=1)
+        own = root[0].T @ (shared - given.known[0].T @ trial.known)
+        return replace(
+            trial,
+            known=np.concatenate([trial.known, own], axis=1),
+            left=trial.left - np.swapaxes(own, 1, 2) @ own,
+            pulled=trial.pulled - np.einsum("mjk,j->mk", own, score[0]),
+        )
+
+    def _find_best(
+        self, trials: Sequence[Trial], explained: float
+    ) -> tuple[Trial, Change]:
+        """Return what explains most, less what chance explains."""
+        excess: list[float] = []
+        best: list[int] = []
+        for trial in trials:
+            gain = trial.gain
+            best.append(int(np.argmax(gain)))
+            excess.append(float(gain.max()) - self._limit(trial))
+        first = int(np.argmax(excess))
+        kind = trials[first].course.kind
+        # A drift is growth of size 0: it holds where that of the axes is not asked for.
+        rival = max(
+            value
+            for k, (value, trial) in enumerate(zip(excess, trials, strict=True))
+            if k != first and (kind, trial.course.kind) != (DRIFT, GROWTH)
+        )
+        chosen = trials[first].select_one(best[first])
+        gain = float(chosen.gain[0])
+        rest = (self._square - explained - gain) / max(self._sums.freedom, 1.0)
+        scale = max(1.0, rest)
+        size_mm, sigma_mm = self._measure(chosen)
+        course = chosen.course
+        return chosen, Change(
+            course.kind,
+            course.axis,
+            course.onset[0],
+            gain / scale,
+            _MARGIN * self._limit(chosen),
+            (excess[first] - rival) / scale,
+            size_mm,
+            sigma_mm,
+        )
+
+    def _limit(self, trial: Trial) -> float:
+        return float(chdtri(trial.raw.shape[1], _RISK / self._count))
+
+    def _measure(self, chosen: Trial) -> tuple[float, float]:
+        """Return the size of a change and its standard deviation."""
+        course, sums = chosen.course, self._sums
+        root, score = compute_score(chosen.left, chosen.raw, chosen.pulled)
+        root, value = root[0], root[0] @ score[0]
+        moved = course.factor[0] > 0.0
+        gram = sums.gram[moved][:, course.columns, course.columns].sum(axis=0)
+        gram = gram / sums.cells[moved].sum()
+        size_mm = float(np.sqrt(value @ gram @ value))
+        slope = root.T @ gram @ value / max(size_mm, 1e-12)
+        ways = 2.0 if course.kind == LOST_MOTION else 1.0  # it is half a width to each
+        return ways * size_mm, ways * float(np.linalg.norm(slope))
