@@ -225,7 +225,8 @@ class ChangeSearch:
         )
 
     def _limit(self, trial: Trial) -> float:
-        return float(chdtri(trial.raw.shape[1], _RISK / self._count))
+        course = trial.course.columns
+        return float(chdtri(course.stop - course.start, _RISK / self._count))
 
     def _measure(self, chosen: Trial) -> tuple[float, float]:
         """Return the size of a change and its standard deviation."""
