@@ -117,7 +117,6 @@ class ChangeSearch:
         self._theta = self._factor.solve(vector)
         self._square = sums.data.square + known.square - float(vector @ self._theta)
         self._rest = sums.pulled - np.einsum("lpc,p->lc", sums.coupling, self._theta)
-        self._count = max(len(sums.row), 1)
 
     def find(self) -> list[Change]:
         """Return the changes that the lines ask for, the plainest first."""
@@ -225,8 +224,9 @@ class ChangeSearch:
         )
 
     def _limit(self, trial: Trial) -> float:
-        course = trial.course.columns
-        return float(chdtri(course.stop - course.start, _RISK / self._count))
+        columns = trial.pulled.shape[1]
+        risk = _RISK / max(len(self._sums.row), 1)
+        return float(chdtri(float(columns), risk))
 
     def _measure(self, chosen: Trial) -> tuple[float, float]:
         """Return the size of a change and its standard deviation."""
