@@ -86,6 +86,11 @@ SENTENCES: Mapping[str, Sentence] = {
         "Fasten tracker and reflector; measure anew, the first target once more at the "
         "end.",
     ),
+    "not-measured-again": Sentence(
+        "Nothing measured before rows {rows} is measured again after: a knock of "
+        "tracker or reflector just there would not show.",
+        "Measure the first target once more at the end, as plans do.",
+    ),
     "ramps-swing": Sentence(
         "The machine swings while it accelerates: a stretch of a ramp counts as if it "
         "were off by {distance_um}.",

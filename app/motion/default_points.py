@@ -38,7 +38,9 @@ def default_points(machine: Machine, *, count: int | None = None) -> Configurati
         position = _turn_all_axes(machine, count, rng)
         names = [t.name for t in moving_targets(machine)]
         if any(names):
-            target = tuple(names[k * len(names) // count] for k in range(count))
+            # Half of the first target's points at the end: a knock in between shows.
+            own = np.arange(count) * len(names) // count
+            target = tuple(names[k] for k in np.roll(own, -np.sum(own == 0) // 2))
     else:
         position = _spread(machine, count, rng)
     return Configurations(

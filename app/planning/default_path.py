@@ -1,11 +1,11 @@
 """The path that is driven when nobody has planned a better one.
 
 It is the planner's, by legs instead of time: as many long lines as tell the machine
-well. Where there are rotary axes, lines go
-straight, turn, or do both, and every target that moves is measured in a block of lines
-of its own. What a target does not show is shown by another: tool targets tell the axes
-of the tool side and, seen from the workpiece, all others; targets on the table tell,
-seen from the base, the axes that carry it.
+well. Where there are rotary axes, lines go straight, turn, or do both, and every target
+that moves is measured in a block of lines of its own, the first one again at the end.
+What a target does not show is shown by another: tool targets tell the axes of the tool
+side and, seen from the workpiece, all others; targets on the table tell, seen from the
+base, the axes that carry it.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from app.planning.planner import (
     Planner,
     PlanShare,
     plan_in_turn,
+    return_to_first,
     wait_for_tracker,
 )
 from app.planning.target_shares import ExpectedLegs
@@ -74,7 +75,7 @@ def default_path(
         for target, count in zip(targets, counts, strict=True)
         if count
     ]
-    blocks = plan_in_turn(shares, seed=seed, effort=effort)
+    blocks = plan_in_turn(return_to_first(shares), seed=seed, effort=effort)
     wait_for_tracker(blocks)
     path = join_rows(blocks)
     assert isinstance(path, Path)  # noqa: S101 (lines make a path)

@@ -169,6 +169,29 @@ class PlanShare:
     legs: int | None = None
     expected: float | Float64[np.ndarray, "p p"] = 0.0
 
+    def halve(self) -> tuple[PlanShare, PlanShare]:
+        """Return it in two, the larger half first."""
+        legs = (
+            (None, None) if self.legs is None else (-(-self.legs // 2), self.legs // 2)
+        )
+        half = replace(self, budget_s=0.5 * self.budget_s, expected=0.5 * self.expected)
+        return replace(half, legs=legs[0]), replace(half, legs=legs[1])
+
+
+def return_to_first(shares: Sequence[PlanShare]) -> list[PlanShare]:
+    """Return the shares with half of the first one at the end.
+
+    A knock of the set-up while the tracker turns to another target would else pass for
+    where that target sits: nothing from before would be measured again.
+
+    shares : of one target each
+    """
+    if len(shares) < 2:
+        return list(shares)
+    first, last = shares[0].halve()
+    again = [] if last.legs == 0 else [last]
+    return [first, *shares[1:], *again]
+
 
 def plan_in_turn(
     shares: Sequence[PlanShare], *, seed: int, effort: SearchEffort | None = None

@@ -3,7 +3,8 @@
 Some legs of each target, drawn at random, show what a second of it tells. The time is
 then shared so that all together leave the least integrated variance, which is convex in
 the shares (the multiplicative algorithm of Silvey, Titterington and Torsney, 1978). A
-target whose share is not worth turning the tracker to is left out.
+target whose share is not worth turning the tracker to is left out. Of several, the
+first is measured again at the end.
 """
 
 from __future__ import annotations
@@ -16,17 +17,17 @@ from jaxtyping import Float64
 
 from app.motion.motion_times import Legs
 from app.planning.design_state import inverse
-from app.planning.planner import Planner, PlanShare
+from app.planning.planner import Planner, PlanShare, return_to_first
 
 _LEGS = 40  # of each target, before those are left out that cannot be measured
-_LEAST_S = 10.0  # of a target: a few legs
+_LEAST_S = 10.0  # of a block of legs of one target: a few
 _ROUNDS = 20
 
 
 def share_among_targets(
     planners: Sequence[Planner], budget_s: float, change_s: float, seed: int
 ) -> list[PlanShare]:
-    """Return the time of each target that is worth it.
+    """Return the time of each target that is worth it, in their order.
 
     planners : of one model, each of one target; change_s : from a target to the next
     """
@@ -36,20 +37,24 @@ def share_among_targets(
     rates = [legs.rate for legs in drawn]
     kept = list(range(len(planners)))
     while True:
-        time_s = max(budget_s - change_s * (len(kept) - 1), 0.0)
+        changes = len(kept) if len(kept) > 1 else 0
+        time_s = max(budget_s - change_s * changes, 0.0)
         share = _share(planners[0], [rates[k] for k in kept], time_s)
-        least = int(np.argmin(share))
-        if len(kept) == 1 or share[least] * time_s >= _LEAST_S:
+        blocks = np.where(np.arange(len(kept)) == 0, 2, 1)  # the first one comes again
+        least = int(np.argmin(share / blocks))
+        if len(kept) == 1 or share[least] * time_s >= _LEAST_S * blocks[least]:
             break
         del kept[least]
-    return [
-        PlanShare(
-            planners[k],
-            part * time_s,
-            expected=drawn[k].inform(part * time_s / drawn[k].leg_s),
-        )
-        for k, part in zip(kept, share.tolist(), strict=True)
-    ]
+    return return_to_first(
+        [
+            PlanShare(
+                planners[k],
+                part * time_s,
+                expected=drawn[k].inform(part * time_s / drawn[k].leg_s),
+            )
+            for k, part in zip(kept, share.tolist(), strict=True)
+        ]
+    )
 
 
 @dataclass(frozen=True, slots=True)

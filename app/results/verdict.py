@@ -230,7 +230,7 @@ def _judge_drift(misfits: Sequence[Misfit]) -> Iterator[Reason]:
 def _judge_unseen(
     left_out: Sequence[LeftOut], misfits: Sequence[Misfit]
 ) -> Iterator[Reason]:
-    """Yield where a knock may be what made data wrong, and the fit cannot tell.
+    """Yield where a knock would not show, and may be what made data wrong.
 
     Where the target changes, and nothing from before is measured again, the seats of
     later targets and the locations of axes follow a step of the set-up.
@@ -240,6 +240,9 @@ def _judge_unseen(
     near = sorted(row for row in rows if unseen & {row - 1, row, row + 1})
     if near:
         yield Reason("knock-unseen", "doubtful", {"rows": _list_lines(near)})
+    elif unseen:
+        values: dict[str, Value] = {"rows": _list_lines(sorted(unseen))}
+        yield Reason("not-measured-again", "usable", values)
 
 
 def _grade(value: float, limits: tuple[float, float]) -> State:
