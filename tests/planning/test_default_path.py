@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -185,12 +186,25 @@ def test_lines_go_straight_turn_and_do_both(path: Path) -> None:
     assert ((straight > 0) & (turn > 0)).sum() > 5
 
 
-def test_every_target_is_measured_and_the_machine_waits_while_it_changes(
-    path: Path,
-) -> None:
-    assert list(dict.fromkeys(path.target)) == ["T1", "T2", "W1"]
-    change = np.flatnonzero(np.array(path.target[1:]) != np.array(path.target[:-1])) + 1
-    assert len(change) == 2
+def find_changes(target: Sequence[str]) -> np.ndarray:
+    return np.flatnonzero(np.array(target[1:]) != np.array(target[:-1])) + 1
+
+
+def test_the_first_target_is_measured_again_after_all_others(path: Path) -> None:
+    change = find_changes(path.target)
+    assert [path.target[row] for row in (0, *change)] == ["T1", "T2", "W1", "T1"]
+    blocks = np.diff([0, *change, len(path)])
+    assert abs(blocks[0] - blocks[-1]) <= 1
+
+
+def test_a_single_line_of_the_first_target_is_not_halved() -> None:
+    targets = default_path(trunnion(), 6000.0, lines=3).target
+    assert list(dict.fromkeys(targets)) == ["T1", "T2", "W1"]
+    assert targets[-1] == "W1"
+
+
+def test_the_machine_waits_while_the_target_changes(path: Path) -> None:
+    change = find_changes(path.target)
     assert (path.dwell_s[change] >= 5.0).all()
     assert (path.position[change] == path.position[change - 1]).all()
 
