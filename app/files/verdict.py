@@ -87,8 +87,8 @@ SENTENCES: Mapping[str, Sentence] = {
         "end.",
     ),
     "not-measured-again": Sentence(
-        "Nothing measured before rows {rows} is measured again after: a knock of "
-        "tracker or reflector just there would not show.",
+        "Too little of what was measured before is measured again after rows {rows}: "
+        "a knock of tracker or reflector there would not show.",
         "Measure the first target once more at the end, as plans do.",
     ),
     "ramps-swing": Sentence(
