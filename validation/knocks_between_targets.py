@@ -46,7 +46,8 @@ def plan_usually(seed: int, mode: str) -> Program:
         return follow(default_path(machine, FEED_MM_MIN, seed=seed))
     target = default_points(machine).target
     points = turning_points(parse_machine(content), seed, len(target), dwell_s=0.6)
-    return replace(points, target=target)
+    position = np.vstack([points.position[:-4], points.position[:4]])
+    return replace(points, position=position, target=target)
 
 
 def find_changes(program: Program) -> list[int]:
@@ -73,7 +74,9 @@ def knock_between(made: Recording, size_um: float, seed: int) -> Outcome:
 
     def disturb(stream: TrackerSamples, rng: np.random.Generator) -> TrackerSamples:
         late = (made.row >= row)[:, None]
-        return move(stream, stream.position_mm + late * draw_shift_mm(1e-3 * size_um, rng))
+        return move(
+            stream, stream.position_mm + late * draw_shift_mm(1e-3 * size_um, rng)
+        )
 
     return measure(made, disturb, seed)
 

@@ -19,13 +19,15 @@ DEFAULT_POINTS = 60  # some four minutes on a small mill
 POINTS_WITH_ROTARY_AXES = 180  # fewer leave motions of five axes to the prior
 _DWELL_S = 1.0
 _LEAST_TURN_DEG = 10.0  # or a tenth of the travel
+_REPEATED = 4  # points, from the same side but the first: the pose of a rigid body
 
 
 def default_points(machine: Machine, *, count: int | None = None) -> Configurations:
     """Return standstill points: the eight corners, the rest spread evenly inside.
 
     They stand in an order of short moves, and are always the same. Where there are
-    rotary axes, the points are spread over all axes and over the targets.
+    rotary axes, the points are spread over all axes and over the targets; of several, the
+    first is measured again at the end, at its first points among others.
 
     count : 60 where it is left out, 180 with rotary axes
     """
@@ -35,8 +37,9 @@ def default_points(machine: Machine, *, count: int | None = None) -> Configurati
         raise PlanningError(f"{count} points: it must be 8 points or more")
     rng, target = np.random.default_rng(0), ()
     if turning:
-        position = _turn_all_axes(machine, count, rng)
         names = [t.name for t in moving_targets(machine)]
+        again = _REPEATED if len(names) > 1 else 0
+        position = _turn_all_axes(machine, count, rng, again)
         if any(names):
             # Half of the first target's points at the end: a knock in between shows.
             own = np.arange(count) * len(names) // count
@@ -64,9 +67,9 @@ def _spread(
 
 
 def _turn_all_axes(
-    machine: Machine, count: int, rng: np.random.Generator
+    machine: Machine, count: int, rng: np.random.Generator, again: int
 ) -> Float64[np.ndarray, "n a"]:
-    """Return random points inside the travel.
+    """Return random points inside the travel, some first ones again at the end.
 
     From one to the next every rotary axis turns, so that a target on the table moves
     and its standstills are told apart.
@@ -75,12 +78,14 @@ def _turn_all_axes(
     travel = min(axis.high - axis.low for axis in machine.rotary_axes)
     least_turn_deg = min(_LEAST_TURN_DEG, 0.1 * travel)
     places = [rng.uniform(low, high)]
-    while len(places) < count:
+    while len(places) < count - again:
         place = rng.uniform(low, high)
-        turn = np.abs(place - places[-1])[len(machine.linear_axes) :]
+        is_last = len(places) + 1 == count - again
+        near = np.array([places[-1], places[0] if is_last else places[-1]])
+        turn = np.abs(place - near)[:, len(machine.linear_axes) :]
         if turn.min() > least_turn_deg:
             places.append(place)
-    return np.round(places, DECIMALS)
+    return np.round([*places, *places[:again]], DECIMALS)
 
 
 def unit_corners() -> Float64[np.ndarray, "8 3"]:

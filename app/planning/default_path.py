@@ -23,13 +23,8 @@ from app.motion.workspace import Workspace, moving_targets
 from app.planning.design_state import LineDesignState
 from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import SearchEffort
-from app.planning.planner import (
-    Planner,
-    PlanShare,
-    plan_in_turn,
-    return_to_first,
-    wait_for_tracker,
-)
+from app.planning.planner import Planner
+from app.planning.target_blocks import PlanShare, plan_in_turn, wait_for_tracker
 from app.planning.target_shares import ExpectedLegs
 from drivers.interfaces.records import Path
 
@@ -75,7 +70,7 @@ def default_path(
         for target, count in zip(targets, counts, strict=True)
         if count
     ]
-    blocks = plan_in_turn(return_to_first(shares), seed=seed, effort=effort)
+    blocks = plan_in_turn(shares, seed=seed, effort=effort)
     wait_for_tracker(blocks)
     path = join_rows(blocks)
     assert isinstance(path, Path)  # noqa: S101 (lines make a path)

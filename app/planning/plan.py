@@ -28,21 +28,19 @@ from app.planning.initial_design import (
 )
 from app.planning.leg_choice import SearchEffort
 from app.planning.plan_order import PlanOrder
-from app.planning.planner import (
-    CHANGE_S,
-    Planner,
-    PlanShare,
-    inform,
-    judge_feeds,
-    plan_in_turn,
-    wait_for_tracker,
-)
+from app.planning.planner import Planner, inform, judge_feeds
 from app.planning.station_choice import (
     StationAdvice,
     StationChoice,
     choose_place,
 )
 from app.planning.station_information import StationJudge, Survey
+from app.planning.target_blocks import (
+    CHANGE_S,
+    PlanShare,
+    plan_in_turn,
+    wait_for_tracker,
+)
 from app.planning.target_shares import share_among_targets
 from drivers.interfaces.records import Path
 

@@ -24,7 +24,6 @@ from app.planning.design_state import DesignState
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from drivers.interfaces.records import Path
 
-CHANGE_S = 5.0  # for the tracker to turn to another target
 _STARTS = 400  # places that are tried where no corner is allowed
 
 
@@ -95,6 +94,11 @@ class Planner:
         """Return the precision that legs bring, as for `update`."""
         return self.design.information(self._find_legs(done))
 
+    def expect(self, precision: float | Float64[np.ndarray, "p p"]) -> Planner:
+        """Return the planner that knows or expects more, as `inform` tells it."""
+        known = self.design.precision + precision
+        return replace(self, design=replace(self.design, precision=known))
+
     def duration_s(self, done: Commanded) -> float:
         """Return how long legs take with their dwells."""
         return float(self.design.drive.times_s(self._find_legs(done)).sum())
@@ -157,65 +161,6 @@ class Planner:
         return places[int(np.argmax(free))]
 
 
-@dataclass(frozen=True, slots=True)
-class PlanShare:
-    """What one of several planners has: a time, or a number of legs.
-
-    expected : precision that its legs are expected to bring
-    """
-
-    planner: Planner
-    budget_s: float = np.inf
-    legs: int | None = None
-    expected: float | Float64[np.ndarray, "p p"] = 0.0
-
-    def halve(self) -> tuple[PlanShare, PlanShare]:
-        """Return it in two, the larger half first."""
-        legs = (
-            (None, None) if self.legs is None else (-(-self.legs // 2), self.legs // 2)
-        )
-        half = replace(self, budget_s=0.5 * self.budget_s, expected=0.5 * self.expected)
-        return replace(half, legs=legs[0]), replace(half, legs=legs[1])
-
-
-def return_to_first(shares: Sequence[PlanShare]) -> list[PlanShare]:
-    """Return the shares with half of the first one at the end.
-
-    A knock of the set-up while the tracker turns to another target would else pass for
-    where that target sits: nothing from before would be measured again.
-
-    shares : of one target each
-    """
-    if len(shares) < 2:
-        return list(shares)
-    first, last = shares[0].halve()
-    again = [] if last.legs == 0 else [last]
-    return [first, *shares[1:], *again]
-
-
-def plan_in_turn(
-    shares: Sequence[PlanShare], *, seed: int, effort: SearchEffort | None = None
-) -> list[Commanded]:
-    """Return the plans of planners of one model, each from where the last one ends.
-
-    Each knows what those before it measure, and expects what those after it bring.
-    """
-    blocks: list[Commanded] = []
-    measured, start = 0.0, None
-    for number, share in enumerate(shares):
-        before = share.planner.design.precision
-        expected = sum(one.expected for one in shares[number + 1 :])
-        known = replace(share.planner.design, precision=before + measured + expected)
-        planner = replace(share.planner, design=known)
-        block = planner.plan(
-            share.budget_s, legs=share.legs, start=start, seed=seed, effort=effort
-        )
-        measured = measured + planner.inform(block)
-        start = block.position[-1]
-        blocks.append(block)
-    return blocks
-
-
 def inform(
     planners: Sequence[Planner], blocks: Sequence[Commanded]
 ) -> Float64[np.ndarray, "p p"]:
@@ -248,9 +193,3 @@ def judge_feeds(
 
     own = worth(blocks)
     return {f: worth(drive_at(f)) / own for f in planners[0].feeds_mm_min}
-
-
-def wait_for_tracker(blocks: Sequence[Commanded]) -> None:
-    """Let the machine stand where the tracker has to turn to another target."""
-    for block in blocks[1:]:
-        block.dwell_s[0] = CHANGE_S

@@ -17,7 +17,8 @@ from jaxtyping import Float64
 
 from app.motion.motion_times import Legs
 from app.planning.design_state import inverse
-from app.planning.planner import Planner, PlanShare, return_to_first
+from app.planning.planner import Planner
+from app.planning.target_blocks import PlanShare
 
 _LEGS = 40  # of each target, before those are left out that cannot be measured
 _LEAST_S = 10.0  # of a block of legs of one target: a few
@@ -45,16 +46,14 @@ def share_among_targets(
         if len(kept) == 1 or share[least] * time_s >= _LEAST_S * blocks[least]:
             break
         del kept[least]
-    return return_to_first(
-        [
-            PlanShare(
-                planners[k],
-                part * time_s,
-                expected=drawn[k].inform(part * time_s / drawn[k].leg_s),
-            )
-            for k, part in zip(kept, share.tolist(), strict=True)
-        ]
-    )
+    return [
+        PlanShare(
+            planners[k],
+            part * time_s,
+            expected=drawn[k].inform(part * time_s / drawn[k].leg_s),
+        )
+        for k, part in zip(kept, share.tolist(), strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True)

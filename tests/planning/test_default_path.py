@@ -197,6 +197,11 @@ def test_the_first_target_is_measured_again_after_all_others(path: Path) -> None
     assert abs(blocks[0] - blocks[-1]) <= 1
 
 
+def test_the_first_lines_are_driven_again_at_the_end(path: Path) -> None:
+    np.testing.assert_array_equal(path.position[-4:], path.position[:4])
+    np.testing.assert_array_equal(path.feed_mm_min[-3:], path.feed_mm_min[1:4])
+
+
 def test_a_single_line_of_the_first_target_is_not_halved() -> None:
     targets = default_path(trunnion(), 6000.0, lines=3).target
     assert list(dict.fromkeys(targets)) == ["T1", "T2", "W1"]
