@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-_UNSEEN = 0.02  # of a column's information: the fit explains it all
+_UNSEEN = 1e-4  # of a column's information: the fit explains it all
 
 
 def compute_score(
