@@ -1,4 +1,7 @@
-"""Where the target changes a knock may not show: data left out there are doubtful."""
+"""Where the target changes a knock may not show: data left out there are doubtful.
+
+Where the first target is measured again at the end, it shows.
+"""
 
 from dataclasses import replace
 
@@ -15,12 +18,32 @@ _POINTS = 96
 
 
 @pytest.fixture(scope="module")
-def made():
-    """A trunnion at standstills, one target after the other."""
+def content():
     content = load_machine("trunnion")
     content["tracker"]["stands_on"] = "base"
-    program = turning_points(parse_machine(content), 5, _POINTS, dwell_s=0.4)
+    return content
+
+
+@pytest.fixture(scope="module")
+def program(content):
+    """Points of one target after the other."""
+    return turning_points(parse_machine(content), 5, _POINTS, dwell_s=0.4)
+
+
+@pytest.fixture(scope="module")
+def made(content, program):
+    """A trunnion at standstills, one target after the other."""
     return synthetic.record(content, program, 5, "standstill")
+
+
+@pytest.fixture(scope="module")
+def made_again(content, program):
+    """The same with the first target at the end as well, at its first points."""
+    own = program.target.index("T2") // 2
+    position = np.vstack([program.position[:-4], program.position[:4]])
+    target = program.target[own:] + program.target[:own]
+    order = replace(program, position=position, target=target)
+    return synthetic.record(content, order, 5, "standstill")
 
 
 @pytest.fixture(scope="module")
@@ -52,3 +75,22 @@ def test_a_point_lost_amid_a_target_is_no_knock(analyse_without, change):
     verdict = analyse_without(change + 8).verdict
     assert "knock-unseen" not in {r.kind for r in verdict.reasons}
     assert "points-without-data" in {r.kind for r in verdict.reasons}
+
+
+def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(
+    made_again, run_of
+):
+    change = made_again.program.target.index("W1")
+    run = run_of(made_again)
+    late = (made_again.row >= change)[:, None]
+    moved = run.tracker.position_mm + late * np.array([0.012, -0.008, 0.014])
+    found = analyse(replace(run, tracker=replace(run.tracker, position_mm=moved)))
+    (knock,) = [r for r in found.verdict.reasons if r.kind == "set-up-moved"]
+    assert knock.values["distance_um"] == pytest.approx(20.1, abs=3.0)
+    at_s = run.tracker.device_time_s[late[:, 0]][0]
+    assert knock.values["at_s"] == pytest.approx(at_s, abs=4.0)
+
+
+def test_a_run_without_it_says_that_a_knock_would_not_show(made, run_of, change):
+    kinds = {r.kind: r.values for r in analyse(run_of(made)).verdict.reasons}
+    assert str(change) in kinds["not-measured-again"]["rows"]
