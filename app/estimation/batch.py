@@ -94,6 +94,7 @@ def estimate(
     known: KnownEffects | None = None,
     perpendicular_only: bool = False,
     keep_fit: bool = False,
+    given: Sequence[int] | None = None,
     on_progress: ShareProgress = ignore_progress,
 ) -> Estimate:
     """Estimate all error motions that the observations can tell.
@@ -104,13 +105,16 @@ def estimate(
     known : effects known from an earlier measurement, to be estimated beside
     perpendicular_only : leave out what is measured along the travel (sanders-2023)
     keep_fit : keep what the estimate was solved from, for trials by Monte Carlo
+    given : the Run of the models that each is a part of; else each is one
     on_progress : receives the share done, 0 to 1
 
     Raises Unidentifiable if the lines do not determine the error motions.
     """
     known = known or KnownEffects()
+    numbers = range(len(observed)) if given is None else given
     seen = [
-        replace(each, at=replace(each.at, run=k)) for k, each in enumerate(observed)
+        replace(each, at=replace(each.at, run=k))
+        for k, each in zip(numbers, observed, strict=True)
     ]
     inputs = _guess_inputs(seen, models, perpendicular_only=perpendicular_only)
     if any(each.is_ramp.any() for each in seen):

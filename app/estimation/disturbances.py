@@ -85,6 +85,7 @@ def estimate_checked(
             known=known,
             perpendicular_only=perpendicular_only,
             keep_fit=True,
+            given=[part.given for part in parts],
             on_progress=lambda share: on_progress(begin + share * (end - begin)),
         )
 

@@ -105,8 +105,10 @@ def _find_seats(run: RunInformation, machine: Posterior) -> Iterator[SeatEstimat
     for effect in model.effects:
         if isinstance(effect, TargetSeat) and effect.run == at.run:
             part, rows = model.slices[effect.name], np.flatnonzero(effect.select(at))
+            if not len(rows):
+                continue  # a part of the Run may measure some targets alone
             shift = machine.theta[part]
-            if at.seat_mm is not None and len(rows):
+            if at.seat_mm is not None:
                 shift = shift + at.seat_mm[rows[0]]
             sigma = np.sqrt(np.maximum(np.diag(machine.covariance[part, part]), 0.0))
             yield SeatEstimate(effect.target, shift, sigma)

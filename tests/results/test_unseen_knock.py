@@ -3,6 +3,7 @@
 Where the first target is measured again at the end, it shows.
 """
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from simulators.scenario import load_machine
 from simulators.turning_paths import turning_points
 
 _POINTS = 96
+KNOCK_MM = np.array([0.012, -0.008, 0.014])
+SEAT_MM = np.array([0.06, -0.08, 0.05])  # of W1 off its place
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +46,11 @@ def made_again(content, program):
     position = np.vstack([program.position[:-4], program.position[:4]])
     target = program.target[own:] + program.target[:own]
     order = replace(program, position=position, target=target)
-    return synthetic.record(content, order, 5, "standstill")
+    seated = copy.deepcopy(content)
+    seated["targets"]["W1"]["offset_mm"] = (
+        np.array(content["targets"]["W1"]["offset_mm"]) + SEAT_MM
+    ).tolist()
+    return replace(synthetic.record(seated, order, 5, "standstill"), content=content)
 
 
 @pytest.fixture(scope="module")
@@ -77,18 +84,36 @@ def test_a_point_lost_amid_a_target_is_no_knock(analyse_without, change):
     assert "points-without-data" in {r.kind for r in verdict.reasons}
 
 
-def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(
-    made_again, run_of
-):
-    change = made_again.program.target.index("W1")
+@pytest.fixture(scope="module")
+def knock_s(made_again):
+    """When the knock is: before the first point of the first target on the table."""
+    return made_again.time_s[made_again.row >= made_again.program.target.index("W1")][0]
+
+
+@pytest.fixture(scope="module")
+def knocked(made_again, run_of, knock_s):
+    """What comes of the Run with the set-up knocked."""
     run = run_of(made_again)
-    late = (made_again.row >= change)[:, None]
-    moved = run.tracker.position_mm + late * np.array([0.012, -0.008, 0.014])
-    found = analyse(replace(run, tracker=replace(run.tracker, position_mm=moved)))
-    (knock,) = [r for r in found.verdict.reasons if r.kind == "set-up-moved"]
-    assert knock.values["distance_um"] == pytest.approx(20.1, abs=3.0)
-    at_s = run.tracker.device_time_s[late[:, 0]][0]
-    assert knock.values["at_s"] == pytest.approx(at_s, abs=4.0)
+    late = (run.tracker.device_time_s >= knock_s)[:, None]
+    moved = run.tracker.position_mm + late * KNOCK_MM
+    return analyse(replace(run, tracker=replace(run.tracker, position_mm=moved)))
+
+
+def test_a_knock_at_a_change_shows_where_the_first_target_comes_again(knocked):
+    (knock,) = knocked.knocks
+    assert 1e3 * knock.moved_mm == pytest.approx(20.1, abs=3.0)
+
+
+def test_targets_sit_where_they_are_found_on_both_sides_of_a_knock(knocked):
+    seats = [
+        seat
+        for part in knocked.runs
+        for seat in part.estimate.seats
+        if seat.target.name == "W1"
+    ]
+    assert seats
+    for seat in seats:
+        assert (np.abs(seat.shift_mm - SEAT_MM) < 3.0 * seat.sigma_mm).all()
 
 
 def test_a_run_without_it_says_that_a_knock_would_not_show(made, run_of, change):
