@@ -39,6 +39,7 @@ from app.estimation.usual_machine import (
 from app.kinematics.coarse_model import RunModels
 from app.progress import ShareProgress, ignore_progress
 
+_OF_SHIFT = 2.0  # of the gain of the worst line
 _ROUNDS = 8
 
 
@@ -168,9 +169,12 @@ def _list_fitted(found: Estimate) -> list[Observations]:
 
 
 def _has_plain_step(misfits: Sequence[Misfit]) -> bool:
-    """Tell whether a step of the set-up explains more than a shift of any one line."""
+    """Tell whether a step of the set-up explains much more than a shift of any line.
+
+    A line alone can pull the fit with it, which leaves less of it to a shift.
+    """
     return any(
-        step.alone > float(misfit.line.max(initial=0.0))
+        step.alone > _OF_SHIFT * float(misfit.line.max(initial=0.0))
         for misfit in misfits
         for step in find_knocks(misfit)
     )

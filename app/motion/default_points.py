@@ -26,8 +26,8 @@ def default_points(machine: Machine, *, count: int | None = None) -> Configurati
     """Return standstill points: the eight corners, the rest spread evenly inside.
 
     They stand in an order of short moves, and are always the same. Where there are
-    rotary axes, the points are spread over all axes and over the targets; of several, the
-    first is measured again at the end, at its first points among others.
+    rotary axes, the points are spread over all axes and over the targets. Of several,
+    the first is measured again at the end, at its first points among others.
 
     count : 60 where it is left out, 180 with rotary axes
     """
