@@ -60,7 +60,7 @@ def plan_in_turn(
     turns = list(shares)
     if len(shares) > 1:
         first, again = shares[0].halve()
-        turns = [first, *shares[1:], again]
+        turns = [first, *shares[1:], *([] if again.legs == 0 else [again])]
     blocks: list[Commanded] = []
     measured, start = 0.0, None
     for number, share in enumerate(turns):
@@ -73,7 +73,7 @@ def plan_in_turn(
         measured = measured + share.planner.inform(block)
         start = block.position[-1]
         blocks.append(block)
-    return [block for block in blocks if len(block)]
+    return blocks
 
 
 def _plan(
