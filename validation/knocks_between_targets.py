@@ -13,8 +13,9 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from disturbed_runs import Outcome, draw_shift_mm, measure, move
+from disturbed_runs import Outcome, measure
 from document import table, write_section
+from stream_disturbances import draw_shift_mm, move
 from target_seats import (
     FEED_MM_MIN,
     ON_THE_FLY,
