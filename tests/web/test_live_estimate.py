@@ -17,6 +17,7 @@ pytestmark = [pytest.mark.ui, pytest.mark.xdist_group("browser")]
 
 SIZES = [(1280, 800), (1920, 1080), (1024, 768), (800, 1280), (390, 844)]
 NEXT = "#next button"
+STARTED = "2026-03-14T08:01:00.000Z"
 
 
 def test_the_tables_tighten_with_each_line(panel, service):
@@ -69,6 +70,32 @@ def test_what_is_left_out_on_the_way_is_said_quietly(panel, service):
     )
 
 
+LATE_STREAM = """
+const Real = EventSource;
+window.EventSource = class extends EventTarget {
+  constructor(url) {
+    super();
+    window.openStream = () => {
+      const source = new Real(url);
+      source.addEventListener("open", () => this.dispatchEvent(new Event("open")));
+    };
+  }
+};
+"""
+
+
+def test_what_was_told_before_the_stream_opens_is_shown(panel, service):
+    job = measuring(service, started=STARTED)
+    service.estimate(job, 12)
+    page = panel.open(before=LATE_STREAM)
+    page.get_by_role("button", name="Error tables").click()
+    age = page.locator(".estimate-age")
+    expect(age).to_contain_text("From 12 of 22 lines")
+    service.estimate(job, 16)
+    page.evaluate("openStream()")
+    expect(age).to_contain_text("From 16 of 22 lines")
+
+
 def test_each_axis_has_its_tables_and_what_is_unknown_says_so(panel, service):
     job = measuring(service)
     page = tables(panel)
@@ -109,7 +136,7 @@ def test_the_uncertainty_over_time_comes_with_its_target(panel, service):
 
 
 def test_who_comes_later_sees_how_the_uncertainty_came_down(panel, service):
-    job = measuring(service, started="2026-03-14T08:01:00.000Z")
+    job = measuring(service, started=STARTED)
     for lines in (3, 6, 9):
         service.estimate(job, lines)
     page = tables(panel)
@@ -226,10 +253,9 @@ def test_german_tables_fit_and_nothing_lies_over_anything(panel, service, size):
 
 
 def test_the_tables_are_reached_and_turned_by_the_keyboard(panel, service):
-    job = measuring(service)
+    service.estimate(measuring(service, started=STARTED), 4)
     page = panel.open()
     expect(page.locator(".run-chooser")).to_be_visible()
-    service.estimate(job, 4)
     page.locator("#abort").focus()
     for name in ("Error tables", "Axis Y"):
         press_until(page, name)

@@ -151,7 +151,7 @@ export function createActions(store, go) {
   }
 
   return {
-    loadSystem, loadRecords, hear, hearEstimate, follow, fetchPlan, fetchResult, refuse,
+    loadSystem, loadRecords, hear, hearEstimate, follow, fetchEstimate, fetchPlan, fetchResult, refuse,
     connect: () => during("connect", async () => {
       await api.connect();
       await loadSystem();

@@ -90,6 +90,7 @@ function follow({ job, asked }) {
 function hear(type, data) {
   const { job } = store.get();
   if (type === "job") actions.hear(data);
+  if (type === "open" && job) actions.fetchEstimate();
   const own = job && !hasEnded(job) && (data.job_id ?? job.id) === job.id;
   if (type === "progress" && own) {
     const { stage, progress, health } = data;

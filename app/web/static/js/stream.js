@@ -7,6 +7,7 @@ const CHECK_MS = 250;
 
 /** Listen to the service; `hear(type, data)` for each event, `age(link)` as time passes.
  *
+ * "open" is heard when events begin: what was told before is to be asked for.
  * link: {stale: bool, last: ms of the wall clock of the last event or null}
  */
 export function listen(hear, age) {
@@ -19,6 +20,7 @@ export function listen(hear, age) {
     for (const type of ["tick", "job", "progress", "live", "estimate"]) {
       source.addEventListener(type, (event) => receive(type, event));
     }
+    source.addEventListener("open", () => hear("open", {}));
     source.addEventListener("error", reopen);
   }
 
