@@ -115,6 +115,11 @@ class Linearisation:
         return self.model.size
 
     @property
+    def about(self) -> Float64[np.ndarray, " k"]:
+        """Parameters of the machine about which it is linear; none where 0."""
+        return np.zeros(0) if self.theta is None else self.theta
+
+    @property
     def pose_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the poses."""
         return self.model.parameters[self.machine_model.size :]
@@ -145,10 +150,10 @@ class Linearisation:
         if solved is None:
             for effect in self.model.effects:
                 local[:, :, self.model.slices[effect.name]] = effect.jacobian(at)
+            local[:, :, p] -= local[:, :, : len(self.about)] @ self.about
         else:
-            local[:, :, p] -= self.model.displacement_mm(at, solved)
-        if self.theta is not None:
-            local[:, :, p] -= self.machine_model.displacement_mm(at, self.theta)
+            whole = solved + np.pad(self.about, (0, len(solved) - len(self.about)))
+            local[:, :, p] -= self.model.displacement_mm(at, whole)
         if timing.lines:
             local[:, :, p + 1 :] = timing.jacobian(at)
             local[observations.is_ramp, :, p + 1 :] = 0.0  # they are not timed

@@ -67,6 +67,11 @@ class NoiseEvidence:
         return _Solution(self, noise).slope()
 
     @cached_property
+    def rows(self) -> Float64[np.ndarray, "n 3 q"]:
+        """Columns and data side by side."""
+        return np.concatenate([self.columns, self.residual[:, :, None]], axis=2)
+
+    @cached_property
     def travel(self) -> Float64[np.ndarray, "n 3"]:
         """Direction of travel in the beam frame."""
         return self.design.travel
@@ -79,9 +84,9 @@ class _Solution:
         self.of, self.noise = of, noise
         self.inverse = of.design.whiten(noise)
         n, p = len(of.residual), of.columns.shape[2]
-        rows = np.concatenate([of.columns, of.residual[:, :, None]], axis=2)
-        weighted, ou = (v.reshape(3 * n, p + 1) for v in self.inverse.split(rows))
-        total = rows.reshape(3 * n, p + 1).T @ weighted
+        weighted, ou = (v.reshape(3 * n, p + 1) for v in self.inverse.split(of.rows))
+        new = self.inverse.whiten(of.rows)
+        total = new.T @ new
         k = len(of.known.vector)
         total[:k, :k] += of.known.matrix
         total[:k, p] += of.known.vector

@@ -42,6 +42,7 @@ _USUAL = np.log([0.15, 0.15, 1.0])  # beam, across (of the stated noise), time i
 _USUAL_SPREAD = 1.2
 _STEPS = 12
 _SETTLED = 0.1  # of −2 log evidence, which a deviation of a tenth of a sigma costs
+_STIFFEST = 4.0  # times as curved as the average information says
 _LONGEST, _SHORTEST = 1.5, 0.02  # of a step, in logarithms
 _SAME = 1e-6  # phase and speed of a line of one cell are the same
 _LEAST = 1e-3  # curvature of what the data do not tell: no jitter, say
@@ -170,9 +171,10 @@ def _maximise(
     x = _pack(noise)
     low, high = _BOUNDS[: len(x)].T
     high = np.minimum(high, [np.inf, np.inf, np.log(longest_s), np.inf][: len(x)])
-    here, step = _slope(evidence, x, noise), np.zeros(len(x))
+    here, stiffer = _slope(evidence, x, noise), 1.0
     for _ in range(_STEPS):
-        damped = here.curvature + np.diag(1e-3 * np.diag(here.curvature) + _LEAST)
+        damped = stiffer * here.curvature
+        damped += np.diag(1e-3 * np.diag(damped) + _LEAST)
         step = np.clip(-np.linalg.solve(damped, here.gradient), -_LONGEST, _LONGEST)
         step = np.clip(x + step, low, high) - x
         if abs(float(here.gradient @ step)) < _SETTLED:
@@ -183,8 +185,21 @@ def _maximise(
             there = _slope(evidence, x + step, noise)
         if there.cost > here.cost:
             break
+        stiffer = _compare_curvature(here, there, step)
         x, here = x + step, there
     return _unpack(x, noise)
+
+
+def _compare_curvature(
+    here: Slope, there: Slope, step: Float64[np.ndarray, " k"]
+) -> float:
+    """Return how much more the cost curves along a step than its slope here says.
+
+    The average information may be too small: steps would go beyond their aim each time.
+    """
+    expected = float(step @ here.curvature @ step)
+    found = float((there.gradient - here.gradient) @ step)
+    return min(max(found / expected, 1.0), _STIFFEST) if expected > 0.0 else 1.0
 
 
 def _slope(

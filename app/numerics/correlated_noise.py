@@ -23,13 +23,9 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.linalg import (
-    cho_solve_banded,
-    cholesky_banded,
-    solveh_banded,
-)
+from scipy.linalg import cholesky_banded, solveh_banded
 
-from app.numerics.forward_solve import ForwardSolve
+from app.numerics.banded_factor import BandedFactor
 from app.numerics.scaled_cholesky import ScaledCholesky
 
 _BAND = 3
@@ -59,12 +55,12 @@ class Whitener:
             return new
         precision = np.swapaxes(self.root, 1, 2) @ self.root
         pulled = (precision @ rows).reshape(new.shape)
-        self._foresight.write_new(rows, self._forward.solve(pulled), new)
+        self._foresight.write_new(rows, self._solver.solve_half(pulled), new)
         return new
 
     @cached_property
-    def _forward(self) -> ForwardSolve:
-        return ForwardSolve.of(self.factor)
+    def _solver(self) -> BandedFactor:
+        return BandedFactor.of(self.factor)
 
     @cached_property
     def _foresight(self) -> _Foresight:
@@ -83,8 +79,7 @@ class Whitener:
         if not self.factor.size or not rows.size:
             return weighted, np.zeros_like(rows)
         flat = weighted.reshape(-1, rows.shape[2])
-        ou = cho_solve_banded((self.factor, True), flat, check_finite=False)
-        ou = ou.reshape(rows.shape)
+        ou = self._solver.solve(flat).reshape(rows.shape)
         return weighted - precision @ ou, ou
 
 
@@ -291,7 +286,7 @@ def extend(
         log_ou -= 2.0 * float(np.log(state.sigma).sum())
     band = _interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
-    solved = ForwardSolve.of(factor).solve(pulled)
+    solved = BandedFactor.of(factor).solve_half(pulled)
     log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
     last = _last_block(factor)
     newest = OrnsteinUhlenbeckState(
