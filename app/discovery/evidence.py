@@ -136,7 +136,7 @@ def predict_held_out(
     sums: FoldedSums, precision: Float64[np.ndarray, "m m"]
 ) -> HeldOutMisfit:
     """Predict each fold of lines from all others, under a prior precision."""
-    total, columns = sums.total(), np.arange(len(precision))
+    total, columns = sums.total, np.arange(len(precision))
     square, unknown = np.zeros((2, len(sums.fold)))
     for k, fold in enumerate(sums.fold):
         fit = compute_posterior(

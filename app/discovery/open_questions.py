@@ -9,17 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
 
-from app.alignment.observations import Observations
 from app.discovery.discover import Discovery
 from app.discovery.term_fitter import TermFit
 from app.discovery.term_search import LEAST_EVIDENCE
 from app.estimation.design_matrix import Linearisation
-from app.estimation.line_blocks import RunData
-from app.estimation.term_equations import Lines
+from app.estimation.line_blocks import PlacedLine
 from app.files.run import Run
 from app.kinematics.effects.base import Effect
 from app.kinematics.effects.candidate_term import CandidateTerm
@@ -52,25 +51,32 @@ class Hypothesis:
 class HypothesisPair:
     """Predicts the data of a next Run under two hypotheses.
 
-    base : of the next Run, its pose the last one
+    machine : number of its parameters; base : of machine and poses, the next one last
     """
 
     one: Hypothesis
     other: Hypothesis
-    base: Linearisation
+    machine: int
+    base: int
 
-    def measure(self, observations: Observations) -> Float64[np.ndarray, "q q"]:
+    def measure(self, lines: Sequence[PlacedLine]) -> Float64[np.ndarray, "q q"]:
         """Return the normal equations of `planning.discrimination.Question`."""
-        lines = Lines([RunData(observations, self.base)], 1)
-        effects = (*self.one.effects, *self.other.effects)
-        total = lines.sums(effects).total()[:-1, :-1]
-        columns = self._columns(len(total))
-        return columns.T @ total @ columns
+        total = np.zeros((self.columns.shape[1],) * 2)
+        for line, base in lines:
+            at = line.design.observations.at
+            effects = (*self.one.effects, *self.other.effects)
+            more = [np.zeros((len(at), 3, 0)), *(e.jacobian(at) for e in effects)]
+            own = line.whiten(np.concatenate(more, axis=2)).rows
+            rows = np.hstack([base.rows[:, : self.base], own]) @ self.columns
+            total += rows.T @ rows
+        return total
 
-    def _columns(self, size: int) -> Float64[np.ndarray, "t q"]:
-        """Return the map from roots, means and pose to machine, poses, effects."""
-        machine, first = self.base.machine_model.size, self.base.size
+    @cached_property
+    def columns(self) -> Float64[np.ndarray, "t q"]:
+        """Map from roots, means and pose to machine, poses, effects."""
+        machine, first = self.machine, self.base
         split = first + len(self.one.mean) - machine
+        size = split + len(self.other.mean) - machine
         middle = self.one.root.shape[1]
         end = middle + self.other.root.shape[1]
         columns = np.zeros((size, end + 2 + POSE))
@@ -96,11 +102,10 @@ def design_discrimination(
     questions = tuple(_list_questions(found, gram))[:_MOST_QUESTIONS]
     if not questions:
         return None
-    run, base = found.aligned[0].run, found.fitter.run_data[0].base
+    run, base = found.aligned[0].run, _foresee_run(found)
     feed = _highest_feed_mm_min([aligned.run for aligned in found.aligned])
     rng = np.random.default_rng(seed)
-    next_run = len(found.aligned)
-    return LineChoice(run.machine, base.pose, next_run, questions, feed, rng).choose()
+    return LineChoice(run.machine, base, questions, feed, rng).choose()
 
 
 def _list_questions(
@@ -138,14 +143,19 @@ def _form_question(
     with_one: TermFit,
     with_other: TermFit,
 ) -> Question:
-    base = replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
+    base = _foresee_run(found)
     left, right = (form_hypothesis(fit, gram) for fit in (with_one, with_other))
     return Question(
         one.candidate.label,
         other,
         (left.root.shape[1], right.root.shape[1]),
-        HypothesisPair(left, right, base).measure,
+        HypothesisPair(left, right, base.machine_model.size, base.size).measure,
     )
+
+
+def _foresee_run(found: Discovery) -> Linearisation:
+    """Return the problem with a further Run, its tracker where the first one's is."""
+    return replace(found.fitter.run_data[0].base, runs=len(found.aligned) + 1)
 
 
 def form_hypothesis(fit: TermFit, machine: Float64[np.ndarray, "m m"]) -> Hypothesis:

@@ -124,9 +124,11 @@ class Line:
         return _project_out(blocks, self.timing)
 
 
-def build_line(
-    data: RunData, run: int, first: int, last: int
-) -> tuple[Line, WhitenedBlocks]:
+PlacedLine = tuple[Line, WhitenedBlocks]
+"""A line with its machine, poses and data."""
+
+
+def build_line(data: RunData, run: int, first: int, last: int) -> PlacedLine:
     """Return one line or standstill of a Run, and its machine, poses and data.
 
     run : which of the Runs; first, last : its first cell, and one past its last

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -52,13 +53,14 @@ class FoldedSums:
     fast_square: Float64[np.ndarray, " k"]
     fast_freedom: Float64[np.ndarray, " k"]
 
+    @cached_property
     def total(self) -> Float64[np.ndarray, "q q"]:
-        """Return the sums over all lines."""
+        """Sums over all lines."""
         return self.fold.sum(axis=0) + self.always
 
     def information(self, columns: Int64[np.ndarray, " m"]) -> Information:
         """Return the information of all lines on some of the columns."""
-        return Information.from_total(self.total(), self.log_determinant, columns)
+        return Information.from_total(self.total, self.log_determinant, columns)
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,13 @@ class _Term:
     """An effect's columns, and their sums with base and data.
 
     cross : (k + 1, q, p) over each fold, then over the lines never held out
+    pairs : the same with the columns of other effects
     """
 
     effect: Effect
     blocks: WhitenedBlocks
     cross: Float64[np.ndarray, "f q p"]
+    pairs: dict[Effect, Float64[np.ndarray, "f o p"]]
 
     @cached_property
     def total(self) -> Float64[np.ndarray, "q p"]:
@@ -127,6 +131,7 @@ class Lines:
         self._base = WhitenedBlocks.join([lines[int(k)][2] for k in order])
         self._ground = self._products(self._base, self._base)
         self._known: dict[Effect, _Term] = {}
+        self._latest: tuple[tuple[Effect, ...], FoldedSums] | None = None
 
     @property
     def pose_precision(self) -> Float64[np.ndarray, "b b"]:
@@ -141,17 +146,26 @@ class Lines:
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
         """Return the sums of all lines on machine, poses, effects and data."""
+        # Many effects on offer are ranked beside the same ones.
+        if self._latest is None or self._latest[0] != tuple(effects):
+            self._latest = tuple(effects), self._add_up(effects)
+        return self._latest[1]
+
+    def _add_up(self, effects: Sequence[Effect]) -> FoldedSums:
         terms = self._terms_of(effects)
         begin = self._begins(terms)
-        total = np.zeros((self._folds + 1, begin[-1] + 1, begin[-1] + 1))
-        base = np.r_[np.arange(self.size), begin[-1]]
-        _put(total, base, base, self._ground)
-        for j, one in enumerate(terms):
-            mine = np.arange(int(begin[j]), int(begin[j + 1]))
-            _put(total, base, mine, one.cross)
-            for k, other in enumerate(terms[: j + 1]):
-                theirs = np.arange(int(begin[k]), int(begin[k + 1]))
-                _put(total, theirs, mine, self._products(other.blocks, one.blocks))
+        end = int(begin[-1])
+        base, data = slice(self.size), slice(end, end + 1)
+        total = np.zeros((self._folds + 1, end + 1, end + 1))
+        total[:, base, base] = self._ground[:, base, base]
+        total[:, data, data] = self._ground[:, self.size :, self.size :]
+        _put(total, data, base, self._ground[:, self.size :, base])
+        parts = [slice(*ends) for ends in pairwise(begin.tolist())]
+        for j, (one, mine) in enumerate(zip(terms, parts, strict=True)):
+            _put(total, base, mine, one.cross[:, base])
+            _put(total, data, mine, one.cross[:, self.size :])
+            for other, theirs in zip(terms[: j + 1], parts, strict=False):
+                _put(total, theirs, mine, self._pair(other, one))
         fast = self._with_fast(total, begin, effects)
         return FoldedSums(
             total[:-1], self._freedom, total[-1], self._log_determinant, *fast
@@ -164,7 +178,7 @@ class Lines:
 
         keep : their columns as well, to be asked for again
         """
-        total = self.sums(known).total()
+        total = self.sums(known).total
         beside = self._terms_of(known)
         joined = WhitenedBlocks.stack([one.blocks for one in beside])
         terms = self._terms_of(offers, keep=keep)
@@ -191,7 +205,7 @@ class Lines:
         parts = [slice(k, k + width) for k in range(0, new.width, width)]
         each = [new.select(part) for part in parts]
         return CandidateBlocks(
-            self.sums(known).total(),
+            self.sums(known).total,
             tuple(cross + crossed[:, part] for part in parts),
             tuple(own + one.multiply(one) for one in each),
         )
@@ -209,6 +223,12 @@ class Lines:
         line = self._lines[number]
         time_s = self.runs[line.run].observations.at.time_s
         return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
+
+    def _pair(self, one: _Term, other: _Term) -> Float64[np.ndarray, "f o p"]:
+        """Return the products of the columns of two effects."""
+        if one.effect not in other.pairs:
+            other.pairs[one.effect] = self._products(one.blocks, other.blocks)
+        return other.pairs[one.effect]
 
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
         return self.size + np.cumsum([0, *(one.blocks.width for one in terms)])
@@ -280,7 +300,7 @@ class Lines:
         ends = np.cumsum([0, *(len(e.parameters) for e in effects)])
         for effect, first, last in zip(effects, ends, ends[1:], strict=False):
             own = slice(int(first), int(last))
-            yield _Term(effect, blocks.select(own), cross[:, :, own])
+            yield _Term(effect, blocks.select(own), cross[:, :, own], {})
 
     def _products(
         self, one: WhitenedBlocks, other: WhitenedBlocks
@@ -312,9 +332,9 @@ def _cross(
 
 def _put(
     total: Float64[np.ndarray, "f q q"],
-    rows: Int64[np.ndarray, " r"],
-    columns: Int64[np.ndarray, " c"],
+    rows: slice,
+    columns: slice,
     block: Float64[np.ndarray, "f r c"],
 ) -> None:
-    total[:, rows[:, None], columns] = block
-    total[:, columns[:, None], rows] = np.swapaxes(block, 1, 2)
+    total[:, rows, columns] = block
+    total[:, columns, rows] = np.swapaxes(block, 1, 2)

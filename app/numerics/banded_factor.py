@@ -53,7 +53,7 @@ class BandedFactor:
         carry = self.inverse[1:, :, :below] @ self.corner
         for k, taken in enumerate(carry, start=1):
             solved[k] -= taken @ solved[k - 1, -below:]
-        return solved.reshape(-1, right.shape[1])[: len(right)]
+        return self._join(solved, right)
 
     def solve(self, right: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "m p"]:
         """Return (L Lᵀ)⁻¹ right."""
@@ -63,10 +63,16 @@ class BandedFactor:
         carry = turned[:-1, :, -below:] @ np.swapaxes(self.corner, 1, 2)
         for k in range(len(carry) - 1, -1, -1):
             solved[k] -= carry[k] @ solved[k + 1, :below]
-        return solved.reshape(-1, right.shape[1])[: len(right)]
+        return self._join(solved, right)
 
     def _cut(self, rows: Float64[np.ndarray, "m p"]) -> Float64[np.ndarray, "c k p"]:
         """Return rows in chunks, what is missing of the last one 0."""
-        missing = len(self.inverse) * _CHUNK - len(rows)
-        padded = np.pad(rows, ((0, missing), (0, 0)))
-        return padded.reshape(-1, _CHUNK, rows.shape[1])
+        count = len(self.inverse)
+        padded = np.pad(rows, ((0, count * _CHUNK - len(rows)), (0, 0)))
+        return padded.reshape(count, _CHUNK, rows.shape[1])
+
+    def _join(
+        self, chunks: Float64[np.ndarray, "c k p"], like: Float64[np.ndarray, "m p"]
+    ) -> Float64[np.ndarray, "m p"]:
+        """Return chunks as rows, as many as were given."""
+        return chunks.reshape(len(chunks) * _CHUNK, like.shape[1])[: len(like)]

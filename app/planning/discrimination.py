@@ -22,12 +22,13 @@ from jaxtyping import Float64, Int64
 
 from app.alignment.observations import Observations
 from app.alignment.surroundings import add_surroundings
+from app.estimation.design_matrix import Linearisation
+from app.estimation.line_blocks import PlacedLine, RunData, build_line
 from app.estimation.prior import diagonal_precision
 from app.kinematics.effects.nuisance import TrackerPose
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.motion_times import Drive, Legs, Stops, travel_time_s
 from app.motion.travel import DECIMALS, add_resting_axes, check_travel, inner_travel
-from app.numerics.rigid import RigidTransform
 from app.planning.predicted_cells import predict_cells
 from drivers.interfaces.records import Path
 
@@ -56,14 +57,14 @@ class Question:
 
     left, right : in words, the right one empty where the question is whether or not
     ranks : number of columns of the root of each hypothesis
-    measure : returns the normal equations of observations of the next Run, its timing
+    measure : returns the normal equations of lines of the next Run, their timing
         integrated out; columns are both roots, both means, the tracker's pose
     """
 
     left: str
     right: str
     ranks: tuple[int, int]
-    measure: Callable[[Observations], Float64[np.ndarray, "q q"]]
+    measure: Callable[[Sequence[PlacedLine]], Float64[np.ndarray, "q q"]]
 
     @property
     def size(self) -> int:
@@ -153,13 +154,12 @@ class _Draft:
 class LineChoice:
     """Chooses lines for questions about a machine.
 
-    pose : of the tracker; run : number of the Run that the lines will be
+    base : machine and poses, the last one that of the Run that the lines will be
     feed_mm_min : the highest of the Runs so far
     """
 
     machine: Machine
-    pose: RigidTransform
-    run: int
+    base: Linearisation
     questions: Sequence[Question]
     feed_mm_min: float
     rng: np.random.Generator
@@ -195,7 +195,9 @@ class LineChoice:
         self, draft: _Draft, end: Float64[np.ndarray, " a"], feed: float
     ) -> _Draft:
         stops = draft.stops.append(end, feed)
-        line = self._predict_last_line(self._path(stops))
+        seen = self._predict_last_line(self._path(stops))
+        data, number = RunData(seen, self.base), self.base.runs - 1
+        line = [build_line(data, number, *cells) for cells in seen.lines]
         normal = tuple(
             s + q.measure(line)
             for q, s in zip(self.questions, draft.normal, strict=True)
@@ -247,13 +249,12 @@ class LineChoice:
 
     def _predict_last_line(self, path: Path) -> Observations:
         """Return the observations that the last line of a path would give."""
-        station_mm = self.pose.invert().apply(np.zeros((1, 3)))[0]
+        pose = self.base.pose
+        station_mm = pose.invert().apply(np.zeros((1, 3)))[0]
         seen = predict_cells(self.machine, path, station_mm)
         seen = seen.select(np.flatnonzero(seen.row == len(path) - 1))
-        seen = replace(
-            seen, tracker_mm=self.pose.apply(seen.at.point_mm), pose=self.pose
-        )
-        return add_surroundings(seen, path, None, self.run)
+        seen = replace(seen, tracker_mm=pose.apply(seen.at.point_mm), pose=pose)
+        return add_surroundings(seen, path, None, self.base.runs - 1)
 
 
 def _divergence(
