@@ -1,4 +1,4 @@
-"""Discovery: time and memory at 150 000 samples, clean and with effects.
+"""Discovery: time and memory at 135 000 samples, clean and with effects.
 
 From reading to what is stated, of Runs in which nothing is missing, one effect, three
 effects, or a cause that nobody has listed.
@@ -6,11 +6,16 @@ effects, or a cause that nobody has listed.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 from measure import measure
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "validation"))
+
+from document import table, write_section
 
 from app.discovery.discover import discover
 from app.files.bundle import read_bundle
@@ -37,6 +42,16 @@ WORLDS: dict[str, tuple[HiddenEffect, ...]] = {
     "three effects": THREE,
     "unlisted cause": (SettlingStand((20.0, -12.0), 60.0),),
 }
+DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "discovery.md"
+HEAD = [
+    "hidden",
+    "samples",
+    "named",
+    "described",
+    "wall s",
+    "processor s",
+    "peak MiB",
+]
 
 
 def read_and_discover(folder: Path) -> tuple[int, int, int]:
@@ -47,16 +62,18 @@ def read_and_discover(folder: Path) -> tuple[int, int, int]:
 
 
 def main() -> None:
-    """Measure each world and print it."""
-    print(f"{'hidden':>16s} {'samples':>9s} {'named':>6s} {'described':>10s}")
+    """Measure each world and write the table."""
+    rows: list[list[str]] = []
     for title, hidden in WORLDS.items():
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name) / "bundle"
             _record(folder, hidden)
             cost = measure(read_and_discover, folder)
-        samples, named, described = cost.value
-        counts = f"{samples:9d} {named:6d} {described:10d}"
-        print(f"{title:>16s} {counts} {cost}", flush=True)
+        counts = [str(count) for count in cost.value]
+        spent = f"{cost.wall_s:.1f}", f"{cost.processor_s:.1f}", f"{cost.peak_mib:.0f}"
+        rows.append([title, *counts, *spent])
+        print(*rows[-1], sep="  ", flush=True)
+    write_section("discovery-cost", table(HEAD, rows), DOCUMENT)
 
 
 def _record(folder: Path, hidden: tuple[HiddenEffect, ...]) -> None:

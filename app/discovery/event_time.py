@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from app.discovery.evidence import TermData, integrate_out, prior_precision
+from app.discovery.evidence import TermData
 from app.kinematics.effects.candidate_term import CandidateTerm
 
 _ROUNDS = 4  # the best time moves into a line, to its end, and beyond
@@ -80,9 +80,5 @@ def _try_line(
     time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     if not len(time_s):
         return _Trials(time_s, width_s, width_s)
-    terms = [term.with_value(float(t)) for t in time_s]
-    blocks = data.lines.collect_blocks_along(
-        [t.effect for t in beside], [t.effect for t in terms], line
-    )
-    remainder = integrate_out(blocks, prior_precision(data.precision, beside), terms)
+    remainder = data.compare_moments(beside, term, time_s)
     return _Trials(time_s, width_s, remainder.log_bayes())

@@ -192,6 +192,22 @@ class TermData:
         )
         return integrate_out(blocks, prior_precision(self.precision, beside), terms)
 
+    def compare_moments(
+        self,
+        beside: Sequence[CandidateTerm],
+        term: CandidateTerm,
+        moment_s: Float64[np.ndarray, " v"],
+    ) -> Remainder:
+        """Return what the data tell of a term that happens once at several moments.
+
+        moment_s : increasing
+        """
+        terms = [term.with_value(float(t)) for t in moment_s]
+        blocks = self.lines.collect_blocks_of_moments(
+            [t.effect for t in beside], [t.effect for t in terms], moment_s
+        )
+        return integrate_out(blocks, prior_precision(self.precision, beside), terms)
+
     def try_values(
         self,
         beside: Sequence[CandidateTerm],

@@ -64,7 +64,10 @@ def _best_value(
     term: CandidateTerm, scan: Scan, residuals: Sequence[Residual]
 ) -> float:
     """Return the value of any other scan that promises most."""
-    gains = np.array([_gain(term, residuals, float(v)) for v in scan.values])
+    if term.family.happens_once:
+        gains = _moment_gains(term, residuals, scan.values)
+    else:
+        gains = np.array([_gain(term, residuals, float(v)) for v in scan.values])
     best = int(np.argmax(gains))
     if gains[best] < _HOPELESS:
         return float(scan.values[best])
@@ -92,6 +95,42 @@ def _gain(term: CandidateTerm, residuals: Sequence[Residual], value: float) -> f
             information += fast[0, :-1, :-1]
             data += fast[0, :-1, -1]
     return log_bayes(information, data, candidate.usual)
+
+
+def _moment_gains(
+    term: CandidateTerm,
+    residuals: Sequence[Residual],
+    moment_s: Float64[np.ndarray, " v"],
+) -> Float64[np.ndarray, " v"]:
+    """Return the quick log Bayes factor of a term that happens once at each moment.
+
+    All cells before a moment are as if it never came, all others as if it had been.
+    """
+    count, size = len(moment_s), term.size
+    data, information = np.zeros((count, size)), np.zeros((count, size, size))
+    for one in residuals:
+        after, before = (
+            term.with_value(at_s).candidate.effect.jacobian(one.at)
+            for at_s in (-np.inf, np.inf)
+        )
+        begin = np.searchsorted(one.at.time_s, moment_s)
+        pulled = [np.einsum("nip,ni->np", J, one.weighted) for J in (before, after)]
+        square = [np.swapaxes(J, 1, 2) @ one.precision @ J for J in (before, after)]
+        data += _sum_sides(*pulled, begin)
+        information += _sum_sides(*square, begin)
+    each, usual = zip(information, data, strict=True), term.candidate.usual
+    return np.array([log_bayes(S, r, usual) for S, r in each])
+
+
+def _sum_sides(
+    before: Float64[np.ndarray, "n ..."],
+    after: Float64[np.ndarray, "n ..."],
+    begin: Int64[np.ndarray, " v"],
+) -> Float64[np.ndarray, "v ..."]:
+    """Return the sums over rows, those from each beginning on taken from `after`."""
+    change = np.cumsum(before - after, axis=0)
+    change = np.concatenate([np.zeros_like(change[:1]), change])
+    return after.sum(axis=0) + change[begin]
 
 
 def _wave_gains(

@@ -236,11 +236,14 @@ class TermFitter:
         scan = term.scan(at)
         if scan is None or term.wave(at) is not None:
             return term
+        if term.family.happens_once:
+            data = self._data(fit.prior)
+            moment_s = np.union1d(scan.values, term.candidate.value or 0.0)
+            found = data.compare_moments(fit.terms, term, moment_s)
+            best = found.terms[int(np.argmax(found.log_bayes()))]
+            return locate_event(data, fit.terms, best)
         terms = [term.with_value(float(value)) for value in scan.values]
-        best = self.rank(fit, [term, *terms], keep=False)[0].term
-        if not term.family.happens_once:
-            return best
-        return locate_event(self._data(fit.prior), fit.terms, best)
+        return self.rank(fit, [term, *terms], keep=False)[0].term
 
     def residuals(self, fit: TermFit) -> list[Residual]:
         """Return what a fit leaves in every cell of each Run."""

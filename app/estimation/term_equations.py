@@ -27,6 +27,7 @@ from app.estimation.line_blocks import (
 from app.estimation.prior import diagonal_precision
 from app.estimation.within_cells import CellDeviations
 from app.files.run import Run
+from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect
 
 _FOLDS = 8  # of lines, each held out once
@@ -187,27 +188,39 @@ class Lines:
             total, tuple(c for c, _ in pairs), tuple(o for _, o in pairs)
         )
 
-    def collect_blocks_along(
-        self, known: Sequence[Effect], offers: Sequence[Effect], number: int
+    def collect_blocks_of_moments(
+        self,
+        known: Sequence[Effect],
+        offers: Sequence[Effect],
+        moment_s: Float64[np.ndarray, " v"],
     ) -> CandidateBlocks:
-        """Return the sums of effects on offer that differ on one line alone."""
-        line, beside = self._lines[number], self._terms_of(known)
-        first, here = self._terms_of(offers[:1])[0], (number, number + 1)
-        fixed = [self._base.between(*here), *(t.blocks.between(*here) for t in beside)]
-        joined = WhitenedBlocks.stack([one.blocks for one in beside])
-        cross, own = self._beside(beside, joined, first)
-        old = first.blocks.between(*here)
-        cross, own = cross - _cross(fixed, old), own - old.multiply(old)
-        at = line.design.observations.at
-        rows = np.concatenate([e.jacobian(at) for e in offers], axis=2)
-        new, width = line.whiten(rows), first.blocks.width
-        crossed = _cross(fixed, new)
-        parts = [slice(k, k + width) for k in range(0, new.width, width)]
-        each = [new.select(part) for part in parts]
+        """Return the sums of effects on offer that differ in their moment alone.
+
+        moment_s : of each, increasing; all shifts by it, then and for good, so that a
+            line sees the same of all that come before it, and of all after it
+        """
+        beside, width = self._terms_of(known), len(offers[0].parameters)
+        size = int(self._begins(beside)[-1]) + 1
+        known_blocks = [self._base, *(one.blocks for one in beside)]
+        cross = np.zeros((len(offers), size, width))
+        own = np.zeros((len(offers), width, width))
+        for number, line in enumerate(self._lines):
+            at = line.design.observations.at
+            here = _tell_apart(at, moment_s)
+            jacobians = [effect.jacobian(at) for effect in offers[here]]
+            new = line.whiten(np.concatenate(jacobians, axis=2))
+            fixed = [each.between(number, number + 1) for each in known_blocks]
+            crossed = _cross(fixed, new).reshape(size, -1, width).transpose(1, 0, 2)
+            each = new.rows.reshape(-1, len(crossed), width).transpose(1, 2, 0)
+            square = each @ np.swapaxes(each, 1, 2)
+            # The first one stands for all before the line.
+            begin = np.r_[0, np.arange(here.start + 1, here.stop)]
+            cross[begin] += np.diff(crossed, axis=0, prepend=0.0)
+            own[begin] += np.diff(square, axis=0, prepend=0.0)
         return CandidateBlocks(
             self.sums(known).total,
-            tuple(cross + crossed[:, part] for part in parts),
-            tuple(own + one.multiply(one) for one in each),
+            tuple(np.cumsum(cross, axis=0)),
+            tuple(np.cumsum(own, axis=0)),
         )
 
     def about(self, run: int, time_s: float) -> list[int]:
@@ -321,6 +334,12 @@ def build_lines(
     """
     pairs = zip(runs, observations, strict=True)
     return Lines([place_run(run, seen, baseline) for run, seen in pairs], _FOLDS)
+
+
+def _tell_apart(at: Conditions, moment_s: Float64[np.ndarray, " v"]) -> slice:
+    """Return the moments on a line, the last one before it and the first one after."""
+    first, last = np.searchsorted(moment_s, at.time_s[[0, -1]], "right").tolist()
+    return slice(max(first - 1, 0), min(last + 1, len(moment_s)))
 
 
 def _cross(

@@ -29,8 +29,8 @@ def transform(
     share = at_wave - index
     # Seen from the middle of the data, neighbours differ least in phase.
     middle = int(left.max()) // 2
-    turn = 2j * np.pi * middle / size
-    value = found[index] * np.exp(turn * index) * (1.0 - share)
-    value += found[index + 1] * np.exp(turn * (index + 1)) * share
-    phase = np.exp(-2j * np.pi * (first + middle * step) * waves)
+    turn = middle / size
+    value = found[index] * (1.0 - share)
+    value += found[index + 1] * np.exp(2j * np.pi * turn) * share
+    phase = np.exp(2j * np.pi * (turn * index - (first + middle * step) * waves))
     return np.asarray(value * phase / np.sinc(waves * step) ** 2, np.complex128)

@@ -5,6 +5,9 @@ import pytest
 
 from app.alignment.observations import Observations
 from app.discovery.discover import align_runs, discover
+from app.discovery.evidence import TermData, log_bayes
+from app.discovery.scan import scan_term
+from app.estimation.term_equations import build_lines
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 
@@ -30,3 +33,30 @@ def test_a_knock_while_a_line_is_driven_is_not_taken_for_one_in_a_pause(
     said = found.parameters["t_s"]
     assert found.candidate.family == "setup-step"
     assert abs(said.value - moment_s) < min(0.1, 3.0 * said.uncertainty)
+
+
+def test_moments_are_compared_at_once_as_one_by_one(record):
+    run, _ = record(11, rows=ROWS)
+    found = discover([run])
+    lines = build_lines([run], [found.aligned[0].observations], found.baseline)
+    precision = found.baseline.prior.precision_matrix(lines.size)
+    data = TermData(lines, precision + lines.pose_precision)
+    term = next(t for t in found.fitter.catalogue if t.family.happens_once)
+    beside = [t for t in found.fitter.catalogue if not t.family.happens_once][:2]
+    scan = term.scan(data.conditions_of(term))
+    moment_s = np.sort(np.r_[scan.values[::11], scan.values[40] + [0.03, 0.06]])
+    each = data.compare(beside, [term.with_value(float(t)) for t in moment_s])
+    at_once = data.compare_moments(beside, term, moment_s)
+    assert np.allclose(at_once.log_bayes(), each.log_bayes(), rtol=1e-8, atol=1e-6)
+    residuals = found.fitter.residuals(found.without)
+    best = scan_term(term, residuals).candidate.value
+    quick = [quick_gain(term, residuals, t) for t in [*scan.values, best]]
+    assert np.argmax(quick) == len(scan.values)
+
+
+def quick_gain(term, residuals, moment_s):
+    """Return the log Bayes factor of a shift of all cells, the machine left aside."""
+    J = term.with_value(float(moment_s)).candidate.effect.jacobian(residuals[0].at)
+    data = np.einsum("nip,ni->p", J, residuals[0].weighted)
+    square = np.einsum("nip,nij,njq->pq", J, residuals[0].precision, J)
+    return log_bayes(square, data, term.candidate.usual)
