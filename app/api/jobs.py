@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
@@ -27,6 +27,7 @@ from app.api.request_headers import IdempotencyKeyHeader, Version, format_etag, 
 from app.api.service import ServiceDep
 from app.errors import NotFound
 from app.jobs.job import Job
+from app.jobs.live_notice import OnNotice
 from app.jobs.transitions import State
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -87,10 +88,18 @@ def pause_job(job_id: str, response: Response, service: ServiceDep) -> JobOut:
     "/{job_id}/resume", status_code=202, responses=declare_problems(404, 409, 412, 428)
 )
 def resume_job(
-    job_id: str, version: Version, response: Response, service: ServiceDep
+    job_id: str,
+    version: Version,
+    response: Response,
+    service: ServiceDep,
+    then: Annotated[
+        Literal["note", "check", "replan"],
+        Query(description="What to do first about the newest notice; see on_notice."),
+    ] = "note",
 ) -> JobOut:
     """Go on after a hold. The machine moves again."""
-    return _describe(service.dispatcher.resume(job_id, version), response)
+    job = service.dispatcher.resume(job_id, version, OnNotice(then))
+    return _describe(job, response)
 
 
 @router.post("/{job_id}/abort", status_code=202, responses=declare_problems(404))

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
 from app.estimation.information import Information
@@ -27,8 +27,9 @@ LOST_MOTION = "lost-motion-changed"
 LASTING = (DRIFT, GROWTH)
 _RISK, _MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST = 3  # changes that are told apart
+_OF_LARGEST = 0.03  # of its gain: a smaller change may be its doing, and waits
 _NEAR = 3  # lines and standstills: changes as near as that are one
-_NEWEST, _OLDER = 24, 24  # lines since which a change is looked for: all, and some
+_NEWEST, _OLDER = 60, 60  # lines since which a change is looked for: all, and some
 _DRIFT_ONSETS = 4
 _SETTLES = 3.0  # times that a drift which settles falls by e
 _FEW = 2  # lines before a change or after it
@@ -108,10 +109,14 @@ class ChangeSearch:
     """Looks for changes in the sums of lines, given all else that is known.
 
     known : of the machine and the pose, beside these lines
+    before : since which lines changes were found before
     """
 
-    def __init__(self, sums: WatchSums, known: Information) -> None:
+    def __init__(
+        self, sums: WatchSums, known: Information, before: Sequence[int] = ()
+    ) -> None:
         self._sums = sums
+        self._before = np.array(before, np.int64)
         self._factor = ScaledCholesky.of(sums.data.matrix + known.matrix)
         vector = sums.data.vector + known.vector
         self._theta = self._factor.solve(vector)
@@ -122,10 +127,11 @@ class ChangeSearch:
         """Return the changes that the lines ask for, the plainest first."""
         trials = [self._prepare(course) for course in self._list_courses()]
         found: list[Change] = []
-        explained = 0.0
+        explained = largest = 0.0
         while trials and len(found) < _MOST:
             best, change = self._find_best(trials, explained)
-            if change.gain < change.limit:
+            largest = max(largest, change.gain)
+            if change.gain < max(change.limit, _OF_LARGEST * largest):
                 break
             found.append(change)
             explained += float(best.gain[0])
@@ -138,9 +144,7 @@ class ChangeSearch:
         if lines <= _FEW:
             return []
         columns, machine = sums.columns, sums.columns.machine
-        older = np.linspace(1, lines - _NEWEST, _OLDER)[: max(lines - _NEWEST, 0)]
-        newest = np.arange(max(1, lines - _NEWEST + 1), lines)
-        onset = np.unique(np.r_[older.round().astype(int), newest])
+        onset = self._choose_onsets(lines)
         number = np.arange(lines)
         step = (number >= onset[:, None]).astype(np.float64)
         time_s = sums.time_s - sums.time_s[0]
@@ -163,6 +167,16 @@ class ChangeSearch:
                 for k, axis in enumerate(machine.axes)
             ),
         ]
+
+    def _choose_onsets(self, lines: int) -> Int64[np.ndarray, " m"]:
+        """Return the lines since which a step is looked for, never the first."""
+        first_of_newest = max(1, lines - _NEWEST)
+        older = np.linspace(1, first_of_newest, _OLDER).round().astype(np.int64)
+        stride = 1 + first_of_newest // _OLDER
+        near = np.add.outer(self._before, np.arange(-stride, stride + 1)).ravel()
+        newest = np.arange(first_of_newest, lines)
+        onset = np.unique(np.concatenate([older, near, newest]))
+        return onset[(onset >= 1) & (onset < lines)]
 
     def _prepare(self, course: Course) -> Trial:
         sums, own, factor = self._sums, course.columns, course.factor

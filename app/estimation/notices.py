@@ -73,7 +73,9 @@ class ChangeWatch:
         sums = self._sums
         if sums is None or len(set(sums.row)) < self._fewest:
             return self._notices
-        found = ChangeSearch(sums, known).find()
+        rows = {each.since_row for each in self._notices}
+        before = [k for k, row in enumerate(sums.row) if row in rows]
+        found = ChangeSearch(sums, known, before).find()
         self._notices = revise(self._notices, found, sums.row, time_s)
         return self._notices
 

@@ -13,15 +13,8 @@ import structlog
 from app.jobs.errors import Aborted, Interrupted, StorageUnavailable
 from app.jobs.event_bus import EventBus
 from app.jobs.executor import Computation
-from app.jobs.job import (
-    Failure,
-    Health,
-    Job,
-    JobEvent,
-    Json,
-    Progress,
-    Stage,
-)
+from app.jobs.job import Failure, Health, Job, JobEvent, Json, Progress, Stage
+from app.jobs.live_notice import OnNotice
 from app.jobs.store import Store
 from app.jobs.transitions import State, Verb, apply_verb, may_follow
 
@@ -51,6 +44,7 @@ class ActiveJob:
         self.state, self._since = job.state, time.monotonic()
         self.wants_pause = job.wants_pause
         self._armed = self._aborted = self._interrupted = False
+        self._wish: OnNotice | None = None
         self._computation: Computation | None = None
         self._stage, self._progress, self._health = job.stage, job.progress, job.health
         self._stored_at = self._published_at = -float("inf")
@@ -81,6 +75,15 @@ class ActiveJob:
         with self._changed:
             self._armed = True
             self._changed.notify_all()
+
+    def wish(self, what: OnNotice) -> None:
+        """Say what is to be done about the newest notice."""
+        self._wish = what
+
+    def take_wish(self) -> OnNotice | None:
+        """Return what a user has said, once."""
+        wish, self._wish = self._wish, None
+        return wish
 
     def abort(self) -> None:
         """End the job because a user asked. Does not wait for the catalogue."""

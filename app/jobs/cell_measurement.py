@@ -142,11 +142,16 @@ class CellMeasurement:
                 self._steering.handle(event)
 
     def _report_progress(self, event: MeasurementProgress) -> None:
+        total, left_s = event.total, event.remaining_s
+        if self._steering is not None:
+            total = self._steering.count_total(total)
+        if total > event.total:
+            left_s += event.elapsed_s * (total - event.total) / max(event.total, 1)
         progress = Progress(
             float(event.done),
-            float(event.total),
+            float(total),
             event.unit,
-            event.remaining_s,
+            left_s,
             event.elapsed_s,
             event.position,
         )

@@ -16,6 +16,7 @@ from app.jobs.context import JobContext
 from app.jobs.errors import CellDown, Interrupted, QueueFull
 from app.jobs.event_bus import EventBus
 from app.jobs.job import Failure, Job, Stage
+from app.jobs.live_notice import OnNotice
 from app.jobs.requested_job import RequestedJob, check_requested_job
 from app.jobs.station_steps import list_run_ids
 from app.jobs.store import IdempotencyKey
@@ -88,9 +89,15 @@ class Dispatcher:
             self._command_cell(CellVerb.PAUSE)
         return job
 
-    def resume(self, job_id: str, version: int) -> Job:
-        """Go on after a hold. Raises StaleVersion, IllegalTransition."""
-        job = self._find_active(job_id, Verb.RESUME).apply_verb(Verb.RESUME, version)
+    def resume(self, job_id: str, version: int, then: OnNotice = OnNotice.NOTE) -> Job:
+        """Go on after a hold. Raises StaleVersion, IllegalTransition.
+
+        then : what to do first about the newest notice
+        """
+        active = self._find_active(job_id, Verb.RESUME)
+        job = active.apply_verb(Verb.RESUME, version)
+        if then is not OnNotice.NOTE:
+            active.wish(then)
         if job.state is State.RESUMING:
             self._command_cell(CellVerb.RESUME)
         return job

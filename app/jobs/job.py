@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from app.files.verdict import State as VerdictState
+from app.jobs.live_notice import LiveNotice, OnNotice
 from app.jobs.transitions import FINAL, State
 from app.numerics.adaptive_trials import TrialPlan
 
@@ -135,35 +136,6 @@ class EarlyEnd:
 
 
 @dataclass(frozen=True, slots=True)
-class LiveNotice:
-    """What the live estimate has noticed to change during the measurement.
-
-    number : 1, 2, … of the job; kind : of the change, `something-changed` without a
-        name; axis : of which, if of one; grade : `certain`, `likely` or `possible`
-    since_row : first line or point that it shows on; noticed_row : the newest one when
-        it was noticed; noticed_s : then, since the stream began
-    size_um, uncertainty_um : what it moves the measured points by (k = 1)
-    is_over : the newest lines show nothing of it any more
-    """
-
-    number: int
-    kind: str
-    grade: str
-    since_row: int
-    noticed_row: int
-    noticed_s: float
-    size_um: float
-    uncertainty_um: float
-    axis: str = ""
-    is_over: bool = False
-
-    @property
-    def heading(self) -> tuple[str, str, str, bool]:
-        """What it is called: a change of it is told anew."""
-        return self.kind, self.axis, self.grade, self.is_over
-
-
-@dataclass(frozen=True, slots=True)
 class Failure:
     """Why a job did not succeed.
 
@@ -189,7 +161,8 @@ class Job:
     monte_carlo : the trials that an analysis holds its uncertainty against
     verdict : state of its result or discovery, once that stands
     station : of a measurement from several places of the tracker
-    notices : what its live estimate has noticed
+    on_notice : what is done where its live estimate notices a change
+    notices : what it has noticed
     """
 
     kind: JobKind
@@ -210,6 +183,7 @@ class Job:
     early_end: EarlyEnd | None = None
     verdict: VerdictState | None = None
     station: StationProgress | None = None
+    on_notice: OnNotice = OnNotice.NOTE
     notices: tuple[LiveNotice, ...] = ()
     progress: Progress = field(default_factory=Progress)
     health: Health = field(default_factory=Health)
@@ -258,7 +232,7 @@ class JobEvent:
     id: int | None = None
 
 
-_JOB, _NOTICE = TypeAdapter(Job), TypeAdapter(LiveNotice)
+_JOB = TypeAdapter(Job)
 
 
 def encode_job(job: Job) -> dict[str, Any]:
@@ -269,11 +243,6 @@ def encode_job(job: Job) -> dict[str, Any]:
 def decode_job(content: Json) -> Job:
     """Return the record that `encode_job` wrote."""
     return _JOB.validate_python({k: v for k, v in content.items() if v is not None})
-
-
-def decode_notice(content: Json) -> LiveNotice:
-    """Return the notice that the live estimate tells."""
-    return _NOTICE.validate_python(content)
 
 
 def make_id() -> str:

@@ -31,6 +31,7 @@ from app.jobs.live_process import (
     PartChosen,
     estimate_live,
 )
+from app.jobs.planned_rows import PlannedRows
 from app.measurement.cell import Cell
 from app.measurement.messages import BlockRecorded, CellEvent, CellVerb, PartRequested
 from app.motion.configurations import Commanded, append_part
@@ -62,7 +63,7 @@ class LiveEstimation:
         self._process = ChildProcess(
             "live-estimate", estimate_live, order, niceness=BACKGROUND_NICENESS
         )
-        self._queue: queue.Queue[TrackerSamples | LiveCommand]
+        self._queue: queue.Queue[TrackerSamples | LiveCommand | Commanded]
         self._queue = queue.Queue(WAITING_BLOCKS)
         self._parts: queue.SimpleQueue[Part] = queue.SimpleQueue()
         self._show, self._ended = show, threading.Event()
@@ -101,6 +102,11 @@ class LiveEstimation:
         with suppress(queue.Empty):
             return self._parts.get_nowait()
         return None
+
+    def extend(self, part: Commanded) -> None:
+        """Say what is driven next, beside the rows so far."""
+        with suppress(queue.Full):
+            self._queue.put(part, timeout=FINISH_S)
 
     def finish(self) -> None:
         """Nothing follows: wait for the last estimate, at most so long."""
@@ -165,6 +171,7 @@ class LiveSteering:
     on_part : receives all rows after each part, and the body of the event `plan`
     on_target : receives the estimate that has reached the target
     on_notices : receives all that has been noticed so far
+    planned : rows that are driven part by part
     """
 
     live: LiveEstimation
@@ -174,6 +181,8 @@ class LiveSteering:
     on_part: Callable[[Commanded, Mapping[str, Any]], None]
     on_target: Show = lambda _: None
     on_notices: Callable[[Sequence[Mapping[str, Any]]], object] = lambda _: None
+    planned: PlannedRows | None = None
+    _is_next_due: bool = False
     _answer_by: float | None = None
     _parts: int = 1
     _is_concluded: bool = False
@@ -183,6 +192,8 @@ class LiveSteering:
         match event:
             case BlockRecorded(samples):
                 self.live.offer(samples)
+            case PartRequested() if self.planned is not None:
+                self._is_next_due = True
             case PartRequested() if self.commanded is not None:
                 self._answer_by = time.monotonic() + ANSWER_S
                 self.live.ask()
@@ -205,6 +216,21 @@ class LiveSteering:
             self.on_target(newest)
         elif self._answer_by is not None and self.commanded is not None:
             self._pass_on_part(self.commanded, self._answer_by)
+        elif self._is_next_due and self.planned is not None and may_conclude:
+            self._is_next_due = False
+            self._drive_next(self.planned)
+
+    def count_total(self, total: int) -> int:
+        """Return how many lines or points there will be, of those known so far."""
+        return total if self.planned is None else max(total, self.planned.total)
+
+    def _drive_next(self, planned: PlannedRows) -> None:
+        part = planned.next()
+        if part is None:
+            self.cell.send(CellVerb.CONCLUDE)
+            return
+        self.live.extend(part)
+        self.cell.extend(part)
 
     def _has_reached(self, estimate: Mapping[str, Any]) -> bool:
         reached_um = estimate["volumetric_uncertainty_um"]

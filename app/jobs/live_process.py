@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.files.verdict import verdict_json
 from app.kinematics.machine import Machine
-from app.motion.configurations import Configurations
+from app.motion.configurations import Commanded, Configurations, append_part
 from drivers.interfaces.records import Path, TrackerSamples
 
 if TYPE_CHECKING:
@@ -35,12 +35,14 @@ class LiveEstimateOrder:
 
     request : as `plan_orders` states it: the model whose effects are estimated beside,
         and what the further parts of an adaptive measurement are chosen for
+    total : lines or points that are planned, where they are commanded part by part
     """
 
     machine: Machine
     commanded: Path | Configurations
     perpendicular_only: bool = False
     request: Mapping[str, Any] | None = None
+    total: int = 0
 
 
 class LiveCommand(Enum):
@@ -101,7 +103,10 @@ def _estimate(link: Connection, order: LiveEstimateOrder) -> None:
     stream = _Stream(link)
     while not stream.is_over:
         is_new = False
-        for block in stream.gather():
+        blocks = stream.gather()
+        for part in stream.take_parts():
+            chooser.go_on(part)
+        for block in blocks:
             is_new = live.take(block) or is_new
         if stream.is_over:
             is_new = live.finish()
@@ -128,7 +133,14 @@ class _PartChooser:
     ) -> None:
         self._order, self._request, self._live = order, request, live
         self._choice: AdaptivePlanner | None = None
-        self.total = len(order.commanded) - isinstance(order.commanded, Path)
+        self._commanded = order.commanded
+        self.total = max(_count(order.commanded), order.total)
+
+    def go_on(self, part: Commanded) -> None:
+        """Know of a part that somebody else has chosen."""
+        self._commanded = append_part(self._commanded, part)
+        self._live.extend(self._commanded)
+        self.total = max(self.total, _count(self._commanded))
 
     def next(self) -> Part:
         from app.planning.adaptive_plan import AdaptivePlanner, Part
@@ -147,6 +159,10 @@ class _PartChooser:
         return part
 
 
+def _count(commanded: Commanded) -> int:
+    return len(commanded) - isinstance(commanded, Path)
+
+
 class _Stream:
     """The blocks as they come.
 
@@ -158,6 +174,12 @@ class _Stream:
         self._link = link
         self.is_over = self.is_asked = False
         self.begun_s: float | None = None
+        self._parts: list[Commanded] = []
+
+    def take_parts(self) -> list[Commanded]:
+        """Return the parts that have been announced since they were last taken."""
+        parts, self._parts = self._parts, []
+        return parts
 
     def gather(self) -> list[TrackerSamples]:
         """Return the blocks of a moment; waits for the first one."""
@@ -176,6 +198,8 @@ class _Stream:
                 self.is_asked = True
             case LiveCommand.END:
                 self.is_over = True
+            case Path() | Configurations() as part:
+                self._parts.append(part)
             case block:
                 if self.begun_s is None and len(block):
                     self.begun_s = float(block.device_time_s[0])

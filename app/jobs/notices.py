@@ -1,47 +1,113 @@
-"""What the live estimate notices, told as soon as it is and kept with the job."""
+"""What the live estimate notices: told at once, kept with the job, and acted on."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import structlog
 
+from app.errors import IllegalTransition
+from app.files.file_model import encode_json
+from app.files.whole_files import replace_file
 from app.jobs.active_job import ActiveJob
+from app.jobs.cell_supervisor import CellSupervisor
 from app.jobs.errors import StorageUnavailable
-from app.jobs.job import LiveNotice, decode_notice
+from app.jobs.live_notice import LiveNotice, OnNotice, decode_notice
+from app.jobs.planned_rows import PlannedRows
+from app.jobs.transitions import Verb
+from app.measurement.messages import CellVerb
 
 log = structlog.get_logger(__name__)
 
 
 class NoticeBoard:
-    """The notices of one measurement, in the words of the live estimate."""
+    """The notices of one measurement, in the words of the live estimate.
 
-    def __init__(self, active: ActiveJob) -> None:
-        self._active = active
+    policy : what is done about each
+    planned : rows that are driven part by part, so that some can be driven again
+    """
+
+    def __init__(
+        self,
+        active: ActiveJob,
+        cell: CellSupervisor,
+        policy: OnNotice,
+        planned: PlannedRows | None,
+    ) -> None:
+        self._active, self._cell = active, cell
+        self._policy, self._planned = policy, planned
         self._shown: dict[int, LiveNotice] = {}
 
-    def show(self, told: Sequence[Mapping[str, Any]]) -> list[LiveNotice]:
-        """Tell what is new or has another name; return what is new."""
-        notices = [decode_notice(each) for each in told]
-        news = [n for n in notices if self._is_news(n)]
+    def show(self, told: Sequence[Mapping[str, Any]]) -> None:
+        """Tell what is new or has another name; act on what is new."""
+        is_obeyed = self._obey()
+        news = [n for n in map(self._read, told) if self._is_news(n)]
         fresh = [n for n in news if n.number not in self._shown]
-        if news:
+        for notice in fresh:
+            self._act(notice)
+        if news or is_obeyed:
             self.keep(told)
-        for notice in news:
-            log.info("noticed", **told[notices.index(notice)])
-            self._active.publish("notice", told[notices.index(notice)])
-        return fresh
+        for body in told:
+            notice = self._read(body)
+            if notice.number in {n.number for n in news}:
+                log.info("noticed", **body)
+                self._active.publish("notice", {**body, "action": str(notice.action)})
 
     def keep(self, told: Sequence[Mapping[str, Any]]) -> None:
         """Store the notices with the job, as they are now."""
-        notices = tuple(decode_notice(each) for each in told)
+        notices = tuple(self._read(each) for each in told)
         self._shown = {each.number: each for each in notices}
         try:
             self._active.store_values(notices=notices)
         except StorageUnavailable:
             log.exception("notices are not stored; the measurement goes on")
 
+    def _read(self, body: Mapping[str, Any]) -> LiveNotice:
+        notice = decode_notice(body)
+        known = self._shown.get(notice.number)
+        action = self._policy if known is None else known.action
+        return replace(notice, action=action)
+
     def _is_news(self, notice: LiveNotice) -> bool:
         known = self._shown.get(notice.number)
         return known is None or known.heading != notice.heading
+
+    def _act(self, notice: LiveNotice) -> None:
+        if self._policy is OnNotice.PAUSE:
+            try:
+                self._active.apply_verb(Verb.PAUSE)
+            except (IllegalTransition, StorageUnavailable) as error:
+                log.warning("no pause for a notice", reason=str(error))
+                return
+            self._cell.send(CellVerb.PAUSE)
+        else:
+            self._measure_again(self._policy, notice)
+
+    def _obey(self) -> bool:
+        """Do what somebody wants who has been asked; tell whether anybody did."""
+        wanted = self._active.take_wish()
+        newest = max(self._shown, default=None)
+        if wanted is None or newest is None:
+            return False
+        self._shown[newest] = replace(self._shown[newest], action=wanted)
+        self._measure_again(wanted, self._shown[newest])
+        return True
+
+    def _measure_again(self, how: OnNotice, notice: LiveNotice) -> None:
+        if self._planned is None or how not in (OnNotice.CHECK, OnNotice.REPLAN):
+            return
+        first = notice.since_row - (how is OnNotice.CHECK)
+        log.info("measure again", from_row=first)
+        self._planned.repeat(first)
+
+
+def add_to_result(file: Path, notices: Sequence[LiveNotice]) -> None:
+    """Keep what was noticed with the result, where anything was."""
+    if notices and file.is_file():
+        content = json.loads(file.read_text(encoding="utf-8"))
+        content["notices"] = [asdict(each) for each in notices]
+        replace_file(file, encode_json(content))

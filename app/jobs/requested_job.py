@@ -9,6 +9,7 @@ from app.errors import IllegalTransition, NotFound, NotUsable, PlanningError
 from app.files.commanded_file import encode_commanded_json
 from app.jobs.context import JobContext
 from app.jobs.job import Job, JobKind, Json
+from app.jobs.live_notice import OnNotice
 from app.jobs.plan_orders import (
     check_plan_to_drive,
     list_station_rows,
@@ -37,6 +38,7 @@ class RequestedJob:
     continues : job whose stations are measured that it has left out
     plan_request : what is asked of a plan or an adaptive measurement, as
         `plan_orders` states it
+    on_notice : what is done where the live estimate notices a change
     """
 
     kind: JobKind
@@ -51,6 +53,7 @@ class RequestedJob:
     discovery_id: str | None = None
     continues: str | None = None
     plan_request: Json | None = None
+    on_notice: OnNotice = OnNotice.NOTE
 
 
 def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job, Json]:
@@ -64,7 +67,12 @@ def check_requested_job(request: RequestedJob, context: JobContext) -> tuple[Job
     if request.continues is not None:
         return _continue_job(request.continues, request, context)
     if kind.measures or kind is JobKind.PLAN:
-        job = Job(kind, perpendicular_only=only, target_um=request.target_um)
+        job = Job(
+            kind,
+            perpendicular_only=only,
+            target_um=request.target_um,
+            on_notice=request.on_notice,
+        )
         order = _make_plan_order(request, context)
         return job, {**_find_rows(request, context), "request": order}
     first, *further = [context.runs.get(run_id).id for run_id in request.run_ids]
@@ -107,6 +115,11 @@ def _find_rows(request: RequestedJob, context: JobContext) -> Json:
     if plan.get("stations") and request.target_um is not None:
         raise PlanningError(
             "a plan of several stations is driven to its end; leave target_um out"
+        )
+    if plan.get("stations") and request.on_notice is not OnNotice.NOTE:
+        raise PlanningError(
+            "several stations have no live estimate to notice anything; leave "
+            "on_notice out"
         )
     return check_plan_to_drive(machine, kind, plan)
 

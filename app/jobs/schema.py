@@ -47,6 +47,7 @@ jobs = sa.Table(
     sa.Column("early_end", sa.JSON, nullable=True),
     sa.Column("verdict", sa.String(16), nullable=True),
     sa.Column("station", sa.JSON, nullable=True),
+    sa.Column("on_notice", sa.String(16), nullable=True),
     sa.Column("notices", sa.JSON, nullable=True),
     sa.Column("plan", sa.JSON, nullable=True),
     sa.Column("progress", sa.JSON, nullable=False),

@@ -6,18 +6,18 @@ The job's thread runs it. At the checkpoints of its `ActiveJob` it ends early.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import structlog
 
-from app.errors import MeasurementFailed, TruepathError
-from app.files.commanded_file import decode_commanded_json, encode_commanded_json
+from app.errors import TruepathError
+from app.files.commanded_file import decode_commanded_json
 from app.jobs.active_job import ActiveJob
-from app.jobs.cell_measurement import CellMeasurement
 from app.jobs.context import JobContext
+from app.jobs.driving_steps import DrivingSteps
 from app.jobs.errors import (
     Aborted,
     Interrupted,
@@ -27,17 +27,14 @@ from app.jobs.errors import (
     TaskFailed,
 )
 from app.jobs.executor import Task
-from app.jobs.job import EarlyEnd, Failure, Job, JobKind, Json, Progress, Stage
-from app.jobs.live_estimation import LiveEstimation, LiveSteering
-from app.jobs.live_process import LiveEstimateOrder
-from app.jobs.notices import NoticeBoard
+from app.jobs.job import Failure, Job, JobKind, Json, Progress, Stage
+from app.jobs.notices import add_to_result
 from app.jobs.plan_orders import order_first_part
 from app.jobs.station_steps import StationSteps, begin_at_station
 from app.jobs.transitions import State, Verb
-from app.measurement.messages import MeasurementOrder
 from app.motion.configurations import Commanded
 from app.motion.travel import check_travel
-from app.results.model_history import find_model_file
+from app.results.model_history import RESULT, find_model_file
 from drivers.interfaces.errors import DeviceError
 
 TRY_AGAIN_S = 0.5
@@ -147,103 +144,13 @@ class _JobSteps:
         if "stations" in (self.context.store.read_plan(self.job.id) or {}):
             steps = StationSteps(self.job, self.active, self.context, self._compute)
             return steps.run()
-        self._measure(commanded)
+        steps = DrivingSteps(self.job, self.active, self.context, self._plan_order())
+        steps.run(commanded)
         return (self.job.id,)
-
-    def _measure(self, commanded: Commanded) -> None:
-        """Drive the machine; what was recorded is in the catalogue in any case."""
-        live = self._start_live_estimate(commanded)
-        try:
-            if live is None:
-                self._drive(commanded, None, None)
-                return
-            with closing(live):
-                board = NoticeBoard(self.active)
-                self._drive(commanded, live, board)
-                live.finish()
-                board.keep((live.newest or {}).get("notices", ()))
-        finally:
-            record = self.context.runs.add_measured(self.job.id)
-            if record is not None:
-                self.active.store_values(run_id=record.id)
 
     @property
     def _is_adaptive(self) -> bool:
         return self.job.kind is JobKind.MEASURE_ADAPTIVE
-
-    def _drive(
-        self,
-        commanded: Commanded,
-        live: LiveEstimation | None,
-        board: NoticeBoard | None,
-    ) -> None:
-        machine = self.context.require_machine()
-        order = MeasurementOrder(
-            run_name=f"{machine.name} {self.job.created}",
-            run_file=str(self.context.runs.name_run_file(self.job.id)),
-            machine=machine,
-            commanded=commanded,
-            rate_hz=machine.tracker.rate_hz,
-            live=live is not None,
-            grows=self._is_adaptive,
-        )
-        CellMeasurement(
-            self.active,
-            self.context.require_cell(),
-            confirm_s=self.context.confirm_s,
-            steering=self._make_steering(commanded, live, board),
-        ).run(order)
-
-    def _start_live_estimate(self, commanded: Commanded) -> LiveEstimation | None:
-        """Start the live estimate; a few extra lines alone would say too little."""
-        if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
-            return None
-        only = self.job.perpendicular_only
-        order = LiveEstimateOrder(
-            self.context.require_machine(), commanded, only, self._plan_order()
-        )
-        live = self.context.live(
-            order, lambda body: self.active.publish("estimate", body)
-        )
-        try:
-            live.start()
-        except OSError:
-            log.exception("no live estimate")
-            return None
-        return live
-
-    def _make_steering(
-        self,
-        commanded: Commanded,
-        live: LiveEstimation | None,
-        board: NoticeBoard | None,
-    ) -> LiveSteering | None:
-        if live is not None and board is not None:
-            return LiveSteering(
-                live,
-                self.context.require_cell(),
-                commanded if self._is_adaptive else None,
-                self.job.target_um,
-                self._store_part,
-                self._store_early_end,
-                board.show,
-            )
-        if self._is_adaptive:
-            raise MeasurementFailed("an adaptive measurement needs its live estimate")
-        return None
-
-    def _store_early_end(self, estimate: Mapping[str, Any]) -> None:
-        reached_um = estimate["volumetric_uncertainty_um"]
-        log.info("target reached", reached_um=reached_um, target_um=self.job.target_um)
-        early_end = EarlyEnd(reached_um, estimate["done"], estimate["total"])
-        self.active.store_values(early_end=early_end)
-
-    def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
-        self.active.publish("plan", part)
-        try:
-            self.context.store.keep_plan(self.job.id, encode_commanded_json(rows))
-        except StorageUnavailable:
-            log.exception("the extended plan is not stored; the Run holds it")
 
     def _conclude(
         self, run_ids: Sequence[str], stage: Stage, task: Task, *how: object
@@ -256,6 +163,8 @@ class _JobSteps:
         folder = str(self.context.results / self.job.id)
         model = self._find_model()
         verdict = self._compute(State.RUNNING, stage, task, files, folder, *how, *model)
+        notices = self.context.store.get(self.job.id).notices
+        add_to_result(Path(folder) / RESULT, notices)
         self.active.store_values(verdict=verdict)
 
     def _find_model(self) -> tuple[str | None, str | None]:

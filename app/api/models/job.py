@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 
 from app.api.models.base import JOB_ID, Links, Problem
 from app.files.verdict import State as VerdictState
+from app.jobs.live_notice import OnNotice
 from app.jobs.transitions import State
 
 
@@ -123,6 +124,7 @@ class NoticeOut(BaseModel):
     size_um: float = Field(description="What it moves the measured points by.")
     uncertainty_um: float
     is_over: bool = Field(description="The newest lines show nothing of it any more.")
+    action: OnNotice = Field(description="What was done about it.")
 
 
 class JobOut(BaseModel):
@@ -151,6 +153,9 @@ class JobOut(BaseModel):
     station: StationOut | None = Field(
         description="Of a plan of several stations. In the state awaiting-move the "
         "tracker is to be set down at position_mm; then arm the job again."
+    )
+    on_notice: OnNotice = Field(
+        description="What is done where the live estimate notices a change."
     )
     notices: list[NoticeOut] = Field(
         description="What its live estimate has noticed, by number."

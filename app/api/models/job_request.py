@@ -16,17 +16,18 @@ from app.api.models.base import (
 )
 from app.api.models.plan import PlanRequest, Point, Waypoint
 from app.jobs.job import JobKind
+from app.jobs.live_notice import OnNotice
 from app.jobs.requested_job import RequestedJob
 from app.motion.commanded_rows import MAX_ROWS
 from app.numerics.adaptive_trials import TrialPlan
 
 MAX_RUNS = 50
 ADAPTIVE_MINUTES = 10.0
-_MEASURED = {"plan_id", "target_um", "model_id", "continues"}
+_MEASURED = {"plan_id", "target_um", "model_id", "continues", "on_notice"}
 _ALLOWED = {
     "measure-otf": {"path", "feed_mm_min", *_MEASURED},
     "measure-standstill": {"points", *_MEASURED},
-    "measure-adaptive": {"planning", "target_um", "model_id"},
+    "measure-adaptive": {"planning", "target_um", "model_id", "on_notice"},
     "measure-extra": {"discovery_id"},
     "analyse": {"run_id", "run_ids", "monte_carlo", "model_id"},
     "discover": {"run_id", "run_ids", "model_id"},
@@ -133,6 +134,13 @@ class JobRequest(RequestBody):
     perpendicular_only: bool = Field(
         False, description="Leave out what is seen along each line."
     )
+    on_notice: OnNotice | None = Field(
+        None,
+        description="What is done where the live estimate notices a change: `note` "
+        "it and go on, `pause` until somebody decides, `check` by measuring again from "
+        "the line before it on, `replan` by measuring again what came since. Of an "
+        "adaptive measurement the first two: it plans lost lines anew by itself.",
+    )
     monte_carlo: MonteCarlo | None = Field(
         None,
         description="Hold the uncertainty against Monte Carlo trials; {} for defaults.",
@@ -154,6 +162,9 @@ class JobRequest(RequestBody):
             raise ValueError(f"a job of kind {self.kind} needs a run_id, or run_ids")
         if self.kind == "measure-extra" and self.discovery_id is None:
             raise ValueError("a job of kind measure-extra needs a discovery_id")
+        again = self.on_notice in (OnNotice.CHECK, OnNotice.REPLAN)
+        if again and self.kind == "measure-adaptive":
+            raise ValueError("an adaptive measurement plans lost lines anew by itself")
         if self.run_id is not None and self.run_ids is not None:
             raise ValueError("run_id stands beside run_ids; give one of the two")
         planning = self.planning
@@ -165,7 +176,8 @@ class JobRequest(RequestBody):
             raise ValueError("planning has no model_id; it stands beside planning")
         beside = [self.path, self.points, self.feed_mm_min]
         if self.continues is not None and any(
-            x is not None for x in (*beside, self.plan_id, self.target_um)
+            x is not None
+            for x in (*beside, self.plan_id, self.target_um, self.on_notice)
         ):
             raise ValueError("continues stands beside a plan; the job has its own")
         if self.plan_id is not None and any(x is not None for x in beside):
@@ -190,5 +202,6 @@ class JobRequest(RequestBody):
             rows=[r.model_dump(exclude_none=True) for r in rows] if rows else None,
             monte_carlo=TrialPlan(**trials.model_dump()) if trials else None,
             plan_request=order,
+            on_notice=self.on_notice or OnNotice.NOTE,
             **{name: getattr(self, name) for name in same},
         )

@@ -1,4 +1,4 @@
-"""What the live estimate has noticed
+"""What the live estimate has noticed, and what is done then
 
 Revision ID: 0007
 Revises: 0006
@@ -17,9 +17,11 @@ depends_on = None
 
 def upgrade() -> None:
     """Apply."""
+    op.add_column("jobs", sa.Column("on_notice", sa.String(16), nullable=True))
     op.add_column("jobs", sa.Column("notices", sa.JSON(), nullable=True))
 
 
 def downgrade() -> None:
     """Take back."""
     op.drop_column("jobs", "notices")
+    op.drop_column("jobs", "on_notice")

@@ -1,0 +1,156 @@
+"""The step of a job that moves the machine, followed by its live estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from app.errors import MeasurementFailed
+from app.files.commanded_file import encode_commanded_json
+from app.jobs.active_job import ActiveJob
+from app.jobs.cell_measurement import CellMeasurement
+from app.jobs.context import JobContext
+from app.jobs.errors import StorageUnavailable
+from app.jobs.job import EarlyEnd, Job, JobKind, Json
+from app.jobs.live_estimation import LiveEstimation, LiveSteering
+from app.jobs.live_notice import OnNotice
+from app.jobs.live_process import LiveEstimateOrder
+from app.jobs.notices import NoticeBoard
+from app.jobs.planned_rows import PlannedRows
+from app.measurement.messages import MeasurementOrder
+from app.motion.configurations import Commanded
+from drivers.interfaces.records import Path
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class DrivingSteps:
+    """One measurement from one place of the tracker.
+
+    request : as `plan_orders` states it, for the live estimate
+    """
+
+    job: Job
+    active: ActiveJob
+    context: JobContext
+    request: Json
+
+    def run(self, commanded: Commanded) -> None:
+        """Drive the machine; what was recorded is in the catalogue in any case."""
+        planned = self._part(commanded)
+        first = commanded if planned is None else planned.driven
+        live = self._start_live_estimate(first, len(commanded))
+        try:
+            if live is None:
+                self._refuse_without_estimate()
+                self._drive(commanded, None, grows=False)
+                return
+            with closing(live):
+                self._follow(live, first, planned)
+        finally:
+            record = self.context.runs.add_measured(self.job.id)
+            if record is not None:
+                self.active.store_values(run_id=record.id)
+
+    def _part(self, commanded: Commanded) -> PlannedRows | None:
+        """Return the rows in parts, where some may be driven again."""
+        if self._is_adaptive or self.job.on_notice is OnNotice.NOTE:
+            return None
+        return PlannedRows(commanded)
+
+    def _follow(
+        self, live: LiveEstimation, commanded: Commanded, planned: PlannedRows | None
+    ) -> None:
+        cell, policy = self.context.require_cell(), self.job.on_notice
+        board = NoticeBoard(self.active, cell, policy, planned)
+        steering = LiveSteering(
+            live,
+            cell,
+            commanded if self._is_adaptive else None,
+            self.job.target_um,
+            self._store_part,
+            self._store_early_end,
+            board.show,
+            planned,
+        )
+        grows = self._is_adaptive or planned is not None
+        self._drive(commanded, steering, grows=grows)
+        live.finish()
+        board.keep((live.newest or {}).get("notices", ()))
+        if planned is not None:
+            self._keep_plan(planned.driven)
+
+    @property
+    def _is_adaptive(self) -> bool:
+        return self.job.kind is JobKind.MEASURE_ADAPTIVE
+
+    def _drive(
+        self, commanded: Commanded, steering: LiveSteering | None, *, grows: bool
+    ) -> None:
+        machine = self.context.require_machine()
+        order = MeasurementOrder(
+            run_name=f"{machine.name} {self.job.created}",
+            run_file=str(self.context.runs.name_run_file(self.job.id)),
+            machine=machine,
+            commanded=commanded,
+            rate_hz=machine.tracker.rate_hz,
+            live=steering is not None,
+            grows=grows,
+        )
+        CellMeasurement(
+            self.active,
+            self.context.require_cell(),
+            confirm_s=self.context.confirm_s,
+            steering=steering,
+        ).run(order)
+
+    def _start_live_estimate(
+        self, commanded: Commanded, rows: int
+    ) -> LiveEstimation | None:
+        """Start the live estimate; a few extra lines alone would say too little.
+
+        rows : that are planned in all
+        """
+        if self.context.live is None or self.job.kind is JobKind.MEASURE_EXTRA:
+            return None
+        order = LiveEstimateOrder(
+            self.context.require_machine(),
+            commanded,
+            self.job.perpendicular_only,
+            self.request,
+            rows - isinstance(commanded, Path),
+        )
+        live = self.context.live(
+            order, lambda body: self.active.publish("estimate", body)
+        )
+        try:
+            live.start()
+        except OSError:
+            log.exception("no live estimate")
+            return None
+        return live
+
+    def _refuse_without_estimate(self) -> None:
+        if self._is_adaptive:
+            raise MeasurementFailed("an adaptive measurement needs its live estimate")
+
+    def _store_early_end(self, estimate: Mapping[str, Any]) -> None:
+        reached_um = estimate["volumetric_uncertainty_um"]
+        log.info("target reached", reached_um=reached_um, target_um=self.job.target_um)
+        early_end = EarlyEnd(reached_um, estimate["done"], estimate["total"])
+        self.active.store_values(early_end=early_end)
+
+    def _store_part(self, rows: Commanded, part: Mapping[str, Any]) -> None:
+        self.active.publish("plan", part)
+        self._keep_plan(rows)
+
+    def _keep_plan(self, rows: Commanded) -> None:
+        try:
+            self.context.store.keep_plan(self.job.id, encode_commanded_json(rows))
+        except StorageUnavailable:
+            log.exception("the extended plan is not stored; the Run holds it")

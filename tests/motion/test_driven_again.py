@@ -1,0 +1,21 @@
+"""Driving again what was driven: back along the same lines, then forth."""
+
+import numpy as np
+
+from app.motion.configurations import Configurations, append_part
+from app.motion.driven_again import drive_again
+from drivers.interfaces.records import Path
+
+
+def test_lines_are_driven_back_and_forth_each_at_its_own_feed(square):
+    feeds = np.array([6000.0, 1000.0, 2000.0, 3000.0])
+    path = Path(square.axes, square.position, feeds, square.dwell_s)
+    whole = append_part(path, drive_again(path, 2))
+    again = whole.position[3:]
+    assert np.array_equal(again, path.position[[3, 2, 1, 2, 3]])
+    assert whole.feed_mm_min[4:].tolist() == [3000.0, 2000.0, 2000.0, 3000.0]
+
+
+def test_points_are_measured_again_in_their_order(square):
+    points = Configurations(square.axes, square.position, square.dwell_s)
+    assert np.array_equal(drive_again(points, 2).position, points.position[2:])
