@@ -159,7 +159,8 @@ export function createActions(store, go) {
     prepare: begin,
     arm: () => verb("arm", api.arm),
     pause: () => verb("pause", api.pause),
-    resume: () => verb("resume", api.resume),
+    /** Go on; `then` says what to do first about what was noticed. */
+    resume: (then = "note") => verb("resume", (job) => api.resume(job, then)),
     abort: () => verb("abort", api.abort),
     analyse: (run) => begin({ kind: "analyse", run_id: run }),
     validate: (run) => begin({ kind: "analyse", run_id: run, monte_carlo: {} }),

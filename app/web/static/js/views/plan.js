@@ -1,7 +1,7 @@
 /* Step 2: how to measure, and how well. */
 import { h, mark } from "../dom.js";
 import { addressOf, isActive, isConnected } from "../flow.js";
-import { head } from "../parts.js";
+import { head, segments } from "../parts.js";
 import { COVERAGE } from "../plots/error-chart.js";
 import { number, t } from "../texts.js";
 import { quantity } from "../units.js";
@@ -13,7 +13,7 @@ const TARGET_UM = { usual: 5, least: 0.1, most: 1000, steps: [0.2, 0.5, 1, 2, 5,
 const MINUTES = { usual: 3, least: 0.5, most: 60, steps: [0.5, 1, 2, 3, 5, 8, 12, 20, 40, 60] };
 const choices = {
   kind: "measure-otf", most_feed_mm_min: null, expanded_um: null, perpendicular_only: false,
-  minutes: null,
+  minutes: null, on_notice: "note",
 };
 
 /** Whether the machine moves while it is measured: only then there is a feed to choose. */
@@ -51,8 +51,9 @@ function refusal(machine, busy, planned) {
  * Files and interface carry standard uncertainties, the page shows k = 2.
  */
 function orders(machine) {
-  const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes } = choices;
+  const { kind, most_feed_mm_min: most, expanded_um, perpendicular_only, minutes, on_notice } = choices;
   const job = { kind, perpendicular_only,
+    ...(on_notice === "note" || !mayEndEarly() ? {} : { on_notice }),
     ...(expanded_um === null || !mayEndEarly() ? {} : { target_um: expanded_um / COVERAGE }) };
   const limited = streams() && most !== null;
   if (minutes === null) {
@@ -68,6 +69,7 @@ export function mount(root, { store }) {
   const feed = feedField(changed);
   const minutes = minutesField(changed);
   const target = targetField(changed);
+  const policy = noticePolicy(changed);
   const place = placeCard(() => {
     if (choosesPlace() && choices.minutes === null) minutes.write(MINUTES.usual);
     changed();
@@ -78,12 +80,13 @@ export function mount(root, { store }) {
       h("div", { class: "stack" },
         h("section", { class: "card stack" }, h("h2", {}, t("plan.how")), kinds(changed), perpendicular()), place),
       h("section", { class: "card stack" }, h("h2", {}, t("plan.details")), minutes.element, feed.element,
-        target.element)),
+        target.element, policy)),
   );
   return {
     update() {
       feed.element.hidden = !streams();
       target.element.hidden = !mayEndEarly();
+      policy.hidden = !mayEndEarly();
     },
     close() {},
   };
@@ -147,6 +150,14 @@ function targetField(changed) {
       return direction < 0 ? finer(target) : coarser(target);
     },
   });
+}
+
+/** What is done where something changes while it is measured. */
+function noticePolicy(changed) {
+  const options = ["note", "pause", "check", "replan"].map((one) => [one, t(`plan.notice_${one}`)]);
+  return h("div", { class: "field", id: "on-notice" }, h("p", { class: "label" }, t("plan.notice")),
+    segments(t("plan.notice"), options, choices.on_notice, keep("on_notice", changed), true),
+    h("p", { class: "quiet" }, t("plan.notice_help")));
 }
 
 function perpendicular() {

@@ -9,6 +9,7 @@ import { drawStrip } from "../plots/strip-chart.js";
 import { number, t } from "../texts.js";
 import { figure, unitOf } from "../units.js";
 import { estimateCard } from "./estimate-card.js";
+import { liveNotices, noticeKey } from "./live-notices.js";
 import { pathCard } from "./path-card.js";
 import { progressCard } from "./progress-card.js";
 import { verdictNotice } from "./verdict-band.js";
@@ -107,10 +108,10 @@ function mountMeasuring(root, { store, actions }, extra) {
         live = state.live;
         addSamples(chart, live);
       }
-      const key = [job.id, job.state, job.error?.detail, Boolean(job.early_end)].join();
+      const key = [job.id, job.error?.detail, Boolean(job.early_end), noticeKey(job)].join();
       if (ended !== key) {
         ended = key;
-        ending.replaceChildren(...endingOf(job));
+        ending.replaceChildren(...endingOf(job), ...liveNotices(job, actions));
       }
     },
     close() {
@@ -217,7 +218,7 @@ function motionButtons(actions) {
     icon("pause"), t("run.pause"));
   const resume = h("button", { class: "button", type: "button", id: "resume" },
     icon("play"), t("run.resume"));
-  holdToConfirm(resume, actions.resume);
+  holdToConfirm(resume, () => actions.resume());
   const element = h("div", { class: "motion-buttons" }, pause, resume);
   return {
     element,
