@@ -8,6 +8,7 @@ from drivers.interfaces.records import Path
 
 _PART = 2  # lines or points
 _FARTHEST = 6  # lines or points that are driven again
+_OFTEN = 3  # times in a measurement: it has to end
 
 
 class PlannedRows:
@@ -19,12 +20,17 @@ class PlannedRows:
     def __init__(self, plan: Commanded) -> None:
         self._plan, self._next = plan, _PART + isinstance(plan, Path)
         self._first: int | None = None
+        self._times = 0
         self.driven = select_rows(plan, slice(self._next))
         self.total = len(plan) - isinstance(plan, Path)
 
     def repeat(self, first: int) -> None:
-        """Measure again from a row on, before anything else is driven."""
-        self._first = first if self._first is None else min(self._first, first)
+        """Measure again from a row on, before anything else is driven.
+
+        What has been asked for often enough changes nothing.
+        """
+        if self._times < _OFTEN:
+            self._first = first if self._first is None else min(self._first, first)
 
     def next(self) -> Commanded | None:
         """Return what comes next, None after the last row."""
@@ -38,6 +44,7 @@ class PlannedRows:
             return None
         least = max(int(isinstance(self._plan, Path)), len(self.driven) - _FARTHEST)
         first, self._first = max(self._first, least), None
+        self._times += 1
         if first >= len(self.driven):
             return None
         part = drive_again(self.driven, first)

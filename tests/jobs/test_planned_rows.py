@@ -47,6 +47,16 @@ def test_the_last_lines_are_driven_again_after_all_others():
     assert drive(planned) == [0, 1, 2, 1, 2]
 
 
+def test_a_measurement_ends_however_often_lines_are_asked_for():
+    planned = PlannedRows(path())
+    for _ in range(40):
+        planned.repeat(1)
+        if planned.next() is None:
+            break
+    assert planned.next() is None
+    assert planned.driven.position[-1, 0] == 7.0
+
+
 def test_points_are_measured_again_in_their_order():
     position = np.arange(5.0)[:, None] * np.ones(3)
     planned = PlannedRows(Configurations(("X", "Y", "Z"), position, np.ones(5)))

@@ -99,7 +99,8 @@ def scripted_app(service: ScriptedService) -> FastAPI:
     @app.post(f"{API}/jobs/{{job_id}}/{{verb}}", status_code=202)
     def act(job_id: str, verb: str, request: Request) -> Any:
         version = request.headers.get("if-match")
-        service.requests.append(("POST", f"/jobs/{job_id}/{verb}", version))
+        query = f"?{request.url.query}" if request.url.query else ""
+        service.requests.append(("POST", f"/jobs/{job_id}/{verb}{query}", version))
         return service.act(job_id, verb)
 
     @app.post(f"{API}/stop", status_code=202)

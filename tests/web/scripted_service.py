@@ -82,6 +82,8 @@ class ScriptedService:
             "error": None,
             "target_um": None,
             "early_end": None,
+            "on_notice": "note",
+            "notices": [],
             **more,
         }
         self.jobs[job["id"]] = job

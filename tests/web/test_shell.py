@@ -35,7 +35,7 @@ OURS = [
 # Families of keys that scripts put together from a word of the service.
 BUILT_KEYS = ("state.", "kind.", "stage.", "step.", "unit.", "path.", "plan.measure-")
 BUILT_KEYS += ("abort.", "settings.", "grade.", "effect.", "parameter.", "where.")
-BUILT_KEYS += ("verdict.", "place.", "advice.")
+BUILT_KEYS += ("verdict.", "place.", "advice.", "notice.", "plan.notice_")
 # Told by the service in English, and so translated into the other languages only.
 TOLD = re.compile(r"effect\.[\w-]+\.(cause|looks_like|remedy)")
 

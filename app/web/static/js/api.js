@@ -71,7 +71,7 @@ export const result = (id) => call("GET", `/jobs/${id}/result`);
 export const arm = ({ id, version }) => call("POST", `/jobs/${id}/arm`, { version });
 export const pause = ({ id }) => call("POST", `/jobs/${id}/pause`);
 export const resume = ({ id, version }, then = "note") =>
-  call("POST", `/jobs/${id}/resume?then=${then}`, { version });
+  call("POST", `/jobs/${id}/resume${then === "note" ? "" : `?then=${then}`}`, { version });
 export const abort = ({ id }) => call("POST", `/jobs/${id}/abort`);
 
 export const runs = async () => items(await call("GET", "/runs"));
