@@ -109,15 +109,15 @@ def _moment_gains(
     count, size = len(moment_s), term.size
     data, information = np.zeros((count, size)), np.zeros((count, size, size))
     for one in residuals:
-        after, before = (
-            term.with_value(at_s).candidate.effect.jacobian(one.at)
-            for at_s in (-np.inf, np.inf)
-        )
         begin = np.searchsorted(one.at.time_s, moment_s)
-        pulled = [np.einsum("nip,ni->np", J, one.weighted) for J in (before, after)]
-        square = [np.swapaxes(J, 1, 2) @ one.precision @ J for J in (before, after)]
-        data += _sum_sides(*pulled, begin)
-        information += _sum_sides(*square, begin)
+        pulled: list[Float64[np.ndarray, "n p"]] = []
+        square: list[Float64[np.ndarray, "n p p"]] = []
+        for at_s in (np.inf, -np.inf):
+            J = term.with_value(at_s).candidate.effect.jacobian(one.at)
+            pulled.append(np.einsum("nip,ni->np", J, one.weighted))
+            square.append(np.swapaxes(J, 1, 2) @ one.precision @ J)
+        data += _sum_sides(pulled[0], pulled[1], begin)
+        information += _sum_sides(square[0], square[1], begin)
     each, usual = zip(information, data, strict=True), term.candidate.usual
     return np.array([log_bayes(S, r, usual) for S, r in each])
 

@@ -205,10 +205,10 @@ def travel_time_s(path: Path, limits: MotionLimits = USUAL_MOTION) -> float:
 def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:
     """Return the stops in an order from which turning any stretch round gains nothing.
 
-    The first one stays. The order as it is must be allowed. Croes (1958), the end
+    The first one stays. Croes (1958), the end
     being free.
 
-    time_s : of the move between any two, symmetric; infinite where it is not allowed
+    time_s : of the move between any two, symmetric; very long where it is not allowed
     """
     order = np.arange(len(time_s))
     while True:

@@ -24,6 +24,7 @@ from app.planning.design_state import DesignState, inverse
 _MOVES = 24  # places that are judged for each stop, half of them near it
 _NEAR = 0.15  # of the travel
 _PINNED = 0.55  # share of coordinates at an end of their travel
+_FORBIDDEN_S = 1e6  # that a leg which is not allowed is taken to last
 _WORTH = 2e-3  # of J · T that a round of moves must bring
 
 
@@ -215,9 +216,11 @@ class LegChoice:
             np.full(n * n, stops.feed_mm_min.mean()),
         )
         times = self.design.drive.times_s(legs)
-        times = np.where(self.region.allows(legs), times, np.inf)
+        times = np.where(self.region.allows(legs), times, _FORBIDDEN_S)
         order = find_short_order(times.reshape(n, n))
         found = Stops(stops.position[order], stops.feed_mm_min)
+        if not self.region.allows(found.legs).all():
+            return stops
         return min(stops, found, key=self._cost)
 
     def _list_legs(
