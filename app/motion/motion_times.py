@@ -205,8 +205,7 @@ def travel_time_s(path: Path, limits: MotionLimits = USUAL_MOTION) -> float:
 def find_short_order(time_s: Float64[np.ndarray, "n n"]) -> Int64[np.ndarray, " n"]:
     """Return the stops in an order from which turning any stretch round gains nothing.
 
-    The first one stays. Croes (1958), the end
-    being free.
+    The first one stays. Croes (1958), the end being free.
 
     time_s : of the move between any two, symmetric; very long where it is not allowed
     """
