@@ -17,12 +17,10 @@ def compute_score(
     left: Float64[np.ndarray, "l k k"],
     raw: Float64[np.ndarray, "l k k"],
     pulled: Float64[np.ndarray, "l k"],
-    unseen: float = _UNSEEN,
 ) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
     """Return R and Rᵀ pulled, RRᵀ the inverse of the information that is left.
 
     raw : that before; directions of which the fit explains all have none
-    unseen : share of a column's information, less of which is none
     """
     own = np.einsum("lii->li", raw)
     scale = np.where(own > 0.0, own, np.inf) ** -0.5

@@ -16,10 +16,6 @@ from jaxtyping import Float64, Int64
 from app.estimation.score import compute_score
 from app.numerics.scaled_cholesky import ScaledCholesky
 
-# Of the information of a step that is taken: others must not make up for what it moves
-# where the fit, the seats of targets most of all, could follow it.
-_LEAST_LEFT = 1e-4
-
 
 @dataclass(frozen=True)
 class StepSums:
@@ -113,7 +109,7 @@ class Candidates:
         for step in steps:
             for before in given:
                 step = before.add_to(step)
-            root, score = compute_score(step.left, step.raw, step.pulled, _LEAST_LEFT)
+            root, score = compute_score(step.left, step.raw, step.pulled)
             shared = share(int(step.cell[0]))
             given.append(_GivenStep(shared, step.known[0], root[0], score[0]))
         candidates = self
