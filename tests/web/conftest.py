@@ -112,6 +112,7 @@ class Panel:
 
     browser: Browser
     address: str
+    service: ScriptedService
     witness: Witness
 
     def open(
@@ -123,8 +124,13 @@ class Panel:
         dark: bool = False,
         touch: bool = False,
         before: str = "",
+        hears: bool = True,
     ) -> Page:
-        """Open the page; `before` is a script that runs before those of the page."""
+        """Open the page; `before` is a script that runs before those of the page.
+
+        A page that hears has its stream of events when this returns.
+        """
+        self.service.is_heard.clear()
         context = self.browser.new_context(
             viewport={"width": size[0], "height": size[1]},
             locale=language,
@@ -136,13 +142,17 @@ class Panel:
         page.add_init_script(before)
         self.witness.watch(page)
         page.goto(f"{self.address}/{where}", wait_until="domcontentloaded")
+        if hears:
+            assert self.service.is_heard.wait(PATIENCE_MS / 1000), "no stream of events"
         return page
 
 
 @pytest.fixture
-def panel(browser: Browser, address: str, witness: Witness) -> Iterator[Panel]:
+def panel(
+    browser: Browser, address: str, service: ScriptedService, witness: Witness
+) -> Iterator[Panel]:
     """Opens pages; afterwards no console error and no request to elsewhere."""
-    yield Panel(browser, address, witness)
+    yield Panel(browser, address, service, witness)
     for context in browser.contexts:
         context.close()
     witness.judge()

@@ -59,6 +59,7 @@ class ScriptedService:
         self._answering = threading.Event()
         self._answering.set()
         self.closing = threading.Event()
+        self.is_heard = threading.Event()
 
     # What the test says.
 
@@ -223,6 +224,7 @@ class ScriptedService:
         entry = (asyncio.get_running_loop(), queue)
         with self._lock:
             self._streams.add(entry)
+        self.is_heard.set()
         try:
             for job in [j for j in self.jobs.values() if j["state"] not in ENDED]:
                 yield event_text("job", job)

@@ -87,7 +87,7 @@ window.EventSource = class extends EventTarget {
 def test_what_was_told_before_the_stream_opens_is_shown(panel, service):
     job = measuring(service, started=STARTED)
     service.estimate(job, 12)
-    page = panel.open(before=LATE_STREAM)
+    page = panel.open(before=LATE_STREAM, hears=False)
     page.get_by_role("button", name="Error tables").click()
     age = page.locator(".estimate-age")
     expect(age).to_contain_text("From 12 of 22 lines")
