@@ -15,6 +15,7 @@ from app.cli import (
     planning_commands,
     result_commands,
     service_commands,
+    trend_commands,
 )
 from app.errors import BadInput, TruepathError
 from app.thread_limits import choose_thread_limits
@@ -78,6 +79,7 @@ app.command()(planning_commands.grade)
 app.command()(analysis_commands.predict)
 app.command()(result_commands.compare)
 app.command()(result_commands.export)
+app.command()(trend_commands.trend)
 app.command()(planning_commands.plan)
 app.command()(service_commands.record)
 

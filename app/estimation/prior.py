@@ -194,16 +194,21 @@ def _next_precision(prior: BendingPrior, result: Posterior) -> dict[str, float]:
         energy = float(theta @ charge.form @ theta) + _STRAIGHT * charge.usual
         if charge.kind:
             centre = usual[charge.kind] / charge.usual
-            precision[name] = _pool_precision(free, energy, centre)
+            precision[name] = pool_precision(free, energy, centre)
         else:
             precision[name] = max(free, 0.05) / energy
     return precision
 
 
-def _pool_precision(free: float, energy: float, centre: float) -> float:
-    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ."""
-    relative = 0.5 * _SPREAD**2 * free
-    pull = 0.5 * _SPREAD**2 * centre * energy
+def pool_precision(
+    free: float, energy: float, centre: float, spread: float = _SPREAD
+) -> float:
+    """Solve γ − λ θᵀKθ = 2 (log λ − log centre) / τ² for the precision λ.
+
+    free : γ; energy : θᵀKθ; spread : τ
+    """
+    relative = 0.5 * spread**2 * free
+    pull = 0.5 * spread**2 * centre * energy
     # x + pull exp(x) = relative for x = log(λ / centre)
     x = relative - float(wrightomega(relative + float(np.log(pull))))
     return centre * float(np.exp(x))
