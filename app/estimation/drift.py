@@ -9,9 +9,10 @@ and for all Runs at once.
 
 Sizes and time constants are not known either. Some shapes change much and others not at
 all, so each has a size of its own beside, which the data find about a common centre, as
-they find the precisions of the prior of an estimate (`prior`). Sizes of the states are drawn in proportion to their
-prior and to the likelihood of all Runs, by population Monte Carlo (Cappé et al. 2004),
-and whatever is stated is the mixture over the draws. Few Runs leave them wide.
+they find the precisions of the prior of an estimate (`prior`). Sizes of the states are
+drawn in proportion to their prior and to the likelihood of all Runs, by population
+Monte Carlo (Cappé et al. 2004), and whatever is stated is the mixture over the draws.
+Few Runs leave them wide.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from app.numerics.scaled_cholesky import ScaledCholesky
 
 # Straight shapes have no prior: so wide that none is needed.
 _WIDE = {"mm": 1.0, "rad": 2e-3}
-_ROUNDS, _POPULATION = 6, 7  # 2^7 draws a round
+_ROUNDS, _POPULATION = 6, 6  # 2^6 draws a round
 _WIDER = 1.3  # than the last population: tails are not to be missed
 _RESIZINGS = 6
 _SCATTER = 2.5  # of the log of the precisions of shapes

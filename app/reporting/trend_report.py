@@ -17,7 +17,8 @@ from app.reporting.svg import WIDTH, Colour, draw_curve, draw_image, draw_segmen
 from app.reporting.templating import render_page
 from app.results.error_tables import ErrorTable, SingleError
 from app.results.number_format import SIGN, format_expanded, format_number
-from app.results.trend import HOUR_S, Outlook, Quantiles, TablesAt, Trend
+from app.results.outlook import Outlook, Quantiles, TablesAt
+from app.results.trend import HOUR_S, Trend
 from app.results.trend_json import NOT_TOLD, describe_outlook, trend_json
 
 TREND, REPORT = "trend.json", "report.html"

@@ -1,9 +1,7 @@
 """A machine over time: its error tables at each of several Runs, and later.
 
 Each Run is estimated alone; what all tell together of the course of each entry is in
-`estimation.drift`. Later the machine is held against the tables of the last Run, as a
-control has them that was compensated then: what has come since is left in the work. It
-is time to calibrate again as soon as this exceeds a limit with a chance of 5 %.
+`estimation.drift`, and when to calibrate again in `outlook`.
 """
 
 from __future__ import annotations
@@ -24,20 +22,13 @@ from app.estimation.drift_course import Course
 from app.estimation.extrapolation import Ranges
 from app.files.one_machine import one_machine
 from app.files.run import Run, RunSummary, number_names, summarize_run
-from app.files.units import UM_PER_MM
 from app.files.verdict import Verdict
 from app.kinematics.coarse_model import build_run_models
-from app.kinematics.estimated_model import EstimatedModel
 from app.kinematics.machine import Machine
-from app.kinematics.volumetric_map import compute_volumetric_gram
 from app.progress import Progress, ignore_progress
-from app.results.error_tables import ErrorTables, build_error_tables
+from app.results.outlook import LookAhead, Outlook, Quantiles, TablesAt
 from app.results.verdict import judge
 
-CHANCE = 0.05  # that the limit is exceeded, at which to calibrate again
-FEWEST_RUNS = 3  # two tell a difference, and nothing of its course
-_STEPS = 64  # of the time that is looked ahead
-_DRAWS = 16  # of each share
 HOUR_S = 3600.0
 # Usual size of a state: what it moves an error motion by over the travel.
 USUAL_UM = 10.0
@@ -57,57 +48,6 @@ class Question:
     horizon_s: float = 24.0 * HOUR_S
     later_s: tuple[float, ...] = ()
     celsius: dict[str, float] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Quantiles:
-    """Median of a number with its 95 % interval."""
-
-    median: float
-    low: float
-    high: float
-
-    @staticmethod
-    def of(values: Float64[np.ndarray, " n"]) -> Quantiles:
-        """Return those of equal draws."""
-        low, median, high = np.quantile(values, [0.025, 0.5, 0.975]).tolist()
-        return Quantiles(median, low, high)
-
-
-@dataclass(frozen=True, slots=True)
-class TablesAt:
-    """The machine at one time: from all Runs, with standard uncertainties.
-
-    time_s : after the first Run; name : of the Run, empty for what is predicted
-    change_um : by how much it is off the tables of the last Run, root mean square over
-        the travel
-    """
-
-    time_s: float
-    name: str
-    tables: ErrorTables
-    change_um: Quantiles
-
-
-@dataclass(frozen=True, slots=True)
-class Outlook:
-    """How far the machine will be off the tables of the last Run.
-
-    time_s : (n,) after the first Run, from the last Run on
-    median_um, high_um : (n,) root mean square over the travel, 50 and 95 % of courses
-    state : `due`, `not-within-horizon`, `already` where what is not known at the last
-        Run is too much by itself, or `not-known` where Runs are too few
-    due_s : when the chance that the limit has been exceeded reaches 5 %
-    expected_s : when it reaches one half, if it does
-    """
-
-    time_s: Float64[np.ndarray, " n"]
-    median_um: Float64[np.ndarray, " n"]
-    high_um: Float64[np.ndarray, " n"]
-    limit_um: float | None
-    state: str
-    due_s: float | None
-    expected_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +98,7 @@ def follow_machine(
         for run, name in zip(runs, names, strict=True)
     )
     on_progress(0.9, "predicting")
-    ahead = _LookAhead.of(drift, course)
+    ahead = LookAhead.of(drift, course)
     ranges = _join_ranges([one.estimate.measured for one in found])
     return Trend(
         machine,
@@ -171,7 +111,7 @@ def follow_machine(
             ahead.state(ahead.at(float(since_s[-1]) + later_s), "", ranges)
             for later_s in question.later_s
         ),
-        ahead.look(question, len(runs)),
+        ahead.look(question.limit_um, question.horizon_s),
     )
 
 
@@ -250,79 +190,6 @@ def _state_sizes(drift: Drift, warms: bool) -> dict[str, Quantiles]:
         name: Quantiles.of(scale * np.array([getattr(one, name) for one in sizes]))
         for name, scale in scales.items()
     }
-
-
-@dataclass(frozen=True, slots=True)
-class _LookAhead:
-    """Estimated courses, held against the tables of the last Run.
-
-    last : parameters that the control has; root : (p, r) whose product with parameters
-        is a vector as long as the error's root mean square over the travel, mm
-    """
-
-    drift: Drift
-    runs: Course
-    last: Float64[np.ndarray, " p"]
-    root: Float64[np.ndarray, "p r"]
-
-    @staticmethod
-    def of(drift: Drift, runs: Course) -> _LookAhead:
-        value, vector = np.linalg.eigh(compute_volumetric_gram(drift.data.basis.model))
-        kept = value > 1e-12 * value[-1]
-        root = vector[:, kept] * np.sqrt(value[kept])
-        last, _ = drift.predict(Course(runs.time_s[-1:], runs.celsius[-1:]))
-        return _LookAhead(drift, runs, last, root)
-
-    def at_run(self, run: int) -> Course:
-        """Return the time of a Run."""
-        return Course(self.runs.time_s[run : run + 1], self.runs.celsius[run : run + 1])
-
-    def at(self, *time_s: float) -> Course:
-        """Return later times, at the temperatures that stay."""
-        celsius = np.zeros((len(time_s), self.runs.celsius.shape[1]))
-        return Course(np.array(time_s), celsius)
-
-    def state(self, at: Course, name: str, measured: Ranges) -> TablesAt:
-        """Return the machine at one time."""
-        model = self.drift.data.basis.model
-        estimated = EstimatedModel(model, *self.drift.predict(at))
-        change = Quantiles.of(self._measure_change_um(at)[:, 0])
-        tables = build_error_tables(estimated, measured)
-        return TablesAt(float(at.time_s[0]), name, tables, change)
-
-    def look(self, question: Question, runs: int) -> Outlook:
-        """Return when the machine is off by more than the limit."""
-        begin = float(self.runs.time_s[-1])
-        at = self.at(*(begin + np.linspace(0.0, question.horizon_s, _STEPS)).tolist())
-        off_um = self._measure_change_um(at)
-        median, high = np.quantile(off_um, [0.5, 1.0 - CHANCE], axis=0)
-        limit, due, expected = question.limit_um, None, None
-        state = "not-known" if runs < FEWEST_RUNS else "not-within-horizon"
-        if limit is not None and runs >= FEWEST_RUNS:
-            exceeded = np.maximum.accumulate(off_um > limit, axis=1).mean(axis=0)
-            due = _find_crossing(at.time_s, exceeded, CHANCE)
-            expected = _find_crossing(at.time_s, exceeded, 0.5)
-            if due is not None:
-                state = "already" if due <= begin else "due"
-        return Outlook(at.time_s, median, high, limit, state, due, expected)
-
-    def _measure_change_um(self, at: Course) -> Float64[np.ndarray, "c t"]:
-        """Return how far drawn courses are off the tables of the last Run."""
-        off = (self.drift.draw(at, _DRAWS) - self.last) @ self.root
-        return UM_PER_MM * np.linalg.norm(off, axis=2)
-
-
-def _find_crossing(
-    time_s: Float64[np.ndarray, " n"], share: Float64[np.ndarray, " n"], level: float
-) -> float | None:
-    """Return when a share that never falls reaches a level, between steps by line."""
-    k = int(np.searchsorted(share, level))
-    if k == len(share):
-        return None
-    if k == 0:
-        return float(time_s[0])
-    part = (level - share[k - 1]) / (share[k] - share[k - 1])
-    return float(time_s[k - 1] + part * (time_s[k] - time_s[k - 1]))
 
 
 def find_times(runs: Sequence[Run]) -> list[float]:

@@ -13,7 +13,8 @@ from app.files.machine_file import machine_to_json
 from app.files.verdict import verdict_json
 from app.results.error_table_files import tables_json
 from app.results.number_format import format_number
-from app.results.trend import CHANCE, HOUR_S, Outlook, TablesAt, Trend
+from app.results.outlook import CHANCE, Outlook, TablesAt
+from app.results.trend import HOUR_S, Trend
 
 SCHEMA = "trend/1"
 NOT_TOLD = (

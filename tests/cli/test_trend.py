@@ -1,0 +1,88 @@
+"""`trend`: a machine whose X scale warms, from short bundles to files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.cli.command import run
+from app.files.machine_file import machine_from_json
+from app.planning.default_path import default_path
+from simulators import synthetic
+from simulators.bundle_files import write_bundle_files
+from simulators.machine_file import parse_machine
+from simulators.random_machine import random_machine
+from simulators.scenario import load_machine
+from simulators.synthetic import Setting
+from simulators.timeline import Program
+
+HOURS, TAU_H, GROWTH = (0.0, 0.3, 0.9, 2.0), 0.5, 60e-6
+AT = ",".join(map(str, HOURS))
+
+
+def warm(truth, hours):
+    """Return the machine with its X scale as long as it is after some hours."""
+    joint = truth.joints["X"]
+    strain = GROWTH * -np.expm1(-hours / TAU_H)
+    axis = truth.machine.linear_axes[0]
+    grown = joint.translation[0].shift(strain * (axis.low - axis.zero_mm), strain)
+    joints = {
+        **truth.joints,
+        "X": replace(joint, translation=(grown, *joint.translation[1:])),
+    }
+    return replace(truth, joints=joints)
+
+
+@pytest.fixture(scope="module")
+def warming(tmp_path_factory):
+    """Bundles of the machine."""
+    content = {**load_machine("demo")}
+    content["tracker"] = {**content["tracker"], "rate_hz": 100}
+    for axis in content["axes"].values():
+        axis["max_mm"] = axis["min_mm"] + 300.0
+    machine = parse_machine(content)
+    truth, folder = random_machine(machine, 5), tmp_path_factory.mktemp("warming")
+    path = default_path(machine_from_json(content, file=""), 9000.0, lines=14)
+    program = Program(path.position, path.feed_mm_min / 60.0, path.dwell_s)
+    for number, hours in enumerate(HOURS):
+        setting = Setting(truth=warm(truth, hours))
+        recording = synthetic.record(content, program, 40 + number, "otf", setting)
+        write_bundle_files(folder / f"run{number}", recording)
+    return [str(folder / f"run{number}") for number in range(len(HOURS))]
+
+
+def test_a_scale_that_warms_is_followed_and_said_when_due(warming, tmp_path):
+    asked = ["--at", AT, "--limit", "4", "--later", "1", "-o", str(tmp_path)]
+    assert run(["trend", *warming, *asked]) == 0
+    content = json.loads((tmp_path / "trend.json").read_text())
+    assert content["schema"] == "trend/1"
+    assert [at["time_h"] for at in content["runs"]] == pytest.approx(HOURS)
+    times = [*content["runs"], *content["later"]]
+    far_end_um = np.array([at["error_tables"]["EXX"]["value_um"][-1] for at in times])
+    length_mm = times[0]["error_tables"]["EXX"]["position_mm"][-1]
+    hours = np.array([at["time_h"] for at in times])
+    grown_um = -1e3 * GROWTH * length_mm * np.expm1(-hours / TAU_H)
+    assert np.abs(far_end_um - far_end_um[0] - grown_um).max() < 1.5
+    assert content["outlook"]["state"] in ("due", "not-within-horizon")
+    page = (tmp_path / "report.html").read_text()
+    assert content["outlook"]["sentence"] in page
+    assert "spindle" in page
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--at", "0,1"], "2 times are given for 4 Runs"),
+        (["--at", "0,2,1,3"], "do not increase"),
+        (["--at", "0,x"], "write hours"),
+        ([], "--at"),
+        (["--at", AT, "--temperature", "oil=20"], "has no temperature oil"),
+        (["--at", AT, "--temperature", "X"], "NAME=DEGC"),
+    ],
+)
+def test_what_is_wrong_with_times_and_temperatures_is_said(
+    warming, tmp_path, capsys, options, problem
+):
+    assert run(["trend", *warming, "-o", str(tmp_path / "out"), *options]) == 2
+    assert problem in capsys.readouterr().err
