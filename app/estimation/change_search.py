@@ -18,7 +18,7 @@ from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
 from app.estimation.information import Information
-from app.estimation.score import compute_score
+from app.estimation.score import ScoredColumns
 from app.estimation.watch_sums import WatchSums
 from app.numerics.scaled_cholesky import ScaledCholesky
 
@@ -50,25 +50,15 @@ class Course:
     onset: tuple[int, ...]
     factor: Float64[np.ndarray, "m l"]
 
+    def __getitem__(self, part: slice) -> Course:
+        return replace(self, onset=self.onset[part], factor=self.factor[part])
+
 
 @dataclass(frozen=True)
-class Trial:
-    """Courses beside a fit, and beside changes that are given.
-
-    known : what the columns share with the fit and with what is given
-    raw, left : their information, and what of it remains; pulled : what pulls
-    """
+class Trial(ScoredColumns):
+    """Courses beside a fit, and beside changes that are given."""
 
     course: Course
-    known: Float64[np.ndarray, "m q k"]
-    raw: Float64[np.ndarray, "m k k"]
-    left: Float64[np.ndarray, "m k k"]
-    pulled: Float64[np.ndarray, "m k"]
-
-    @property
-    def gain(self) -> Float64[np.ndarray, " m"]:
-        """What the fit would gain by each."""
-        return np.sum(compute_score(self.left, self.raw, self.pulled)[1] ** 2, axis=1)
 
     def leave_out(self, onset: int) -> Trial:
         """Return it without what a change within a line leaves near it."""
@@ -76,13 +66,6 @@ class Trial:
         if self.course.kind in LASTING:
             return self
         return replace(self, pulled=np.where(near[:, None], 0.0, self.pulled))
-
-    def select_one(self, k: int) -> Trial:
-        """Return one of them."""
-        own, one = self.course, slice(k, k + 1)
-        course = replace(own, onset=own.onset[one], factor=own.factor[one])
-        numbers = (self.known, self.raw, self.left, self.pulled)
-        return Trial(course, *(each[one] for each in numbers))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +112,18 @@ class ChangeSearch:
         found: list[Change] = []
         explained = largest = 0.0
         while trials and len(found) < _MOST:
-            best, change = self._find_best(trials, explained)
+            which, k, change = self._find_best(trials, explained)
             largest = max(largest, change.gain)
             if change.gain < max(change.limit, _OF_LARGEST * largest):
                 break
             found.append(change)
-            explained += float(best.gain[0])
+            for number in (k, k - 1, k + 1):  # it came somewhere between
+                if 0 <= number < len(trials[which].course.onset):
+                    given = trials[which].select_one(number)
+                    explained += float(given.gain[0])
+                    trials = [self._give(given, each) for each in trials]
             near = change.onset if change.kind not in LASTING else -_NEAR - 1
-            trials = [self._give(best, each).leave_out(near) for each in trials]
+            trials = [each.leave_out(near) for each in trials]
         return found
 
     def _list_courses(self) -> list[Course]:
@@ -186,26 +173,18 @@ class ChangeSearch:
         half = half.reshape(p, m, k).transpose(1, 0, 2)
         raw = np.tensordot(factor**2, sums.own[:, own, own], axes=1)
         left = raw - np.swapaxes(half, 1, 2) @ half
-        return Trial(course, half, raw, left, factor @ self._rest[:, own])
+        return Trial(half, raw, left, factor @ self._rest[:, own], course)
 
     def _give(self, given: Trial, trial: Trial) -> Trial:
         """Return a trial beside a change that is given."""
-        root, score = compute_score(given.left, given.raw, given.pulled)
         factor = given.course.factor * trial.course.factor
         shared = self._sums.own[:, given.course.columns, trial.course.columns]
-        shared = np.tensordot(factor, shared, axes=1)
-        own = root[0].T @ (shared - given.known[0].T @ trial.known)
-        return replace(
-            trial,
-            known=np.concatenate([trial.known, own], axis=1),
-            left=trial.left - np.swapaxes(own, 1, 2) @ own,
-            pulled=trial.pulled - np.einsum("mjk,j->mk", own, score[0]),
-        )
+        return trial.give(given, np.tensordot(factor, shared, axes=1))
 
     def _find_best(
         self, trials: Sequence[Trial], explained: float
-    ) -> tuple[Trial, Change]:
-        """Return what explains most, less what chance explains."""
+    ) -> tuple[int, int, Change]:
+        """Return what explains most, less chance: trial, its number, the change."""
         excess: list[float] = []
         best: list[int] = []
         for trial in trials:
@@ -226,7 +205,7 @@ class ChangeSearch:
         scale = max(1.0, rest)
         size_mm, sigma_mm = self._measure(chosen)
         course = chosen.course
-        return chosen, Change(
+        change = Change(
             course.kind,
             course.axis,
             course.onset[0],
@@ -236,17 +215,21 @@ class ChangeSearch:
             size_mm,
             sigma_mm,
         )
+        return first, best[first], change
 
     def _limit(self, trial: Trial) -> float:
-        columns = trial.pulled.shape[1]
+        """Return what chance seldom gains; growth has to pay for a drift and itself."""
+        columns, drift = trial.pulled.shape[1], self._sums.columns.growth.start
+        parts = [columns]
+        if trial.course.kind == GROWTH:
+            parts = [drift, columns - drift]
         risk = _RISK / max(len(self._sums.row), 1)
-        return float(chdtri(float(columns), risk))
+        return float(np.sum(chdtri(np.array(parts, np.float64), risk)))
 
     def _measure(self, chosen: Trial) -> tuple[float, float]:
         """Return the size of a change and its standard deviation."""
         course, sums = chosen.course, self._sums
-        root, score = compute_score(chosen.left, chosen.raw, chosen.pulled)
-        root, value = root[0], root[0] @ score[0]
+        root, value = chosen.score[0][0], chosen.value[0]
         moved = course.factor[0] > 0.0
         gram = sums.gram[moved][:, course.columns, course.columns].sum(axis=0)
         gram = gram / sums.cells[moved].sum()

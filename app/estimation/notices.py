@@ -89,11 +89,16 @@ def revise(
     """
     notices = {each.number: replace(each, is_over=True) for each in before}
     known: set[int] = set()
-    for change in found:
-        new = _describe(change, len(before) + 1, row, time_s)
-        same = next(
-            (n for n in before if n.number not in known and _is_same(n, new)), None
-        )
+    told = [_describe(change, len(before) + 1, row, time_s) for change in found]
+    # What had no name yet may turn out to have begun elsewhere.
+    vague = [
+        n
+        for n in before
+        if n.kind == UNNAMED and not n.is_over and not any(_is_same(n, t) for t in told)
+    ]
+    for new in told:
+        like = [n for n in before if _is_same(n, new)] + vague
+        same = next((n for n in like if n.number not in known), None)
         number = len(notices) + 1
         if same is not None:
             number = same.number

@@ -7,6 +7,10 @@ be added, the gain is gᵀF⁻¹g with g = BᵀWr and F = BᵀWB − BᵀWA H⁻
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Self
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -30,3 +34,56 @@ def compute_score(
     size = np.where(seen, 1.0 / np.sqrt(np.where(seen, value, 1.0)), 0.0)
     root = scale[:, :, None] * vector * size[:, None, :]
     return root, np.einsum("lij,li->lj", root, pulled)
+
+
+@dataclass(frozen=True)
+class ScoredColumns:
+    """Sets of columns that might be added, each by itself, beside what is given.
+
+    What is given is taken out by elimination: what columns have in common with it, and
+    with the fit, goes with these.
+
+    known : what they share with the fit and with what is given
+    raw, left : their information, and what of it remains; pulled : what pulls
+    """
+
+    known: Float64[np.ndarray, "l m k"]
+    raw: Float64[np.ndarray, "l k k"]
+    left: Float64[np.ndarray, "l k k"]
+    pulled: Float64[np.ndarray, "l k"]
+
+    @cached_property
+    def score(self) -> tuple[Float64[np.ndarray, "l k k"], Float64[np.ndarray, "l k"]]:
+        """R and Rᵀ pulled, RRᵀ the inverse of the information that is left."""
+        return compute_score(self.left, self.raw, self.pulled)
+
+    @property
+    def gain(self) -> Float64[np.ndarray, " l"]:
+        """What the fit would gain by each."""
+        return np.sum(self.score[1] ** 2, axis=1)
+
+    @property
+    def value(self) -> Float64[np.ndarray, "l k"]:
+        """The parameters of each."""
+        root, score = self.score
+        return np.einsum("lij,lj->li", root, score)
+
+    def select_one(self, k: int) -> Self:
+        """Return one of them."""
+        one = slice(k, k + 1)
+        parts = {each.name: getattr(self, each.name)[one] for each in fields(self)}
+        return replace(self, **parts)
+
+    def give(self, one: ScoredColumns, shared: Float64[np.ndarray, "l j k"]) -> Self:
+        """Return them beside one set of columns more.
+
+        shared : products with these
+        """
+        root, score = one.score
+        own = root[0].T @ (shared - one.known[0].T @ self.known)
+        return replace(
+            self,
+            known=np.concatenate([self.known, own], axis=1),
+            left=self.left - np.swapaxes(own, 1, 2) @ own,
+            pulled=self.pulled - np.einsum("lji,j->li", own, score[0]),
+        )

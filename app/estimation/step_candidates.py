@@ -1,19 +1,17 @@
 """Steps of the set-up's place before some cells, beside a fit, a drift and each other.
 
-A step has the columns of the pose for all that comes after it. Its score is conditioned
-on the fit, on a drift and on other steps by elimination: what columns have in common
-with those before them goes with these.
+A step has the columns of the pose for all that comes after it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.score import compute_score
+from app.estimation.score import ScoredColumns
 from app.numerics.scaled_cholesky import ScaledCholesky
 
 
@@ -51,70 +49,35 @@ class StepSums:
 
 
 @dataclass(frozen=True)
-class Candidates:
+class Candidates(ScoredColumns):
     """Steps before some cells.
 
-    raw : information of their columns; whole : products with a step before all cells
-    known : what they share with the fit and what is given beside it
-    left, pulled : information and pull that remain
+    whole : products with a step before all cells
     """
 
     cell: Int64[np.ndarray, " l"]
-    raw: Float64[np.ndarray, "l 6 6"]
     whole: Float64[np.ndarray, "l 6 6"]
-    known: Float64[np.ndarray, "l m 6"]
-    left: Float64[np.ndarray, "l 6 6"]
-    pulled: Float64[np.ndarray, "l 6"]
-
-    @property
-    def gain(self) -> Float64[np.ndarray, " l"]:
-        """Gain of each."""
-        return np.sum(compute_score(self.left, self.raw, self.pulled)[1] ** 2, axis=1)
 
     @property
     def moved_mm(self) -> Float64[np.ndarray, " l"]:
         """Size of each, at the middle."""
-        root, score = compute_score(self.left, self.raw, self.pulled)
-        return np.linalg.norm(np.einsum("lij,lj->li", root, score)[:, :3], axis=1)
-
-    def select_one(self, k: int) -> Candidates:
-        """Return one of them."""
-        one = {name: value[k : k + 1] for name, value in vars(self).items()}
-        return Candidates(**one)
-
-    def give(
-        self,
-        shared: Float64[np.ndarray, "l k 6"],
-        root: Float64[np.ndarray, "k j"],
-        score: Float64[np.ndarray, " j"],
-    ) -> Candidates:
-        """Return the candidates beside other columns.
-
-        shared : products with these, what both have in common with the fit taken out
-        root, score : of the others
-        """
-        own = root.T @ shared
-        return replace(
-            self,
-            known=np.concatenate([self.known, own], axis=1),
-            left=self.left - np.swapaxes(own, 1, 2) @ own,
-            pulled=self.pulled - np.einsum("lji,j->li", own, score),
-        )
+        return np.linalg.norm(self.value[:, :3], axis=1)
 
     def condition(
         self, steps: Sequence[Candidates], share: Callable[[int], Shared]
     ) -> Candidates:
         """Return the candidates beside steps, one each."""
-        given: list[_GivenStep] = []
+        given: list[tuple[Candidates, Shared]] = []
         for step in steps:
-            for before in given:
-                step = before.add_to(step)
-            root, score = compute_score(step.left, step.raw, step.pulled)
             shared = share(int(step.cell[0]))
-            given.append(_GivenStep(shared, step.known[0], root[0], score[0]))
+            given.append((step.give_all(given), shared))
+        return self.give_all(given)
+
+    def give_all(self, given: Sequence[tuple[Candidates, Shared]]) -> Candidates:
+        """Return the candidates beside steps, each beside those before it."""
         candidates = self
-        for step in given:
-            candidates = step.add_to(candidates)
+        for step, shared in given:
+            candidates = candidates.give(step, shared.look_up(candidates))
         return candidates
 
 
@@ -134,25 +97,6 @@ class Shared:
         near = self.value[np.clip(inside, 0, len(self.value) - 1)]
         later = (inside >= len(self.value))[:, None, None]
         return np.where(later, candidates.whole, near)
-
-
-@dataclass(frozen=True)
-class _GivenStep:
-    """A step that others are conditioned on.
-
-    known : what its columns share with all before it
-    root : R, RRᵀ the inverse of what is left of it; score : Rᵀ times its pull
-    """
-
-    shared: Shared
-    known: Float64[np.ndarray, "m 6"]
-    root: Float64[np.ndarray, "6 6"]
-    score: Float64[np.ndarray, "6"]
-
-    def add_to(self, candidates: Candidates) -> Candidates:
-        """Return candidates beside this step."""
-        shared = self.shared.look_up(candidates) - self.known.T @ candidates.known
-        return candidates.give(shared, self.root, self.score)
 
 
 @dataclass(frozen=True)
@@ -196,13 +140,12 @@ class Drift:
         self, factor: ScaledCholesky, sums: Float64[np.ndarray, "q s"]
     ) -> None:
         p = len(factor.scale)
-        self._factor, self._half = factor, factor.solve_half(sums[:p])
+        self._factor, half = factor, factor.solve_half(sums[:p])
         raw = sums[p + 1 :]
-        left = raw - self._half.T @ self._half
-        root, score = compute_score(left[None], raw[None], sums[None, p])
-        self._root, self._score = root[0], score[0]
-        self.size = self._root @ self._score
-        self.gain = float(self._score @ self._score)
+        left = raw - half.T @ half
+        self._columns = ScoredColumns(half[None], raw[None], left[None], sums[None, p])
+        self.size = self._columns.value[0]
+        self.gain = float(self._columns.gain[0])
 
     def prepare(self, steps: StepSums) -> Prospects:
         """Return steps, beside the drift and without it."""
@@ -212,6 +155,5 @@ class Drift:
         half = self._factor.solve_half(flat).reshape(p, n, 6).transpose(1, 0, 2)
         left = raw - np.swapaxes(half, 1, 2) @ half
         whole = sums[:, p - 6 : p]
-        bare = Candidates(steps.cell, raw, whole, half, left, sums[:, p])
-        shared = sums[:, p + 1 :] - self._half.T @ half
-        return Prospects(bare.give(shared, self._root, self._score), bare)
+        bare = Candidates(half, raw, left, sums[:, p], steps.cell, whole)
+        return Prospects(bare.give(self._columns, sums[:, p + 1 :]), bare)
