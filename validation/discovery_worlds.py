@@ -7,7 +7,6 @@ stopped; `--fresh` starts again.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -24,6 +23,7 @@ from discovery_summary import (
     summarise,
 )
 from document import write_section
+from draws import keep_rows, make_parser, read_rows
 from hidden_worlds import draw_world
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -92,15 +92,12 @@ def main() -> None:
     tasks = draw_tasks(counts, 0 if options.improve else REPORTED)
     if options.fresh:
         options.kept.unlink(missing_ok=True)
-    done = _read_kept(options.kept)
-    missing = [task for task in tasks if task not in done]
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    with options.kept.open("a", encoding="utf-8") as file:
-        for one in judge_worlds(missing[: options.most], options.jobs):
-            done[one.seed, one.kind] = one
-            print(describe(one), flush=True)
-            file.write(json.dumps(as_row(one)) + "\n")
-            file.flush()
+    done = {(o.seed, o.kind): o for o in map(from_row, read_rows(options.kept))}
+    missing = [task for task in tasks if task not in done][: options.most]
+    rows = map(as_row, judge_worlds(missing, options.jobs))
+    for one in map(from_row, keep_rows(options.kept, rows)):
+        done[one.seed, one.kind] = one
+        print(describe(one), flush=True)
     found = [done[task] for task in tasks if task in done]
     if not options.improve:
         _write(found)
@@ -120,24 +117,10 @@ def _write(found: Sequence[Outcome]) -> None:
         write_section(name, make(found), DOCUMENT)
 
 
-def _read_kept(file: Path) -> dict[Task, Outcome]:
-    if not file.exists():
-        return {}
-    lines = file.read_text(encoding="utf-8").splitlines()
-    found = [from_row(json.loads(line)) for line in lines]
-    return {(o.seed, o.kind): o for o in found}
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--share", type=float, default=1.0, help="of the whole draw")
+    parser = make_parser(__doc__, KEPT)
     parser.add_argument("--jobs", type=int, default=2, help="processes")
-    parser.add_argument(
-        "--improve", action="store_true", help="other seeds, and no tables"
-    )
     parser.add_argument("--fresh", action="store_true", help="forget earlier outcomes")
-    parser.add_argument("--most", type=int, help="worlds to draw now")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="outcomes so far")
     return parser
 
 

@@ -8,18 +8,17 @@ JSON, one a world, so that a draw continues where it stopped.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from document import table, write_section
+from draws import keep_rows, make_parser, read_rows
 from hidden_worlds import draw_program
 from recordings import random_air, random_content, run_of
 
@@ -106,9 +105,8 @@ class Outcome:
     look_s: float = 0.0
 
     @classmethod
-    def read(cls, line: str) -> Self:
+    def from_row(cls, kept: dict[str, Any]) -> Self:
         """Return an outcome as it was kept."""
-        kept = json.loads(line)
         return cls(
             **{**kept, "said": tuple(kept["said"]), "grade": tuple(kept["grade"])}
         )
@@ -286,7 +284,9 @@ def _describe(own: Sequence[Outcome], what: str) -> list[str]:
 
 def main() -> None:
     """Play the missing worlds and write the table."""
-    options = _parser().parse_args()
+    parser = make_parser(__doc__, KEPT)
+    parser.add_argument("--only", default="", help="rows with this in their name")
+    options = parser.parse_args()
     first = 0 if options.improve else REPORTED
     tasks = [
         (k / (options.share * count), row, first + k)
@@ -294,34 +294,19 @@ def main() -> None:
         for k in range(max(1, round(options.share * count)))
         if options.only in row
     ]
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    kept = options.kept.read_text("utf-8").splitlines() if options.kept.exists() else []
-    done = {(one.row, one.seed): one for one in map(Outcome.read, kept)}
+    kept = map(Outcome.from_row, read_rows(options.kept))
+    done = {(one.row, one.seed): one for one in kept}
     missing = [(row, seed) for _, row, seed in sorted(tasks) if (row, seed) not in done]
-    with options.kept.open("a", encoding="utf-8") as file:
-        for row, seed in missing[: options.most]:
-            one = done[row, seed] = play(row, seed)
-            print(one, file=sys.stderr, flush=True)
-            file.write(json.dumps(asdict(one)) + "\n")
-            file.flush()
+    rows = (asdict(play(*task)) for task in missing[: options.most])
+    for one in map(Outcome.from_row, keep_rows(options.kept, rows)):
+        done[one.row, one.seed] = one
+        print(one, file=sys.stderr, flush=True)
     wanted = {(row, seed) for _, row, seed in tasks}
     text = summarise([one for key, one in done.items() if key in wanted])
     if options.improve:
         print(text)
     else:
         write_section("live-notices", text, DOCUMENT)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--share", type=float, default=1.0, help="of the whole draw")
-    parser.add_argument(
-        "--improve", action="store_true", help="other seeds, and no table in the docs"
-    )
-    parser.add_argument("--only", default="", help="rows with this in their name")
-    parser.add_argument("--most", type=int, help="worlds to play now")
-    parser.add_argument("--kept", type=Path, default=KEPT, help="outcomes so far")
-    return parser
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from app.estimation.baseline import (
     fit_baseline,
     refit_noise,
 )
-from app.estimation.term_equations import build_lines
+from app.estimation.folded_lines import build_lines
 from app.files.one_machine import one_machine
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models

@@ -59,7 +59,11 @@ def locate_event(
     trials: dict[int, _Trials] = {}
     for _ in range(_ROUNDS):
         time_s = term.candidate.value or 0.0
-        near = [n for n in data.lines.about(term.run or 0, time_s) if n not in trials]
+        near = [
+            n
+            for n in data.equations.lines.about(term.run or 0, time_s)
+            if n not in trials
+        ]
         if not near:
             break
         trials |= {n: _try_line(data, beside, term, n) for n in near}
@@ -76,7 +80,7 @@ def _try_line(
     data: TermData, beside: Sequence[CandidateTerm], term: CandidateTerm, line: int
 ) -> _Trials:
     """Try the times between the cells of a line, and in the pause before it."""
-    edges_s = data.lines.edges_s(line)
+    edges_s = data.equations.lines.edges_s(line)
     time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     if not len(time_s):
         return _Trials(time_s, width_s, width_s)

@@ -20,7 +20,7 @@ from jaxtyping import Float64
 from scipy.linalg import solve_triangular
 
 from app.estimation.information import Information, compute_posterior
-from app.estimation.term_equations import CandidateBlocks, FoldedSums, Lines
+from app.estimation.term_equations import CandidateBlocks, FoldedSums, TermEquations
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.candidate_term import CandidateTerm
 
@@ -168,12 +168,12 @@ class TermData:
     precision : (b, b) prior of machine and poses
     """
 
-    lines: Lines
+    equations: TermEquations
     precision: Float64[np.ndarray, "b b"]
 
     def conditions_of(self, term: CandidateTerm) -> Conditions:
         """Return the conditions of the Run that a term is scanned in."""
-        return self.lines.runs[term.run or 0].observations.at
+        return self.equations.lines.runs[term.run or 0].observations.at
 
     def compare(
         self,
@@ -187,7 +187,7 @@ class TermData:
         beside : terms that are integrated out with machine and poses
         keep : the terms' columns, to be asked for again
         """
-        blocks = self.lines.collect_blocks(
+        blocks = self.equations.collect_blocks(
             [t.effect for t in beside], [t.effect for t in terms], keep=keep
         )
         return integrate_out(blocks, prior_precision(self.precision, beside), terms)
@@ -203,7 +203,7 @@ class TermData:
         moment_s : increasing
         """
         terms = [term.with_value(float(t)) for t in moment_s]
-        blocks = self.lines.collect_blocks_of_moments(
+        blocks = self.equations.collect_blocks_of_moments(
             [t.effect for t in beside], [t.effect for t in terms], moment_s
         )
         return integrate_out(blocks, prior_precision(self.precision, beside), terms)

@@ -18,9 +18,10 @@ from app.discovery.evidence import (
 from app.discovery.scan import scan_term
 from app.discovery.value_refinement import refine_values
 from app.estimation.baseline import MachinePrior
+from app.estimation.folded_lines import FoldedLines
 from app.estimation.information import Posterior, compute_posterior
 from app.estimation.line_blocks import Residual, weight_residual
-from app.estimation.term_equations import Lines
+from app.estimation.term_equations import TermEquations
 from app.kinematics.effects.candidate_term import CandidateTerm
 
 _MOST_SCANNED = 4  # terms whose scans are repeated with the machine integrated out
@@ -92,9 +93,13 @@ class TermFitter:
     """Fits terms to Runs of one machine, and ranks a catalogue of terms."""
 
     def __init__(
-        self, lines: Lines, prior: MachinePrior, catalogue: Sequence[CandidateTerm]
+        self,
+        lines: FoldedLines,
+        prior: MachinePrior,
+        catalogue: Sequence[CandidateTerm],
     ) -> None:
-        self._lines, self._prior, self.catalogue = lines, prior, tuple(catalogue)
+        self._lines, self._equations = lines, TermEquations(lines)
+        self._prior, self.catalogue = prior, tuple(catalogue)
         self.run_data = lines.runs
         self._poses = lines.pose_precision
         self._fits: dict[tuple[tuple[CandidateTerm, ...], bool], TermFit] = {}
@@ -102,7 +107,7 @@ class TermFitter:
         self._scanned: dict[TermFit, dict[str, CandidateTerm]] = {}
         self._sharpened: dict[tuple[TermFit, CandidateTerm], CandidateTerm] = {}
 
-    def use_lines(self, lines: Lines, prior: MachinePrior) -> TermFitter:
+    def use_lines(self, lines: FoldedLines, prior: MachinePrior) -> TermFitter:
         """Return a fitter of the same catalogue to lines with another noise."""
         fitter = TermFitter(lines, prior, self.catalogue)
         fitter._promising |= self._promising
@@ -122,7 +127,7 @@ class TermFitter:
     def _fit(self, terms: tuple[CandidateTerm, ...], refine: bool) -> TermFit:
         if refine:
             terms = refine_values(self._data(self._prior), terms)
-        sums = self._lines.sums([term.effect for term in terms])
+        sums = self._equations.sums([term.effect for term in terms])
         more = prior_precision(self._poses, terms)
         data = sums.information(np.arange(len(more)))
         data = replace(data, matrix=data.matrix + more)
@@ -134,7 +139,7 @@ class TermFitter:
 
     def _data(self, prior: MachinePrior) -> TermData:
         precision = prior.precision_matrix(self._lines.size) + self._poses
-        return TermData(self._lines, precision)
+        return TermData(self._equations, precision)
 
     def rank(
         self, fit: TermFit, terms: Sequence[CandidateTerm], *, keep: bool = True
@@ -203,7 +208,7 @@ class TermFitter:
         own = np.arange(len(known), len(known) + len(usual))
         precision = np.pad(known, (0, len(usual)))
         precision[own, own] = usual**-2
-        sums = self._lines.sums([term.effect for term in fit.terms])
+        sums = self._equations.sums([term.effect for term in fit.terms])
         found = compute_posterior(
             sums.information(np.arange(len(precision))), precision
         )

@@ -234,7 +234,7 @@ def _fit(
     spacing: Float64[np.ndarray, " v"],
 ) -> Posterior:
     """Fit terms and changes of their values."""
-    sums = data.lines.sums([*(t.effect for t in terms), *slopes])
+    sums = data.equations.sums([*(t.effect for t in terms), *slopes])
     known = prior_precision(data.precision, terms)
     size = len(known)
     total = np.zeros((size + len(spacing), size + len(spacing)))

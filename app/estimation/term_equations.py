@@ -1,8 +1,4 @@
-"""Sums over lines of everything that may explain them, in folds of whole lines.
-
-Each line is whitened by itself, its phase and speed integrated out: so sums over some
-lines show what would be known without the others, and no sample is read again.
-"""
+"""Sums over lines of everything that may explain them."""
 
 from __future__ import annotations
 
@@ -14,25 +10,12 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.alignment.observations import Observations
-from app.estimation.baseline import Baseline
+from app.estimation.folded_lines import FOLDS, FoldedLines
 from app.estimation.information import Information
-from app.estimation.line_blocks import (
-    Line,
-    RunData,
-    WhitenedBlocks,
-    build_line,
-    place_run,
-)
-from app.estimation.prior import diagonal_precision
-from app.estimation.within_cells import CellDeviations
-from app.files.run import Run
+from app.estimation.line_blocks import WhitenedBlocks
 from app.kinematics.conditions import Conditions
 from app.kinematics.effects.base import Effect
 
-_FOLDS = 8  # of lines, each held out once
-_POSE = {"mm": 1.0, "rad": 1e-3}  # standard uncertainty of a tracker's place
-_FEWEST_LINES = 2  # in each fold, of a further Run that is held out
 _KEPT = 256  # effects whose columns are kept: a catalogue, and what is being tried
 
 
@@ -101,49 +84,13 @@ class _Term:
         return self.blocks.multiply(self.blocks)
 
 
-class Lines:
-    """All lines of all Runs with their base; effects are added to them.
+class TermEquations:
+    """What all lines tell of effects that may explain them."""
 
-    Line k belongs to fold k modulo the number of folds, so that neighbours in time are
-    in different folds. A further Run of few lines is held out nowhere: without one of
-    them the pose of its tracker would be unknown.
-    """
-
-    def __init__(self, runs: Sequence[RunData], folds: int) -> None:
-        self.runs, self._folds = tuple(runs), folds
-        self.size = runs[0].base.size
-        self._within: list[tuple[CellDeviations, bool]] = []
-        lines: list[tuple[int, Line, WhitenedBlocks]] = []
-        for number, data in enumerate(runs):
-            parts = data.observations.lines
-            is_held = number == 0 or len(parts) >= _FEWEST_LINES * folds
-            for k, (first, last) in enumerate(parts):
-                line = build_line(data, number, first, last)
-                lines.append((k % folds if is_held else folds, *line))
-            if data.within is not None:
-                self._within.append((data.within, is_held))
-        fold = np.array([fold for fold, _, _ in lines])
-        order = np.argsort(fold, kind="stable")
-        self._lines = [lines[int(k)][1] for k in order]
-        self._bounds = np.searchsorted(fold[order], np.arange(folds + 2))
-        free = np.array([line.freedom for line in self._lines])
-        self._freedom = np.bincount(fold[order], free, folds + 1)[:folds]
-        self._log_determinant = float(sum(line.log_determinant for line in self._lines))
-        self._base = WhitenedBlocks.join([lines[int(k)][2] for k in order])
-        self._ground = self._products(self._base, self._base)
+    def __init__(self, lines: FoldedLines) -> None:
+        self.lines = lines
         self._known: dict[Effect, _Term] = {}
         self._latest: tuple[tuple[Effect, ...], FoldedSums] | None = None
-
-    @property
-    def pose_precision(self) -> Float64[np.ndarray, "b b"]:
-        """Prior of the poses, around those that alignment found."""
-        base = self.runs[0].base
-        poses = diagonal_precision(base.pose_parameters, _POSE)
-        return np.pad(poses, (base.machine_model.size, 0))
-
-    def of(self, run: int) -> list[Line]:
-        """Return the lines of one Run."""
-        return [line for line in self._lines if line.run == run]
 
     def sums(self, effects: Sequence[Effect]) -> FoldedSums:
         """Return the sums of all lines on machine, poses, effects and data."""
@@ -156,20 +103,22 @@ class Lines:
         terms = self._terms_of(effects)
         begin = self._begins(terms)
         end = int(begin[-1])
-        base, data = slice(self.size), slice(end, end + 1)
-        total = np.zeros((self._folds + 1, end + 1, end + 1))
-        total[:, base, base] = self._ground[:, base, base]
-        total[:, data, data] = self._ground[:, self.size :, self.size :]
-        _put(total, data, base, self._ground[:, self.size :, base])
+        base, data = slice(self.lines.size), slice(end, end + 1)
+        total = np.zeros((FOLDS + 1, end + 1, end + 1))
+        total[:, base, base] = self.lines.ground[:, base, base]
+        total[:, data, data] = self.lines.ground[
+            :, self.lines.size :, self.lines.size :
+        ]
+        _put(total, data, base, self.lines.ground[:, self.lines.size :, base])
         parts = [slice(*ends) for ends in pairwise(begin.tolist())]
         for j, (one, mine) in enumerate(zip(terms, parts, strict=True)):
             _put(total, base, mine, one.cross[:, base])
-            _put(total, data, mine, one.cross[:, self.size :])
+            _put(total, data, mine, one.cross[:, self.lines.size :])
             for other, theirs in zip(terms[: j + 1], parts, strict=False):
                 _put(total, theirs, mine, self._pair(other, one))
         fast = self._with_fast(total, begin, effects)
         return FoldedSums(
-            total[:-1], self._freedom, total[-1], self._log_determinant, *fast
+            total[:-1], self.lines.freedom, total[-1], self.lines.log_determinant, *fast
         )
 
     def collect_blocks(
@@ -201,10 +150,10 @@ class Lines:
         """
         beside, width = self._terms_of(known), len(offers[0].parameters)
         size = int(self._begins(beside)[-1]) + 1
-        known_blocks = [self._base, *(one.blocks for one in beside)]
+        known_blocks = [self.lines.base, *(one.blocks for one in beside)]
         cross = np.zeros((len(offers), size, width))
         own = np.zeros((len(offers), width, width))
-        for number, line in enumerate(self._lines):
+        for number, line in enumerate(self.lines.lines):
             at = line.design.observations.at
             here = _tell_apart(at, moment_s)
             jacobians = [effect.jacobian(at) for effect in offers[here]]
@@ -223,28 +172,14 @@ class Lines:
             tuple(np.cumsum(own, axis=0)),
         )
 
-    def about(self, run: int, time_s: float) -> list[int]:
-        """Return the line of a Run at a moment, and its neighbours in time."""
-        clock_s = self.runs[run].observations.at.time_s
-        lines = [(n, line) for n, line in enumerate(self._lines) if line.run == run]
-        begins = sorted((float(clock_s[line.cells.start]), n) for n, line in lines)
-        here = max(int(np.searchsorted([t for t, _ in begins], time_s)) - 1, 0)
-        return [n for _, n in begins[max(here - 1, 0) : here + 2]]
-
-    def edges_s(self, number: int) -> Float64[np.ndarray, " e"]:
-        """Return the moments of a line's cells, and of the last one before it."""
-        line = self._lines[number]
-        time_s = self.runs[line.run].observations.at.time_s
-        return time_s[max(line.cells.start - 1, 0) : line.cells.stop]
-
     def _pair(self, one: _Term, other: _Term) -> Float64[np.ndarray, "f o p"]:
         """Return the products of the columns of two effects."""
         if one.effect not in other.pairs:
-            other.pairs[one.effect] = self._products(one.blocks, other.blocks)
+            other.pairs[one.effect] = self.lines.multiply(one.blocks, other.blocks)
         return other.pairs[one.effect]
 
     def _begins(self, terms: Sequence[_Term]) -> Int64[np.ndarray, " e"]:
-        return self.size + np.cumsum([0, *(one.blocks.width for one in terms)])
+        return self.lines.size + np.cumsum([0, *(one.blocks.width for one in terms)])
 
     def _beside(
         self, known: Sequence[_Term], joined: WhitenedBlocks | None, offer: _Term
@@ -256,7 +191,7 @@ class Lines:
         others = [] if joined is None else [joined.multiply(offer.blocks)]
         cross = np.concatenate([offer.total[:-1], *others, offer.total[-1:]])
         own, begin = offer.own, self._begins(known)
-        for within, _ in self._within:
+        for within, _ in self.lines.within:
             if not within.shows(offer.effect):
                 continue
             effects = [*(one.effect for one in known), offer.effect]
@@ -275,19 +210,19 @@ class Lines:
         effects: Sequence[Effect],
     ) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
         """Add what fast effects have within cells; return its squares and freedom."""
-        square, freedom = np.zeros((2, self._folds))
-        for within, is_held in self._within:
-            fast, columns = within.sums(effects, self._folds)
+        square, freedom = np.zeros((2, FOLDS))
+        for within, is_held in self.lines.within:
+            fast, columns = within.sums(effects, FOLDS)
             if columns:
                 own = [*(begin[k] + p for k, p in columns), total.shape[1] - 1]
                 fast[:, -1, -1] = 0.0
                 if is_held:
-                    total[np.ix_(range(self._folds), own, own)] += fast
+                    total[np.ix_(range(FOLDS), own, own)] += fast
                 else:
                     total[-1][np.ix_(own, own)] += fast.sum(axis=0)
             if is_held:
-                square += within.squares(self._folds)
-                freedom += within.freedom(self._folds)
+                square += within.squares(FOLDS)
+                freedom += within.freedom(FOLDS)
         return square, freedom
 
     def _terms_of(self, effects: Sequence[Effect], *, keep: bool = True) -> list[_Term]:
@@ -302,38 +237,12 @@ class Lines:
         return [found[e] for e in effects]
 
     def _build_terms(self, effects: Sequence[Effect]) -> Iterator[_Term]:
-        rows = [
-            np.concatenate([e.jacobian(data.observations.at) for e in effects], axis=2)
-            for data in self.runs
-        ]
-        blocks = WhitenedBlocks.join(
-            [line.whiten(rows[line.run][line.cells]) for line in self._lines]
-        )
-        cross = self._products(self._base, blocks)
+        blocks = self.lines.whiten(effects)
+        cross = self.lines.multiply(self.lines.base, blocks)
         ends = np.cumsum([0, *(len(e.parameters) for e in effects)])
         for effect, first, last in zip(effects, ends, ends[1:], strict=False):
             own = slice(int(first), int(last))
             yield _Term(effect, blocks.select(own), cross[:, :, own], {})
-
-    def _products(
-        self, one: WhitenedBlocks, other: WhitenedBlocks
-    ) -> Float64[np.ndarray, "f p q"]:
-        """Return oneᵀ V⁻¹ other over each fold, then over the lines never held out."""
-        bounds = zip(self._bounds, self._bounds[1:], strict=False)
-        return np.stack(
-            [one.between(*ends).multiply(other.between(*ends)) for ends in bounds]
-        )
-
-
-def build_lines(
-    runs: Sequence[Run], observations: Sequence[Observations], baseline: Baseline
-) -> Lines:
-    """Return the lines of all Runs with pose and noise of the baseline.
-
-    observations : of each Run, in fine cells
-    """
-    pairs = zip(runs, observations, strict=True)
-    return Lines([place_run(run, seen, baseline) for run, seen in pairs], _FOLDS)
 
 
 def _tell_apart(at: Conditions, moment_s: Float64[np.ndarray, " v"]) -> slice:

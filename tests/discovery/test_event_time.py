@@ -7,7 +7,8 @@ from app.alignment.observations import Observations
 from app.discovery.discover import align_runs, discover
 from app.discovery.evidence import TermData, log_bayes
 from app.discovery.scan import scan_term
-from app.estimation.term_equations import build_lines
+from app.estimation.folded_lines import build_lines
+from app.estimation.term_equations import TermEquations
 from simulators.hidden.setup_step import SetupStep
 from simulators.synthetic import Setting
 
@@ -40,7 +41,7 @@ def test_moments_are_compared_at_once_as_one_by_one(record):
     found = discover([run])
     lines = build_lines([run], [found.aligned[0].observations], found.baseline)
     precision = found.baseline.prior.precision_matrix(lines.size)
-    data = TermData(lines, precision + lines.pose_precision)
+    data = TermData(TermEquations(lines), precision + lines.pose_precision)
     term = next(t for t in found.fitter.catalogue if t.family.happens_once)
     beside = [t for t in found.fitter.catalogue if not t.family.happens_once][:2]
     scan = term.scan(data.conditions_of(term))
