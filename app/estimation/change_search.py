@@ -5,7 +5,7 @@ time, a shift of one line. What a fit would gain by it is a score test (`score`)
 all that is not known of the machine: where few lines have told of its errors, these can
 explain a change as well, and it is not seen yet. The likelihood ratio over all moments
 is that of Willsky and Jones (1976). The changes found are taken one after the other,
-each beside those before it.
+each beside those before it, which may have come somewhat earlier or later.
 """
 
 from __future__ import annotations

@@ -93,6 +93,14 @@ def test_a_notice_keeps_number_and_moment_when_it_gets_its_name():
     assert (later.kind, later.size_mm) == (KNOCK, 0.02)
 
 
+def test_what_has_no_name_may_turn_out_to_have_begun_elsewhere():
+    first = revise((), [change(LINE, 6, margin=1.0)], ROWS[:16], 9.0)
+    (later,) = revise(first, [change(KNOCK, 14)], ROWS, 30.0)
+    assert (later.number, later.kind, later.since_row) == (1, KNOCK, 15)
+    both = revise((later,), [change(KNOCK, 14), change(KNOCK, 6)], ROWS, 40.0)
+    assert [n.since_row for n in both] == [15, 7]
+
+
 def test_what_no_longer_shows_is_over_and_stays():
     first = revise((), [change(KNOCK, 15)], ROWS, 9.0)
     (over,) = revise(first, [], ROWS, 12.0)
