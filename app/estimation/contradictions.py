@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from app.alignment.observations import Observations
 from app.estimation.misfit import OF_LINE, Misfit, compute_step_limit
-from app.estimation.run_parts import RunPart, leave_out, split_at_all
+from app.estimation.run_parts import RunPart, join_empty, leave_out, split_at_all
 from app.estimation.setup_steps import Step
 
 _RISK = 0.003  # of a clean measurement, for each kind of test
@@ -52,6 +52,7 @@ def remove_plainest(
             fewer += split_at_all(part, knocks, edges, misfit.off_mm)
         else:
             fewer.append(part)
+    fewer = join_empty(fewer)
     same = len(fewer) == len(parts) and all(
         new.seen is old.seen for new, old in zip(fewer, parts, strict=True)
     )

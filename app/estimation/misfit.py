@@ -111,7 +111,9 @@ class _Examination:
         middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
         self.span_s = float(middle), max(float(half), 1e-9)
         self.centre = self.seen.at.point_mm.mean(axis=0)
-        self.starts = np.array(self.seen.lines, np.int64)[:, 0]
+        begin = np.array(self.seen.lines, np.int64)[:, 0]
+        within = np.arange(*self.seen.lines[0], _STRIDE)  # else looked at from its end
+        self.starts = np.concatenate([within, begin[1:]])
 
     def _solve(
         self, matrix: Float64[np.ndarray, "p p"], vector: Float64[np.ndarray, " p"]

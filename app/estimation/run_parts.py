@@ -131,51 +131,61 @@ def split_at_all(
 ) -> list[RunPart]:
     """Return what is before, between and after knocks, as Runs of their own.
 
+    Of what tells no pose no cell is left, and that is said.
+
     off_mm : how far the cells that were fitted lie aside
     """
     found = [part]
-    off_mm = np.repeat(off_mm, np.diff(edges))
     for step in reversed(knocks):  # the cells before it keep their numbers
         if edges[step.cell + 1] <= len(found[0].seen):
-            halves = split(found[0], step.cell, edges)
-            found[:1] = _join_scraps(halves, part.seen.at.time_s, off_mm)
+            found[:1] = split(found[0], step.cell, edges)
+    off_mm = np.repeat(off_mm, np.diff(edges))
+    time_s = part.seen.at.time_s
+    return [
+        each if _tells_pose(each.seen) else _leave_out_all(each, time_s, off_mm)
+        for each in found
+    ]
+
+
+def _leave_out_all(
+    part: RunPart,
+    time_s: Float64[np.ndarray, " n"],
+    off_mm: Float64[np.ndarray, " n"],
+) -> RunPart:
+    """Return a part without its cells.
+
+    time_s, off_mm : of these cells and more, how far they lie aside
+    """
+    seen = part.seen
+    off_mm = off_mm[np.searchsorted(time_s, seen.at.time_s)]
+    edges = np.arange(len(seen) + 1, dtype=np.int64)
+    return RunPart(
+        part.given, leave_out(seen, np.ones(len(seen), bool), off_mm, edges)
+    )
+
+
+def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:
+    """Return the parts that have cells; what is said of others goes with the next.
+
+    A Run given without any cell stays as one part.
+    """
+    found: list[RunPart] = []
+    for part in parts:
+        last = found[-1] if found and found[-1].given == part.given else None
+        if last is None or (len(last.seen) and len(part.seen)):
+            found.append(part)
+        else:
+            found[-1] = _join(last, part)
     return found
 
 
-def _join_scraps(
-    halves: list[RunPart],
-    time_s: Float64[np.ndarray, " n"],
-    off_mm: Float64[np.ndarray, " n"],
-) -> list[RunPart]:
-    """Return the halves of which a pose can be told; what is of the others is said.
-
-    time_s, off_mm : of the cells of both, how far they lie aside
-    """
-    kept = [part for part in halves if _tells_pose(part.seen)]
-    halves = [part for part in halves if len(part.seen)]
-    if len(kept) != 1:
-        return halves
-    scraps = [part.seen for part in halves if part is not kept[0]]
-    if not scraps:
-        return kept
-    (scrap,) = scraps
-    off_mm = off_mm[np.searchsorted(time_s, scrap.at.time_s)]
-    said = [
-        describe_cells(
-            np.ones(last - first, bool),
-            scrap.at.time_s[first:last],
-            scrap.count[first:last],
-            off_mm[first:last],
-            int(scrap.row[first]),
-        )[0]
-        for first, last in scrap.lines
-    ]
-    seen = kept[0].seen
-    left_out = sorted([*seen.left_out, *scrap.left_out, *said], key=_order)
-    offered = seen.offered + scrap.offered
-    return [
-        RunPart(kept[0].given, replace(seen, offered=offered, left_out=tuple(left_out)))
-    ]
+def _join(first: RunPart, second: RunPart) -> RunPart:
+    """Return two parts as one, of which one at most has cells."""
+    kept = max(first.seen, second.seen, key=len)
+    left_out = sorted([*first.seen.left_out, *second.seen.left_out], key=_order)
+    offered = first.seen.offered + second.seen.offered
+    seen = replace(kept, offered=offered, left_out=tuple(left_out))
+    return RunPart(first.given, seen)
 
 
 def _tells_pose(seen: Observations) -> bool:

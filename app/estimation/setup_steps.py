@@ -15,11 +15,11 @@ from jaxtyping import Float64, Int64
 from app.estimation.step_candidates import Candidates, Prospects, Shared
 
 _SWEEPS = 1
-_OF_LARGEST = 0.01  # of its gain: smaller ones may be its doing, and wait
+_OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait
 _COST_STEP, _COST_DRIFT = 30.0, 72.0  # gain by chance, that each has to pay for
 _NO_DRIFT = 1.5  # of the least gain of a step, in 36 parameters
 _APART_S = 5.0  # nearer steps have more in common than is counted
-_ABOUT = 3  # lines on which each cell is tried
+_ABOUT = 6  # lines and standstills on which each cell is tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +66,9 @@ class StepSearch:
         given, line = self.all_.condition(others, self.share), self.line[self.all_.cell]
         about: set[int] = set()
         for each in (given.beside, given.bare) if drifts else (given.bare,):
-            best = np.argsort(-self._gain(each, others))[:_ABOUT]
-            about |= set(np.flatnonzero(np.isin(line, line[best])).tolist())
+            best = line[np.argsort(-self._gain(each, others))]
+            first = np.sort(np.unique(best, return_index=True)[1])[:_ABOUT]
+            about |= set(np.flatnonzero(np.isin(line, best[first])).tolist())
         best, most = self.all_.select_one(0), -np.inf
         for k in sorted(about):
             steps = self.near(k)
