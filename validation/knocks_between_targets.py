@@ -34,7 +34,7 @@ from simulators.recording import Recording
 from simulators.timeline import Program
 from simulators.turning_paths import turning_points
 
-FIRST_SEED, MACHINES = 8301, 6
+FIRST_SEED, MACHINES = 8401, 6
 SIZES_UM = (0.0, 20.0, 100.0)
 WAYS = {True: "first target again at the end", False: "each target once"}
 

@@ -159,9 +159,7 @@ def _leave_out_all(
     seen = part.seen
     off_mm = off_mm[np.searchsorted(time_s, seen.at.time_s)]
     edges = np.arange(len(seen) + 1, dtype=np.int64)
-    return RunPart(
-        part.given, leave_out(seen, np.ones(len(seen), bool), off_mm, edges)
-    )
+    return RunPart(part.given, leave_out(seen, np.ones(len(seen), bool), off_mm, edges))
 
 
 def join_empty(parts: Sequence[RunPart]) -> list[RunPart]:

@@ -7,12 +7,19 @@ import pytest
 
 from app.alignment.align import align_all
 from app.estimation.disturbances import estimate_checked
+from app.estimation.run_parts import RunPart, join_empty, split_at_all
+from app.estimation.setup_steps import Step
 from app.kinematics.coarse_model import build_run_models
 
 
 @pytest.fixture(scope="module")
 def standing(record):
     return record(31, "standstill", rows=60)[0]
+
+
+@pytest.fixture(scope="module")
+def moving(record):
+    return record(32, "otf", rows=24)[0]
 
 
 def check(run, shift_mm):
@@ -47,6 +54,34 @@ def test_a_small_knock_is_no_drift(standing):
     assert [knock.time_s for knock in found.knocks] == pytest.approx(
         time_s[1:], abs=2.5
     )
+
+
+def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
+    late = 0.52
+    found, _ = check(moving, lambda share: np.outer(share > late, [0.02, -0.02, 0.01]))
+    time_s = moving.tracker.device_time_s
+    moment_s = time_s[0] + late * (time_s[-1] - time_s[0])
+    assert [knock.time_s for knock in found.knocks] == pytest.approx(
+        [moment_s], abs=0.2
+    )
+    assert 1e3 * found.knocks[0].moved_mm == pytest.approx(30.0, abs=1.5)
+
+
+def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
+    (seen,) = align_all([moving], ["run"])
+    first, last = max(seen.lines, key=lambda line: line[1] - line[0])
+    steps = [Step(cell, 1e4, 1e4, 0.1) for cell in (first + 6, last - 6)]
+    edges = np.arange(len(seen) + 1)
+    off_mm = np.full(len(seen), 0.1)
+    parts = split_at_all(RunPart(0, seen), steps, edges, off_mm)
+    before, after = join_empty(parts)
+    time_s = seen.at.time_s
+    assert before.seen.at.time_s[-1] < time_s[first + 6]
+    assert after.seen.at.time_s[0] > time_s[last - 6]
+    (said,) = before.seen.left_out
+    assert said.begin_s == pytest.approx(time_s[first + 6], abs=0.2)
+    assert said.off_mm == pytest.approx(0.1)
+    assert before.seen.offered + after.seen.offered == seen.offered  # none is lost
 
 
 def test_a_drift_is_no_row_of_knocks(standing):
