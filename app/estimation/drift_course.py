@@ -6,8 +6,8 @@ time constant, a walk, what the hall does in a day, and a part linear in tempera
     d(t) = a exp(−t/τ₁) + b exp(−t/τ₂) + w(t) + h(t) − h(0) + Σ c_s T_s(t) / √n.
 
 a, b and c are drawn once, w is a Wiener process, h one of Matérn's of order 3/2 (Särkkä
-& Solin 2019, section 12.3). Runs of a few hours do not show the day that follows: its
-usual size is what is known of it then.
+& Solin 2019, section 12.3). Runs of a few hours do not show the day that follows, and
+what it does to all shapes has one cause: it is taken as a usual share of what settles.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _USUAL = (
     (0.5, 1.0),  # quick time constant, h
     (3.0, 0.7),  # how many times slower the slow one is, beyond 1.5
     (0.03, 1.2),  # walk in one hour
-    (0.2, 0.8),  # what a day of the hall does
+    (0.4, 0.3),  # what a day of the hall does, of what settles
     (0.2, 1.0),  # for one K
 )
 SIZES = len(_USUAL)
@@ -80,7 +80,9 @@ def make_sizes(unit: Float64[np.ndarray, " s"]) -> DriftSizes:
         for z, (median, spread) in zip(unit, _USUAL, strict=True)
     )
     quick_s = _HOUR_S * hours
-    return DriftSizes(quick, slow, quick_s, (1.5 + ratio) * quick_s, walk, day, warm)
+    settles = float(np.hypot(quick, slow))
+    slow_s = (1.5 + ratio) * quick_s
+    return DriftSizes(quick, slow, quick_s, slow_s, walk, day * settles, warm)
 
 
 def compute_prior_log(unit: Float64[np.ndarray, "n s"]) -> Float64[np.ndarray, " n"]:
