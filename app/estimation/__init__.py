@@ -18,4 +18,8 @@ evidence too (`direction`). Uncertain precisions widen the covariance (Kass & St
 What no measurement of this kind shows is named, never hidden by a pseudo-inverse
 (`observability`, `separation`). Beyond the measured range of an axis the prior softens
 (`extrapolation`). `batch` joins all of this for closed Runs, `baseline` for discovery.
+
+Errors that change between Runs, as a machine warms, are states over time (`drift`): two
+that settle, a walk, what follows temperatures. Each Run tells of them in terms common
+to all (`common_basis`).
 """

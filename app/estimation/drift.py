@@ -124,9 +124,13 @@ class DriftPosterior:
         return DriftPosterior(data, sizes, L, mean, U, log)
 
     def draw(
-        self, at: Course, count: int, rng: np.random.Generator
-    ) -> Float64[np.ndarray, "c t p"]:
-        """Draw courses of the parameters at times, later ones or those of Runs."""
+        self,
+        at: Course,
+        columns: Float64[np.ndarray, "p r"],
+        count: int,
+        rng: np.random.Generator,
+    ) -> Float64[np.ndarray, "c t r"]:
+        """Draw courses of the parameters times columns, at any times."""
         data, size = self.data, self.data.shapes.shape[1]
         z = rng.standard_normal((len(self.mean), count))
         z = self.mean[:, None] + solve_triangular(self.factor, z, lower=True, trans=1)
@@ -136,8 +140,8 @@ class DriftPosterior:
         theta = data.mean[:, None] - data.follow @ d + static
         weights, spread = self._continue(at)
         later = weights @ z + spread @ rng.standard_normal((len(spread), z.shape[1]))
-        change = np.einsum("pm,tmc->ctp", data.shapes, later.reshape(-1, size, count))
-        return theta.T[:, None] + change
+        change = later.reshape(-1, size, count).transpose(2, 0, 1)
+        return (theta.T @ columns)[:, None] + change @ (data.shapes.T @ columns)
 
     def _continue(
         self, at: Course
@@ -183,10 +187,14 @@ class Drift:
             within += count / len(self.shares) * covariance
         return np.mean(means, axis=0), within + np.cov(np.array(means).T, bias=True)
 
-    def draw(self, at: Course, count: int) -> Float64[np.ndarray, "c t p"]:
-        """Draw courses of the parameters, so many of each share."""
+    def draw(
+        self, at: Course, columns: Float64[np.ndarray, "p r"], count: int
+    ) -> Float64[np.ndarray, "c t r"]:
+        """Draw courses of the parameters times columns, so many of each share."""
         rng = np.random.default_rng(1)
-        return np.concatenate([share.draw(at, count, rng) for share in self.shares])
+        return np.concatenate(
+            [share.draw(at, columns, count, rng) for share in self.shares]
+        )
 
     def list_sizes(self) -> list[DriftSizes]:
         """Return the sizes of the shares."""

@@ -24,6 +24,7 @@ CHANCE = 0.05  # that the limit is exceeded, at which to calibrate again
 FEWEST_RUNS = 3  # two tell a difference, and nothing of its course
 _STEPS = 64  # of the time that is looked ahead
 _DRAWS = 16  # of each share
+_FINE = 1e-7  # of the largest eigenvalue: shapes that no error over the travel shows
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class LookAhead:
     def of(drift: Drift, runs: Course) -> LookAhead:
         """Take the tables of the last Run as those that the control has."""
         value, vector = np.linalg.eigh(compute_volumetric_gram(drift.data.basis.model))
-        kept = value > 1e-12 * value[-1]
+        kept = value > _FINE * value[-1]
         root = vector[:, kept] * np.sqrt(value[kept])
         last, _ = drift.predict(Course(runs.time_s[-1:], runs.celsius[-1:]))
         return LookAhead(drift, runs, last, root)
@@ -134,7 +135,8 @@ class LookAhead:
 
     def _measure_change_um(self, at: Course) -> Float64[np.ndarray, "c t"]:
         """Return how far drawn courses are off the tables of the last Run."""
-        off = (self.drift.draw(at, _DRAWS) - self.last) @ self.root
+        drawn = self.drift.draw(at, self.root, _DRAWS)
+        off = drawn - self.last @ self.root
         return UM_PER_MM * np.linalg.norm(off, axis=2)
 
 
