@@ -40,7 +40,7 @@ from app.numerics.scaled_cholesky import ScaledCholesky
 
 # Straight shapes have no prior: so wide that none is needed.
 _WIDE = {"mm": 1.0, "rad": 2e-3}
-_ROUNDS, _POPULATION = 6, 6  # 2^6 draws a round
+_FIRST_ROUNDS, _ROUNDS, _POPULATION = 5, 3, 7  # 2^7 draws a round
 _WIDER = 1.3  # than the last population: tails are not to be missed
 _RESIZINGS = 6
 _SCATTER = 2.5  # of the log of the precisions of shapes
@@ -205,11 +205,12 @@ def estimate_drift(basis: CommonBasis, at: Course) -> Drift:
     """Estimate how the parameters change; at : the Runs, the first at time 0."""
     shapes = build_drift_shapes(basis.model)
     data = DriftData.of(basis, at, shapes)
-    unit, weight = _draw_populations(data)
+    sizes, _ = _draw_populations(data, _Normal.usual(), _FIRST_ROUNDS)
     for _ in range(_RESIZINGS):
-        sizes = _size_shapes(DriftPosterior.of(data, make_sizes(weight @ unit)), shapes)
-        data = DriftData.of(basis, at, shapes * sizes)
-    unit, weight = _draw_populations(data)
+        found = DriftPosterior.of(data, make_sizes(sizes.centre))
+        data = DriftData.of(basis, at, shapes * _size_shapes(found, shapes))
+    sizes, unit = _draw_populations(data, sizes, _ROUNDS)
+    weight = sizes.weight
     # Systematic resampling: each draw as often as its weight says.
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
     chosen = np.searchsorted(np.cumsum(weight), places).clip(max=len(unit) - 1)
@@ -235,27 +236,44 @@ def _size_shapes(
     return np.array(precision) ** -0.5
 
 
-def _draw_populations(
-    data: DriftData,
-) -> tuple[Float64[np.ndarray, "n s"], Float64[np.ndarray, " n"]]:
-    """Return draws of sizes with their weights, each round about the last."""
-    centre: Float64[np.ndarray, " s"] = np.zeros(SIZES)
-    root: Float64[np.ndarray, "s s"] = _WIDER * np.eye(SIZES)
-    unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
-    weight: Float64[np.ndarray, " n"] = np.zeros(0)
-    for number in range(_ROUNDS):
-        z = _draw_normal(number)
-        unit = centre + z @ root.T
-        log = _find_likelihoods(data, unit) + compute_prior_log(unit)
-        log -= compute_prior_log(z)  # of the draws, up to a constant
-        # The first rounds are tempered, so that they keep more than their best draw.
-        log *= min(1.0, (number + 1.0) / (_ROUNDS - 2.0))
+@dataclass(frozen=True, slots=True)
+class _Normal:
+    """What a population says of the logarithms of the sizes, and its weights."""
+
+    centre: Float64[np.ndarray, " s"]
+    root: Float64[np.ndarray, "s s"]
+    weight: Float64[np.ndarray, " n"]
+
+    @staticmethod
+    def usual() -> _Normal:
+        """Return what is known before any data."""
+        return _Normal(np.zeros(SIZES), np.eye(SIZES), np.zeros(0))
+
+    @staticmethod
+    def of(unit: Float64[np.ndarray, "n s"], log: Float64[np.ndarray, " n"]) -> _Normal:
+        """Return that of draws with the logarithms of their weights."""
         weight = np.exp(log - log.max())
         weight /= weight.sum()
         centre = weight @ unit
-        spread = (weight * (unit - centre).T) @ (unit - centre)
-        root = _WIDER * np.linalg.cholesky(spread + 0.01 * np.eye(SIZES))
-    return unit, weight
+        off = unit - centre
+        spread: Float64[np.ndarray, "s s"] = (off.T * weight) @ off
+        root = np.linalg.cholesky(spread + 0.02 * np.eye(SIZES))
+        return _Normal(centre, root, weight)
+
+
+def _draw_populations(
+    data: DriftData, known: _Normal, rounds: int
+) -> tuple[_Normal, Float64[np.ndarray, "n s"]]:
+    """Return the last of some populations, and its draws; each is about the last."""
+    unit: Float64[np.ndarray, "n s"] = np.zeros((0, SIZES))
+    for number in range(rounds):
+        z = _draw_normal(number)
+        unit = known.centre + _WIDER * z @ known.root.T
+        log = _find_likelihoods(data, unit) + compute_prior_log(unit)
+        log -= compute_prior_log(z)  # of the draws, up to a constant
+        # The first rounds are tempered, so that they keep more than their best draw.
+        known = _Normal.of(unit, log * min(1.0, (number + 1.0) / (rounds - 1.0)))
+    return known, unit
 
 
 def _draw_normal(seed: int) -> Float64[np.ndarray, "n s"]:

@@ -51,7 +51,7 @@ def render_trend_report(trend: Trend) -> str:
             "machine": trend.machine.name,
             "verdict": trend.verdict,
             "sentence": describe_outlook(trend.outlook),
-            "figure": draw_outlook(trend.outlook),
+            "chart": draw_outlook(trend.outlook),
             "changes": [
                 (_name(at), _state_quantiles(at.change_um, 1.0, 2)) for at in times
             ],

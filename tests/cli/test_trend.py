@@ -68,6 +68,7 @@ def test_a_scale_that_warms_is_followed_and_said_when_due(warming, tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert content["outlook"]["sentence"] in page
     assert "spindle" in page
+    assert "<svg" in page
 
 
 @pytest.mark.parametrize(
