@@ -26,7 +26,7 @@ _USUAL = (
     (0.5, 1.0),  # quick time constant, h
     (3.0, 0.7),  # how many times slower the slow one is, beyond 1.5
     (0.03, 1.2),  # walk in one hour
-    (0.4, 0.3),  # what a day of the hall does, of what settles
+    (0.5, 0.3),  # what a day of the hall does, of what settles
     (0.2, 1.0),  # for one K
 )
 SIZES = len(_USUAL)

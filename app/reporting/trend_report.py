@@ -82,7 +82,7 @@ def draw_outlook(outlook: Outlook) -> Markup:
         height = float(y.place(np.array([outlook.limit_um]))[0])
         ends = (frame.left, height), (frame.right, height)
         lines.append(draw_segments(*ends, Colour.INK, width=0.8, dash="4 2"))
-    legend = (("median", Colour.ACCENT), ("95 % of courses below", Colour.SECOND))
+    legend = ((Colour.ACCENT, "median"), (Colour.SECOND, "95 % of courses below"))
     return draw_image(
         TOP + _HEIGHT + 28.0,
         "How far the machine will be off the tables of the last Run",
