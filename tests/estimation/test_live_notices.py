@@ -59,6 +59,15 @@ def test_a_knock_is_noticed_by_the_next_line_and_named_with_its_size(usual):
     assert 1e3 * notice.sigma_mm < 1.5
 
 
+def test_a_knock_half_way_on_a_line_is_one_change(usual):
+    run, share = usual
+    later = (share > 0.56)[:, None]
+    told = follow(shift(run, later * np.array([0.007, -0.007, 0.007])))
+    shown = [[n.kind for n in notices if not n.is_over] for _, notices in told]
+    assert max(map(len, shown)) == 1
+    assert shown[-1] == [KNOCK]
+
+
 def test_a_drift_is_no_knock(usual):
     run, share = usual
     told = follow(shift(run, np.outer(share, [0.012, 0.012, -0.012])))
