@@ -171,12 +171,8 @@ class Linearisation:
 
         solved : all parameters, where these are known: as in `build`
         """
-        first = 0
-        for _, last in observations.lines:
-            if last - first >= _CELLS or last == len(observations):
-                cells = observations.select(np.arange(first, last))
-                yield self.build(cells, solved=solved)
-                first = last
+        for cells in cut_into_blocks(observations):
+            yield self.build(observations.select(np.r_[cells]), solved=solved)
 
     def correct_pose(self, theta: Float64[np.ndarray, " p"]) -> RigidTransform:
         """Return the pose with its estimated correction."""
@@ -195,6 +191,15 @@ class Linearisation:
         for effect in self.machine_model.effects:
             keep[self.model.slices[effect.name]] = effect.name in names
         return keep
+
+
+def cut_into_blocks(observations: Observations) -> Iterator[slice]:
+    """Yield the cells of blocks of whole lines, in their order."""
+    first = 0
+    for _, last in observations.lines:
+        if last - first >= _CELLS or last == len(observations):
+            yield slice(first, last)
+            first = last
 
 
 def linearise(

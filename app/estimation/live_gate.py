@@ -237,7 +237,11 @@ def _collect(
     """Return what parts of a Run tell, with a weak prior on their poses."""
     own = np.concatenate([np.zeros(model.size), weak])
     return tuple(
-        replace(run, data=replace(run.data, matrix=run.data.matrix + np.diag(own)))
+        replace(
+            run,
+            data=replace(run.data, matrix=run.data.matrix + np.diag(own)),
+            weak=weak,
+        )
         for run in collect_information(inputs, model)
     )
 

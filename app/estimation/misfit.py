@@ -13,19 +13,20 @@ The noise is at most what is usual here: it must not explain what it should show
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.special import chdtri
 
-from app.estimation.design_matrix import DesignMatrix
+from app.estimation.design_matrix import DesignMatrix, cut_into_blocks
 from app.estimation.direction import Fit
 from app.estimation.information import Information, add_information
 from app.estimation.misfit_blocks import BlockMisfit, MisfitBlock
 from app.estimation.noise import limit_noise
+from app.estimation.normal_equations import compute_information
 from app.estimation.setup_steps import Step, StepSearch, find_steps
 from app.estimation.step_candidates import (
     Candidates,
@@ -39,9 +40,10 @@ from app.numerics.scaled_cholesky import ScaledCholesky
 _RISK, _STEP_MARGIN = 0.003, 1.7  # of a clean measurement; noise has longer tails
 _MOST_STEPS = 5
 OF_LINE = 0.3  # of the worst line's gain, for a step to come first
-_CELLS = 500  # of a block
 _LARGE_MM = 0.02  # of a step
 _STRIDE = 12  # cells from one step that is tried to the next
+_NEAR = 128  # of these, whose neighbours are kept
+_DRIFT = 36  # columns of a drift
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +88,15 @@ class Misfit:
 def assess_misfit(fit: Fit, number: int) -> Misfit:
     """Return what the fit leaves of one of its Runs."""
     examination = _Examination(fit, number)
-    found = examination.assess()
-    limit = 0.7 * compute_step_limit(len(found.line))
+    lines = examination.seen.lines
+    begin = np.array(lines, np.int64)[:, 0]
+    within = np.arange(*lines[0], _STRIDE)  # else looked at from its end
+    found = examination.assess(np.concatenate([within, begin[1:]]), 0)
+    limit = 0.7 * compute_step_limit(len(lines))
     limit = max(limit, OF_LINE * float(found.line.max(initial=0.0)))
     if any(step.alone > limit for step in found.steps):
-        # Of large steps each digit counts.
-        examination.settle()
-        found = examination.assess()
+        within = np.concatenate([np.arange(*line, _STRIDE) for line in lines])
+        found = examination.assess(within, _MOST_STEPS)
     return found
 
 
@@ -101,54 +105,42 @@ class _Examination:
 
     def __init__(self, fit: Fit, number: int) -> None:
         run = fit.runs[number]
-        noise = limit_noise(run.noise)
-        run = run if noise == run.noise else run.replace_noise(noise)
-        self.seen, self.about = run.observations, run.linearisation
-        self.machine = self.about.machine_model.size
-        self.known, self.is_settled = collect_known(fit, number), False
-        self._solve(run.data.matrix, run.data.vector)
+        self.seen, self.machine = run.observations, fit.model.size
+        self.about = replace(run.linearisation, noise=limit_noise(run.noise))
+        self._solve(collect_known(fit, number), run.weak)
         time_s = self.seen.at.time_s
         middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
         self.span_s = float(middle), max(float(half), 1e-9)
         self.centre = self.seen.at.point_mm.mean(axis=0)
-        begin = np.array(self.seen.lines, np.int64)[:, 0]
-        within = np.arange(*self.seen.lines[0], _STRIDE)  # else looked at from its end
-        self.starts = np.concatenate([within, begin[1:]])
 
-    def _solve(
-        self, matrix: Float64[np.ndarray, "p p"], vector: Float64[np.ndarray, " p"]
-    ) -> None:
-        """Solve for machine and pose, what else is known of the machine given."""
-        own = slice(self.machine)
-        matrix, vector = matrix.copy(), vector.copy()
-        matrix[own, own] += self.known.matrix
-        vector[own] += self.known.vector
+    def _solve(self, known: Information, weak: Float64[np.ndarray, "6"] | None) -> None:
+        """Solve for machine and pose, what else is known of the machine given.
+
+        With noise that is correlated within blocks alone, as in all that follows: of
+        large steps each digit counts.
+        """
+        data = compute_information(self.seen, self.about, apart=True)
+        own, matrix, vector = slice(self.machine), data.matrix, data.vector
+        matrix[own, own] += known.matrix
+        vector[own] += known.vector
+        if weak is not None:
+            matrix[self.machine :, self.machine :] += np.diag(weak)
         self.factor = ScaledCholesky.of(matrix)
         self.theta = self.factor.solve(vector)
 
-    def settle(self) -> None:
-        """Solve again with noise that is correlated within blocks alone, as here."""
-        p = self.about.size
-        total = np.zeros((p, p + 1))
-        for cells in self._cut():
-            block = self._build(cells)
-            total += block.multiply(block.columns[:, :, : p + 1])[:p]
-        matrix = total[:, :p]
-        self._solve(matrix, total[:, p] + matrix @ self.theta)
-        self.is_settled = True
-        self.starts = np.concatenate(
-            [np.arange(*line, _STRIDE) for line in self.seen.lines]
-        )
+    def assess(self, starts: Int64[np.ndarray, " l"], most: int) -> Misfit:
+        """Return what the fit leaves.
 
-    def assess(self) -> Misfit:
-        """Return what the fit leaves."""
+        starts : cells before which a step may be
+        most : steps that are placed to the cell; 0 for the best alone, where it starts
+        """
         begin, end = np.array(self.seen.lines, np.int64).T
-        blocks = [self._build(cells).assess(self.starts) for cells in self._cut()]
+        blocks, sums, later = self._sum_blocks(starts)
         square = sum(block.square for block in blocks)
         freedom = float(sum(block.freedom for block in blocks))
         drift = Drift(self.factor, np.sum([block.drift for block in blocks], axis=0))
         limit = compute_step_limit(len(begin))
-        steps, near, share = self._prepare_steps([b.steps for b in blocks], drift)
+        steps, near, share = self._prepare_steps(sums, later, drift)
         search = StepSearch(
             steps,
             near,
@@ -158,7 +150,7 @@ class _Examination:
             lambda gain: limit * max(1.0, (square - gain) / freedom),
             drift.gain,
         )
-        found = find_steps(search, _MOST_STEPS if self.is_settled else 0)
+        found = find_steps(search, most)
         return Misfit(
             np.concatenate([block.cell for block in blocks]),
             np.concatenate([block.off_mm for block in blocks]),
@@ -174,6 +166,26 @@ class _Examination:
             found.drift_left,
             self._list_unseen(steps.bare, limit),
         )
+
+    def _sum_blocks(
+        self, starts: Int64[np.ndarray, " l"]
+    ) -> tuple[list[BlockMisfit], StepSums, list[StepSums]]:
+        """Return what is left of each block, and steps all over the Run.
+
+        And for each block a step before all that comes later. Nothing else is kept of
+        a block: there are many.
+        """
+        sums = StepSums.of_none(starts, self._width)
+        blocks: list[BlockMisfit] = []
+        later = [StepSums.of_none(np.zeros(1, np.int64), self._width)]
+        for cells in reversed(list(cut_into_blocks(self.seen))):
+            block = self._build(cells)
+            blocks.append(block.assess())
+            first, last = np.searchsorted(starts, [cells.start, cells.stop])
+            own = block.sum_steps(starts[first:last]).go_on(later[-1])
+            sums.put(slice(first, last), own)
+            later.append(StepSums.join([own.select(slice(0, 1))]))  # without the rest
+        return blocks[::-1], sums, later[-2::-1]
 
     def _size_drift(self, blocks: Sequence[BlockMisfit], drift: Drift) -> float:
         """Return the root mean square of a drift over the cells, in mm."""
@@ -192,18 +204,15 @@ class _Examination:
         inside &= ~np.logical_and.accumulate(unseen[::-1])[::-1]
         return frozenset(self.seen.row[steps.cell[unseen & inside]].tolist())
 
-    def _cut(self) -> Iterator[slice]:
-        """Yield the cells of blocks of whole lines."""
-        first = 0
-        for _, last in self.seen.lines:
-            if last - first >= _CELLS or last == len(self.seen):
-                yield slice(first, last)
-                first = last
+    @property
+    def _width(self) -> int:
+        """Number of columns of fit, drift and residual."""
+        return self.about.size + _DRIFT + 1
 
     def _build(self, cells: slice) -> MisfitBlock:
         design = self.about.build(self.seen.select(np.r_[cells]))
         rest = design.residual - design.columns @ self.theta
-        parts = [design.columns, rest[:, :, None], self._drift_columns(design)]
+        parts = [design.columns, self._drift_columns(design), rest[:, :, None]]
         return MisfitBlock(
             cells,
             self.about,
@@ -226,27 +235,25 @@ class _Examination:
         return np.concatenate([columns * t[:, None, None] for t in time], axis=2)
 
     def _prepare_steps(
-        self, sums: Sequence[StepSums], drift: Drift
+        self, sums: StepSums, later: Sequence[StepSums], drift: Drift
     ) -> tuple[Prospects, Callable[[int], Prospects], Callable[[int], Shared]]:
         """Return steps all over the Run, those from one to the next, what they share.
 
-        sums : of steps, by block
+        later : a step before all that comes after each block
         """
-        later = [sums[k + 1 :] for k in range(len(sums))]
-        whole = [each.go_on(more) for each, more in zip(sums, later, strict=True)]
         # A step before all cells is a matter of the pose.
-        steps = drift.prepare(StepSums.join(whole).select(slice(1, None)))
-        ends = np.append(self.starts[1:], len(self.seen))
+        steps = drift.prepare(sums.select(slice(1, None)))
+        ends = np.append(sums.cell[1:], len(self.seen))
 
         @lru_cache(maxsize=2)
         def build(first: int, last: int) -> MisfitBlock:
             return self._build(slice(first, last))
 
-        @cache
+        @lru_cache(maxsize=_NEAR)
         def near(k: int) -> Prospects:
             cells = np.arange(ends[k], ends[k + 1], dtype=np.int64)
             found: list[StepSums] = []
-            for block, more in zip(self._cut(), later, strict=True):
+            for block, more in zip(cut_into_blocks(self.seen), later, strict=True):
                 inside = cells[(cells >= block.start) & (cells < block.stop)]
                 if len(inside):
                     own = build(block.start, block.stop).sum_steps(inside)
@@ -255,11 +262,11 @@ class _Examination:
 
         @cache
         def share(cell: int) -> Shared:
-            blocks = list(self._cut())
+            blocks = list(cut_into_blocks(self.seen))
             number = next(k for k, each in enumerate(blocks) if cell < each.stop)
             block = build(blocks[number].start, blocks[number].stop)
-            own = sum((each.own[0] for each in later[number]), np.zeros((6, 6)))
-            return Shared(block.cells.start, block.share_step(cell) + own)
+            value = block.share_step(cell) + later[number].own
+            return Shared(block.cells.start, value)
 
         return steps, near, share
 

@@ -25,8 +25,8 @@ class BlockMisfit:
     cell : squares of the cells' residuals, whitened; off_mm : their size
     line : gain of a shift of each line
     square : of all residuals, whitened; freedom : what noise alone would make of it
-    steps : sums of steps within the block
-    drift : products of all columns with the drift's; drift_square : of these alone, mm
+    drift : products of all columns with the drift's
+    drift_square : of the drift's columns alone, mm
     """
 
     cell: Float64[np.ndarray, " n"]
@@ -34,14 +34,13 @@ class BlockMisfit:
     line: list[float]
     square: float
     freedom: int
-    steps: StepSums
     drift: Float64[np.ndarray, "q s"]
     drift_square: Float64[np.ndarray, "s s"]
 
 
 @dataclass(frozen=True)
 class MisfitBlock:
-    """Some whole lines of a Run, with the columns of fit, residual and drift."""
+    """Some whole lines of a Run, with the columns of fit, drift and residual."""
 
     cells: slice
     about: Linearisation
@@ -57,32 +56,27 @@ class MisfitBlock:
     @property
     def rest(self) -> Float64[np.ndarray, "n 3"]:
         """What the fit leaves, phase and speed of the lines still in it."""
-        return self.columns[:, :, self.pose.stop]
+        return self.columns[:, :, -1]
 
     @property
     def drift(self) -> Float64[np.ndarray, "n 3 s"]:
         """Columns of the drift."""
-        return self.columns[:, :, self.pose.stop + 1 :]
+        return self.columns[:, :, self.pose.stop : -1]
 
-    def assess(self, starts: Int64[np.ndarray, " l"]) -> BlockMisfit:
-        """Return what the fit leaves.
-
-        starts : cells of the Run before which a step may be
-        """
+    def assess(self) -> BlockMisfit:
+        """Return what the fit leaves."""
         design, rest, drift = self.design, self.rest, self.drift
-        weighted = weigh(design, self.whitener, rest[:, :, None])
+        products = self.multiply(self.columns[:, :, self.pose.stop :])
         untimed = rest - explain_timing(design, self.whitener, rest)
         timed = design.timing.shape[2] + count_untimed(design, self.about)
-        inside = (starts >= self.cells.start) & (starts < self.cells.stop)
         lines = design.observations.lines
         return BlockMisfit(
             square_cells(design, untimed, self.about.noise),
             np.linalg.norm(untimed, axis=1),
             [self.measure_shift(slice(*line)) for line in lines],
-            float(np.sum(rest[:, :, None] * weighted)),
+            float(products[-1, -1]),
             3 * len(rest) - timed,
-            self.sum_steps(starts[inside]),
-            self.multiply(drift),
+            products[:, :-1],
             np.einsum("nip,niq->pq", drift, drift),
         )
 

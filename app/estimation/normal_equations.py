@@ -78,12 +78,21 @@ class NormalEquations:
 
     def information(self) -> Information:
         """Return the information on machine and poses, all else integrated out."""
+        done = self.finish()
+        return Information.from_total(done.total, done.log_determinant)
+
+    def finish(self) -> NormalEquations:
+        """Integrate out what could tie later cells to those so far."""
         done = self.finish_lines()
         if done.state is None:
-            return Information.from_total(done.total, done.log_determinant)
+            return done
         state, log_state = done.state.marginalise()
-        log_determinant = done.log_determinant + log_state
-        return Information.from_total(done.total - state, log_determinant)
+        return replace(
+            done,
+            total=done.total - state,
+            log_determinant=done.log_determinant + log_state,
+            state=None,
+        )
 
     def _widen(self, width: int) -> NormalEquations:
         more = width - len(self.total)
@@ -96,15 +105,19 @@ class NormalEquations:
 
 
 def compute_information(
-    observations: Observations, linearisation: Linearisation
+    observations: Observations, linearisation: Linearisation, *, apart: bool = False
 ) -> Information:
     """Return the information of all cells on machine and poses.
 
+    apart : noise is correlated within each block of cells alone, not from one to the
+        next
     Raises Unidentifiable if the timing of a line is not determined.
     """
     sums = NormalEquations.empty(linearisation.size)
     for design in linearisation.split(observations):
         sums = sums.add(design, linearisation.noise)
+        if apart:
+            sums = sums.finish()
     return sums.information()
 
 

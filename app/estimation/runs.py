@@ -12,6 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from jaxtyping import Float64
+
 from app.alignment.observations import Observations
 from app.errors import Unidentifiable
 from app.estimation.design_matrix import Linearisation, linearise
@@ -44,11 +47,13 @@ class RunInformation:
     """What one Run tells, of its own pose as well.
 
     data : over all parameters of the linearisation
+    weak : precision of its pose that is in the data beside what the cells tell
     """
 
     observations: Observations
     linearisation: Linearisation
     data: Information
+    weak: Float64[np.ndarray, "6"] | None = None
 
     @property
     def noise(self) -> NoiseModel:

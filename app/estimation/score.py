@@ -68,11 +68,14 @@ class ScoredColumns:
         root, score = self.score
         return np.einsum("lij,lj->li", root, score)
 
+    def select(self, part: slice) -> Self:
+        """Return some of them."""
+        parts = {each.name: getattr(self, each.name)[part] for each in fields(self)}
+        return replace(self, **parts)
+
     def select_one(self, k: int) -> Self:
         """Return one of them."""
-        one = slice(k, k + 1)
-        parts = {each.name: getattr(self, each.name)[one] for each in fields(self)}
-        return replace(self, **parts)
+        return self.select(slice(k, k + 1))
 
     def give(self, one: ScoredColumns, shared: Float64[np.ndarray, "l j k"]) -> Self:
         """Return them beside one set of columns more.
@@ -81,9 +84,18 @@ class ScoredColumns:
         """
         root, score = one.score
         own = root[0].T @ (shared - one.known[0].T @ self.known)
+        return self.put_beside(np.concatenate([self.known, own], axis=1), own, score[0])
+
+    def put_beside(
+        self,
+        known: Float64[np.ndarray, "l n k"],
+        own: Float64[np.ndarray, "l j k"],
+        score: Float64[np.ndarray, " j"],
+    ) -> Self:
+        """Return them beside what they share `own` with, and `known` with all."""
         return replace(
             self,
-            known=np.concatenate([self.known, own], axis=1),
+            known=known,
             left=self.left - np.swapaxes(own, 1, 2) @ own,
-            pulled=self.pulled - np.einsum("lji,j->li", own, score[0]),
+            pulled=self.pulled - np.einsum("lji,j->li", own, score),
         )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from app.estimation.step_candidates import Candidates, Prospects, Shared
+from app.estimation.step_candidates import Prospects, Shared
 
 _SWEEPS = 1
 _OF_LARGEST = 0.05  # of its gain: smaller ones may be its doing, and wait
@@ -63,17 +63,16 @@ class StepSearch:
         A large step a few cells from its place explains little: each cell is tried on
         the lines that look best, with a drift and without.
         """
-        given, line = self.all_.condition(others, self.share), self.line[self.all_.cell]
+        line = self.line[self.all_.cell]
         about: set[int] = set()
-        for each in (given.beside, given.bare) if drifts else (given.bare,):
-            best = line[np.argsort(-self._gain(each, others))]
+        for each in (True, False) if drifts else (False,):
+            best = line[np.argsort(-self._gain(self.all_, others, drifts=each))]
             first = np.sort(np.unique(best, return_index=True)[1])[:_ABOUT]
             about |= set(np.flatnonzero(np.isin(line, best[first])).tolist())
         best, most = self.all_.select_one(0), -np.inf
         for k in sorted(about):
             steps = self.near(k)
-            given = steps.condition(others, self.share)
-            gain = self._gain(given.choose(drifts=drifts), others)
+            gain = self._gain(steps, others, drifts=drifts)
             j = int(np.argmax(gain))
             if gain[j] > most:
                 best, most = steps.select_one(j), float(gain[j])
@@ -137,9 +136,12 @@ class StepSearch:
         return placed
 
     def _gain(
-        self, steps: Candidates, others: Sequence[Prospects]
+        self, steps: Prospects, others: Sequence[Prospects], *, drifts: bool
     ) -> Float64[np.ndarray, " l"]:
-        gain = steps.gain
+        """Return the gain of each step beside others; of what is one with them, 0."""
+        given = [other.choose(drifts=drifts) for other in others]
+        parts = steps.choose(drifts=drifts).cut()
+        gain = np.concatenate([p.condition(given, self.share).gain for p in parts])
         for other in others:
             cell = int(other.cell[0])
             near = np.abs(self.line[steps.cell] - self.line[cell]) <= 1

@@ -5,7 +5,7 @@ A step has the columns of the pose for all that comes after it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +14,14 @@ from jaxtyping import Float64, Int64
 from app.estimation.score import ScoredColumns
 from app.numerics.scaled_cholesky import ScaledCholesky
 
+_AT_ONCE = 256  # steps
+
 
 @dataclass(frozen=True)
 class StepSums:
     """Products of the columns of steps of the pose before some cells.
 
-    value : with all columns: of the fit, pose last, the residual, the drift
+    value : with all columns: of the fit, pose last, the drift, the residual
     own : with the columns of the same step
     """
 
@@ -31,12 +33,19 @@ class StepSums:
         """Return some of the steps."""
         return StepSums(self.cell[part], self.value[part], self.own[part])
 
-    def go_on(self, later: Sequence[StepSums]) -> StepSums:
-        """Return the sums of steps that go on through later blocks."""
-        value, own = self.value, self.own
-        for block in later:  # before all of its cells
-            value, own = value + block.value[0], own + block.own[0]
-        return StepSums(self.cell, value, own)
+    def put(self, part: slice, steps: StepSums) -> None:
+        """Write what some of the steps are."""
+        self.value[part], self.own[part] = steps.value, steps.own
+
+    def go_on(self, later: StepSums) -> StepSums:
+        """Return the sums of steps that go on: with a step before all that is later."""
+        return StepSums(self.cell, self.value + later.value, self.own + later.own)
+
+    @staticmethod
+    def of_none(cell: Int64[np.ndarray, " l"], width: int) -> StepSums:
+        """Return steps before some cells, with nothing after them yet."""
+        count = len(cell)
+        return StepSums(cell, np.zeros((count, width, 6)), np.zeros((count, 6, 6)))
 
     @staticmethod
     def join(parts: Sequence[StepSums]) -> StepSums:
@@ -57,6 +66,10 @@ class Candidates(ScoredColumns):
 
     cell: Int64[np.ndarray, " l"]
     whole: Float64[np.ndarray, "l 6 6"]
+
+    def cut(self) -> Iterator[Candidates]:
+        """Yield them in parts."""
+        return map(self.select, _cut(len(self.cell)))
 
     @property
     def moved_mm(self) -> Float64[np.ndarray, " l"]:
@@ -119,15 +132,6 @@ class Prospects:
         """Return one of them."""
         return Prospects(self.beside.select_one(k), self.bare.select_one(k))
 
-    def condition(
-        self, steps: Sequence[Prospects], share: Callable[[int], Shared]
-    ) -> Prospects:
-        """Return them beside steps, one each."""
-        return Prospects(
-            self.beside.condition([step.beside for step in steps], share),
-            self.bare.condition([step.bare for step in steps], share),
-        )
-
 
 class Drift:
     """A drift of the set-up, given the fit.
@@ -139,21 +143,34 @@ class Drift:
     def __init__(
         self, factor: ScaledCholesky, sums: Float64[np.ndarray, "q s"]
     ) -> None:
-        p = len(factor.scale)
-        self._factor, half = factor, factor.solve_half(sums[:p])
-        raw = sums[p + 1 :]
-        left = raw - half.T @ half
-        self._columns = ScoredColumns(half[None], raw[None], left[None], sums[None, p])
+        self._factor, self._fit = factor, slice(len(factor.scale))
+        half, raw = factor.solve_half(sums[self._fit]), sums[self._fit.stop : -1]
+        left, pulled = raw - half.T @ half, sums[None, -1]
+        self._columns = ScoredColumns(half[None], raw[None], left[None], pulled)
         self.size = self._columns.value[0]
         self.gain = float(self._columns.gain[0])
 
     def prepare(self, steps: StepSums) -> Prospects:
-        """Return steps, beside the drift and without it."""
-        sums, raw = steps.value, steps.own
-        p, n = len(self._factor.scale), len(sums)
-        flat = sums[:, :p].transpose(1, 0, 2).reshape(p, 6 * n)
-        half = self._factor.solve_half(flat).reshape(p, n, 6).transpose(1, 0, 2)
-        left = raw - np.swapaxes(half, 1, 2) @ half
-        whole = sums[:, p - 6 : p]
-        bare = Candidates(half, raw, left, sums[:, p], steps.cell, whole)
-        return Prospects(bare.give(self._columns, sums[:, p + 1 :]), bare)
+        """Return steps, beside the drift and without it, in the place of their sums."""
+        fit, known = self._fit, steps.value[:, :-1]
+        whole = known[:, fit.stop - 6 : fit.stop].copy()
+        for part in _cut(len(known)):
+            self._eliminate(known[part])
+        raw, half, own = steps.own, known[:, fit], known[:, fit.stop :]
+        left, pulled = raw - np.swapaxes(half, 1, 2) @ half, steps.value[:, -1]
+        bare = Candidates(half, raw, left, pulled, steps.cell, whole)
+        return Prospects(bare.put_beside(known, own, self._columns.score[1][0]), bare)
+
+    def _eliminate(self, sums: Float64[np.ndarray, "l m 6"]) -> None:
+        """Turn products with fit and drift into what is shared with these."""
+        columns = sums.transpose(1, 0, 2).reshape(sums.shape[1], -1)
+        half = self._factor.solve_half(columns[self._fit])
+        rest = columns[self._fit.stop :] - self._columns.known[0].T @ half
+        own = self._columns.score[0][0].T @ rest
+        shared = np.concatenate([half, own]).reshape(-1, len(sums), 6)
+        sums[...] = shared.transpose(1, 0, 2)
+
+
+def _cut(count: int) -> list[slice]:
+    """Return parts of so many steps, each of few enough to be held several times."""
+    return [slice(k, k + _AT_ONCE) for k in range(0, count, _AT_ONCE)]

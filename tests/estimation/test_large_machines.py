@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from functools import cache
 
@@ -14,6 +15,7 @@ from app.errors import Unidentifiable
 from app.estimation.baseline import fit_baseline
 from app.estimation.disturbances import estimate_checked
 from app.estimation.knots import compute_hidden_variance
+from app.estimation.misfit import assess_misfit
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
 from app.kinematics.coarse_model import build_baseline_models, build_run_models
@@ -27,6 +29,7 @@ from tests.estimation.estimating import estimate
 
 LONG = (3000.0, 800.0, 600.0)
 GANTRY = (6000.0, 2500.0, 1200.0)
+STRIDE = 12  # cells from one step of the set-up that is tried to the next
 
 
 def _record(travel_mm, rows, *, step_mm=0.0, level=None):
@@ -146,3 +149,36 @@ def test_a_burst_is_left_out_where_it_is_though_the_fit_has_joined_cells():
     assert (
         sum(each.samples for each in checked.left_out[0]) < 2 * seen.count[burst].sum()
     )
+
+
+@pytest.fixture(scope="module")
+def knocked():
+    """Return a fit of a clean Run, and a knock in its cells."""
+    run, _ = _record(LONG, 24)
+    fit = estimate(align(run), keep_fit=True).fit
+    seen = fit.runs[0].observations
+    late = np.arange(len(seen)) > 0.3 * len(seen)
+    moved = seen.tracker_mm + np.outer(late, [0.2, 0.0, 0.0])
+    part = replace(fit.runs[0], observations=replace(seen, tracker_mm=moved))
+    return replace(fit, runs=(part,))
+
+
+def _examine(fit, cells):
+    """Return what is left of the first cells, and the most memory that it takes."""
+    run = fit.runs[0]
+    few = replace(run, observations=run.observations.select(np.arange(cells)))
+    tracemalloc.start()
+    try:
+        found = assess_misfit(replace(fit, runs=(few,)), 0)
+        return found, tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_all_steps_that_are_tried_are_held_about_once(knocked):
+    ends = [last for _, last in knocked.runs[0].observations.lines]
+    half, whole = ends[len(ends) // 2], ends[-1]
+    (_, less), (found, more) = (_examine(knocked, cells) for cells in (half, whole))
+    assert found.steps[0].cell == pytest.approx(0.3 * whole, abs=2)
+    sums = 8 * 6 * knocked.runs[0].linearisation.size * (whole - half) / STRIDE
+    assert more - less < 2.5 * sums, (more - less) / sums
