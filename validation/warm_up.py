@@ -215,7 +215,7 @@ def _state_due(tally: Tally, used: str, limit: float) -> list[str]:
 
 
 def main() -> None:
-    """Judge worlds and write the tables."""
+    """Judge worlds and write the tables after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=1)
@@ -224,7 +224,7 @@ def main() -> None:
     for seed in range(options.first_seed, options.first_seed + options.worlds):
         judge_world(seed, tally)
         print(f"seed {seed}: {time.perf_counter() - begin:.0f} s", flush=True)
-    write_tables(tally, options.worlds)
+        write_tables(tally, seed - options.first_seed + 1)  # it may be stopped
 
 
 if __name__ == "__main__":
