@@ -200,7 +200,8 @@ class _Examination:
         """
         information = np.linalg.eigvalsh(steps.left[:, :3, :3])[:, 0]
         unseen = information * _LARGE_MM**2 < limit
-        inside = ~np.logical_and.accumulate(unseen)
+        inside = steps.cell >= self.seen.lines[0][1]
+        inside &= ~np.logical_and.accumulate(unseen)
         inside &= ~np.logical_and.accumulate(unseen[::-1])[::-1]
         return frozenset(self.seen.row[steps.cell[unseen & inside]].tolist())
 
