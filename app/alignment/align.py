@@ -61,7 +61,7 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     cell_mm : longest cell on a line; shorter ones show shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
-    usable = find_valid_samples(run.tracker)
+    usable = find_valid_samples(run.tracker, run.commanded.target)
     valid = np.flatnonzero(usable)
     if len(valid) < _FEWEST_SAMPLES:
         raise AlignmentError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 
 import numpy as np
@@ -21,6 +21,7 @@ _REPEATED = 5  # times in a row the same value, or next to one time: not measure
 STALLED = 0.1  # of the usual time from sample to sample
 _MOSTLY = 0.2  # of the samples: so the stamps are, nothing stalls
 _NOISELESS_MM = 1e-3  # change from step to step; of an arc without noise
+_BRIEF_S = 5.0  # a target, if there are several, is measured for longer
 _ROUNDS = 3  # a spike beside a spike shows once the larger one is gone
 GoesOn = Callable[
     [Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]], Bool[np.ndarray, " k"]
@@ -28,12 +29,17 @@ GoesOn = Callable[
 """Whether the motion goes on without stretches, by their first samples and ends."""
 
 
-def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
+def find_valid_samples(
+    samples: TrackerSamples, targets: Sequence[str] = ()
+) -> Bool[np.ndarray, " n"]:
     """Tell which samples are measurements: status 0, finite, on a way that goes on.
 
     Not a lone spike, nor a burst that jumps aside and back, nor what is repeated, nor
     what is stamped in a heap.
+
+    targets : of the rows; from one to another it jumps as well, and maybe back
     """
+    longest_s = _BRIEF_S if len(set(targets)) > 1 else np.inf
     valid = (samples.status == 0) & np.isfinite(samples.position_mm).all(axis=1)
     kept = np.flatnonzero(valid)
     valid[kept[_frozen(samples.position_mm[kept])]] = False
@@ -46,7 +52,8 @@ def find_valid_samples(samples: TrackerSamples) -> Bool[np.ndarray, " n"]:
             break
         valid[kept[spikes]] = False
     kept = np.flatnonzero(valid)
-    valid[kept[_aside(samples.device_time_s[kept], samples.position_mm[kept])]] = False
+    time_s, position_mm = samples.device_time_s[kept], samples.position_mm[kept]
+    valid[kept[_aside(time_s, position_mm, longest_s)]] = False
     return valid
 
 
@@ -90,9 +97,11 @@ def _find_repeats(same: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
 
 
 def _aside(
-    time_s: Float64[np.ndarray, " n"], position_mm: Float64[np.ndarray, "n 3"]
+    time_s: Float64[np.ndarray, " n"],
+    position_mm: Float64[np.ndarray, "n 3"],
+    longest_s: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Tell which samples lie between a jump aside and the jump back.
+    """Tell which samples lie between a jump aside and the jump back, soon after.
 
     A jump is a step that no speed nearby explains. The shortest stretches between jumps
     go first; without them the motion must go on from where it was.
@@ -123,7 +132,8 @@ def _aside(
         left = position_mm[after] - position_mm[a]
         left = left - mean * (time_s[after] - time_s[a])[:, None]
         least = np.minimum(off[a], off[after - 1])
-        return np.linalg.norm(left, axis=1) < _CLOSED * least
+        is_brief = time_s[after] - time_s[first] <= longest_s
+        return is_brief & (np.linalg.norm(left, axis=1) < _CLOSED * least)
 
     for first, after in _list_aside(begin, len(time_s), goes_on):
         aside[first:after] = True

@@ -160,7 +160,7 @@ def compute_cell_deviations(
 ) -> CellDeviations | None:
     """Return the deviations of a Run's samples on lines; None where there are none."""
     valid = np.zeros(len(run.tracker), bool)
-    valid[find_valid_samples(run.tracker)] = True
+    valid[find_valid_samples(run.tracker, run.commanded.target)] = True
     parts: list[CellDeviations] = []
     for number, (first, last) in enumerate(seen.lines):
         line = int(seen.at.line[first])

@@ -194,6 +194,22 @@ def test_a_spike_beside_a_larger_one_is_no_sample_either(rng):
     assert np.flatnonzero(~find_valid_samples(samples)).tolist() == [50, 51]
 
 
+def test_a_target_between_two_that_are_near_each_other_is_no_burst(rng):
+    n = 12_000
+    position = np.cumsum(np.full((n, 3), 0.01), axis=0) + 0.004 * rng.normal(
+        size=(n, 3)
+    )
+    second = slice(4_000, 8_000)  # for 8 s
+    position[second] += [200.0, 0.0, 0.0]
+    position[8_000:] += [0.0, 5.0, 0.0]
+    clean = np.zeros(n, np.int64)
+    samples = TrackerSamples(np.arange(n), np.arange(n) / 500.0, position, clean)
+    change = 5  # samples beside a jump may go
+    among = find_valid_samples(samples, ("T1", "T2", "T3"))
+    assert among[second][change:-change].all()
+    assert not find_valid_samples(samples)[second].any()
+
+
 def test_a_stream_shared_with_another_target_is_cleaned_in_little_time(rng):
     n = 60_000
     position = np.cumsum(np.full((n, 3), 0.1), axis=0) + 0.004 * rng.normal(size=(n, 3))
