@@ -51,7 +51,7 @@ from simulators.recording import Recording
 from simulators.synthetic import Setting, record
 from simulators.truth_machine import perfect
 
-SEED, CLEAN, _CLEAN_FROM = 9501, 120, 1000
+SEED, CLEAN, _CLEAN_FROM = 9801, 120, 1000
 _GRID = 300
 _MOST_LEFT, _FEWEST_INSIDE = 0.06, 0.85
 World = Callable[[int], Recording]

@@ -198,12 +198,13 @@ class _Examination:
 
         Near both ends of the Run there is too little data for it, and no harm in it.
         """
-        information = np.linalg.eigvalsh(steps.left[:, :3, :3])[:, 0]
+        later = steps.cell >= self.seen.lines[0][1]
+        left, cell = steps.left[later], steps.cell[later]
+        information = np.linalg.eigvalsh(left[:, :3, :3])[:, 0]
         unseen = information * _LARGE_MM**2 < limit
-        inside = steps.cell >= self.seen.lines[0][1]
-        inside &= ~np.logical_and.accumulate(unseen)
+        inside = ~np.logical_and.accumulate(unseen)
         inside &= ~np.logical_and.accumulate(unseen[::-1])[::-1]
-        return frozenset(self.seen.row[steps.cell[unseen & inside]].tolist())
+        return frozenset(self.seen.row[cell[unseen & inside]].tolist())
 
     @property
     def _width(self) -> int:

@@ -65,6 +65,7 @@ def test_a_knock_within_a_line_is_one_step_at_its_moment(moving):
         [moment_s], abs=0.2
     )
     assert 1e3 * found.knocks[0].moved_mm == pytest.approx(30.0, abs=1.5)
+    assert not any(misfit.unseen for misfit in found.misfits)
 
 
 def test_what_lies_between_two_knocks_of_a_line_goes_and_is_said(moving):
