@@ -57,7 +57,7 @@ class Outcome:
     def right(self) -> bool:
         """Whether all that is in the catalogue was named, and nothing else."""
         wanted = len(self.truth) if self.catalogued else 0
-        clean = self.kind == "clean" and self.describes
+        clean = not self.truth and self.describes
         return sum(map(bool, self.matched)) == wanted and not self.wrong and not clean
 
     @property

@@ -18,6 +18,7 @@ _HARD = {
     "tenfold": "ten times the size",
     "rough-stream": "beam breaks, strays, lost frames, holds",
     "poor-hall": "noise doubled, a third of it slow",
+    "standstill": "points instead of lines; one in ten clean",
 }
 _WITHIN = 2.0  # an expanded uncertainty
 

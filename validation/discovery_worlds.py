@@ -39,9 +39,10 @@ COUNTS = {
     "tenfold": 36,
     "rough-stream": 36,
     "poor-hall": 36,
+    "standstill": 40,
 }
 # Of worlds that the method is never improved on: the tables are of these alone.
-REPORTED = 50_000
+REPORTED = 60_000
 
 Task = tuple[int, str]
 

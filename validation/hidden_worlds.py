@@ -34,9 +34,23 @@ KINDS = (
     "tenfold",
     "rough-stream",
     "poor-hall",
+    "standstill",
 )
 ONE_EFFECT = ("single", "tenth", "tenfold", "rough-stream", "poor-hall")
 _SCALES = {"tenth": 0.1, "tenfold": 10.0}
+STANDING = (
+    "",
+    "backlash",
+    "lateral-backlash",
+    "thermal-growth",
+    "spindle-growth",
+    "table-drift",
+    "elastic-sag",
+    "tracker-eccentricity",
+    "tracker-range-offset",
+    "setup-step",
+)
+_POINTS = (60, 120)
 _POOR = {"share": 1.0 / 3.0, "noise_scale": 2.0}
 SIZES_UM = (1.5, 6.0)
 # A log-likelihood ratio of 32: after the price of looking for thousands of shapes.
@@ -87,7 +101,11 @@ def _draw_once(
 ) -> World:
     rng = np.random.default_rng([seed, 11])
     content, air = random_content(seed), random_air(seed)
-    program = draw_program(content, rng, lines)
+    program = (
+        _draw_points(content, seed, rng)
+        if kind == "standstill"
+        else draw_program(content, rng, lines)
+    )
     setting = Setting(air=air, sensors=bool(rng.uniform() < 0.5))
     if kind == "rough-stream":
         setting = replace(setting, defects=ROUGH)
@@ -97,7 +115,8 @@ def _draw_once(
     scale = _SCALES.get(kind, 1.0)
     sizes = tuple(scale * float(s) for s in rng.uniform(*SIZES_UM, len(names)))
     hidden = _draw_effects(seed, names, sizes, content, program)
-    recording = _record(content, program, seed, setting, hidden)
+    mode = "standstill" if kind == "standstill" else "otf"
+    recording = _record(content, program, seed, setting, hidden, mode)
     return World(
         seed, kind, recording, sizes, _measure_signal(recording, setting, seed)
     )
@@ -112,6 +131,9 @@ def _choose_names(seed: int, kind: str) -> tuple[str, ...]:
         more = 1 if kind == "pair" else 2
         rng = np.random.default_rng([seed, 12])
         return first, *map(str, rng.choice(others, more, replace=False))
+    if kind == "standstill":
+        name = STANDING[seed % len(STANDING)]
+        return (name,) if name else ()
     if kind == "off-catalogue":
         return (UNCATALOGUED[seed % len(UNCATALOGUED)],)
     return ()
@@ -132,6 +154,14 @@ def draw_program(
         return program
     shares = rng.choice([0.5, 0.75, 1.0], len(program))
     return replace(program, feed_mm_s=np.round(60.0 * program.feed_mm_s * shares) / 60)
+
+
+def _draw_points(
+    content: dict[str, Any], seed: int, rng: np.random.Generator
+) -> Program:
+    """Draw where the machine is to stand."""
+    count = int(rng.integers(*_POINTS, endpoint=True))
+    return paths.standstill_points(parse_machine(content), seed, count, dwell_s=1.0)
 
 
 def _draw_effects(
@@ -160,12 +190,13 @@ def _record(
     seed: int,
     setting: Setting,
     hidden: tuple[HiddenEffect, ...],
+    mode: str,
 ) -> Recording:
     for effect in hidden:
         if isinstance(effect, ThermalGrowth):
             setting = replace(setting, sensors=effect.has_sensor)
     return synthetic.record(
-        content, program, seed, "otf", replace(setting, hidden=hidden)
+        content, program, seed, mode, replace(setting, hidden=hidden)
     )
 
 
@@ -177,7 +208,9 @@ def _measure_signal(
         return ()
     quiet = replace(setting, noise_scale=0.0)
     alone = [
-        _record(recording.content, recording.program, seed, quiet, effects)
+        _record(
+            recording.content, recording.program, seed, quiet, effects, recording.mode
+        )
         for effects in ((), *((effect,) for effect in recording.hidden))
     ]
     shifts = [one.position_mm - alone[0].position_mm for one in alone[1:]]

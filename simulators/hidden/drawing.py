@@ -25,6 +25,7 @@ from simulators.hidden.screw_cyclic import ScrewCyclic
 from simulators.hidden.servo_mismatch import ServoMismatch
 from simulators.hidden.settling_stand import SettlingStand
 from simulators.hidden.setup_step import SetupStep
+from simulators.hidden.spindle_growth import SpindleGrowth
 from simulators.hidden.squareness import Squareness
 from simulators.hidden.table_drift import TableDrift
 from simulators.hidden.thermal_growth import ThermalGrowth
@@ -55,6 +56,7 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         TrackerRangeOffset,
         Vibration,
         SetupStep,
+        SpindleGrowth,
         CoolantCycle,
         WavyGuide,
         Twist,

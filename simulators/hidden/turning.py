@@ -105,3 +105,27 @@ class SwivelSag(HiddenEffect):
         angle = np.radians(motion.position_mm(self.by, time_s)) + self.phase_rad
         sag = -1e-3 * self.amplitude_um * 4.0 * u * (1.0 - u) * np.sin(angle)
         return error_motion(f"E{self.direction}{self.axis}", sag)
+
+
+@dataclass(frozen=True, slots=True)
+class RotaryEccentricity(HiddenEffect):
+    """amplitude (sin(angle + phase) − sin(phase)) of a ring scale off its axis."""
+
+    name = "rotary-eccentricity"
+    needs_model = True
+    axis: str
+    amplitude_urad: float
+    phase_rad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, occasion: Occasion) -> Self:
+        """Draw one."""
+        amplitude = 1e3 * occasion.size_um / _REACH_MM
+        phase = float(rng.uniform(0.0, 2.0 * np.pi))
+        return cls(_choose_rotary(rng, occasion), amplitude, phase)
+
+    def carry(self, motion: Motion, time_s: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the error of the angle."""
+        angle = np.radians(motion.position_mm(self.axis, time_s)) + self.phase_rad
+        wave = np.sin(angle) - np.sin(self.phase_rad)
+        return _turn(motion, self.axis, 1e-6 * self.amplitude_urad * wave)

@@ -8,15 +8,22 @@ import numpy as np
 import pytest
 
 from app.discovery.discover import Discovery, discover
+from app.discovery.extended_model import extend_model
 from app.files.machine_file import machine_from_json
 from app.files.run import Run
+from app.kinematics.estimated_model import EstimatedModel
 from app.planning.default_path import default_path
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic
 from simulators.hidden.backlash import Backlash
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.servo_mismatch import ServoMismatch
-from simulators.hidden.turning import GearCyclic, SwivelSag, TurningBacklash
+from simulators.hidden.turning import (
+    GearCyclic,
+    RotaryEccentricity,
+    SwivelSag,
+    TurningBacklash,
+)
 from simulators.scenario import load_machine
 from simulators.timeline import Program
 
@@ -40,7 +47,10 @@ HEAD: dict[str, Any] = {
 
 
 def drive(
-    content: dict[str, Any], hidden: tuple[HiddenEffect, ...], lines: int | None = None
+    content: dict[str, Any],
+    hidden: tuple[HiddenEffect, ...],
+    lines: int | None = None,
+    reference: EstimatedModel | None = None,
 ) -> Discovery:
     """Drive the default path of a machine, arcs of its rotary axes included."""
     machine = machine_from_json(content)
@@ -50,7 +60,22 @@ def drive(
     made = synthetic.record(content, program, 3, "otf", setting)
     number = np.arange(len(made))
     samples = TrackerSamples(number, made.time_s, made.position_mm, made.status)
-    return discover([Run(content["name"], machine, path, samples)])
+    return discover([Run(content["name"], machine, path, samples)], reference)
+
+
+@pytest.mark.parametrize("amplitude_urad", [0.0, 40.0])
+def test_a_scale_that_was_mounted_off_centre_since_the_model_was_made_is_named(
+    amplitude_urad: float,
+) -> None:
+    before = extend_model(drive(HEAD, (), 28))
+    hidden = RotaryEccentricity("C", amplitude_urad, 1.0)
+    found = drive(HEAD, (hidden,), 28, before)
+    wanted = ["rotary-eccentricity C"] if amplitude_urad else []
+    assert [finding.candidate.label for finding in found.findings] == wanted
+    for finding in found.findings:
+        for name, true in hidden.parameters(None).items():
+            told = finding.parameters[name]
+            assert abs(told.value - true) < 4.0 * told.uncertainty
 
 
 def found_in(name: str, hidden: tuple[HiddenEffect, ...]) -> Discovery:

@@ -3,13 +3,21 @@
 The truth machine composes homogeneous transforms; nothing is shared with it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from app.files.machine_file import machine_from_json
 from app.kinematics.conditions import make_standstill
-from app.kinematics.effects.error_motion import ErrorMotion, make_error_motion
+from app.kinematics.effects.error_motion import (
+    ErrorMotion,
+    find_arm,
+    make_error_motion,
+)
 from app.kinematics.effects.location_error import list_axis_locations, list_squarenesses
+from app.kinematics.effects.rotary_eccentricity import RotaryEccentricity
+from app.kinematics.effects.tool_growth import ToolGrowth
 from app.kinematics.machine import find_local_directions
 from app.kinematics.model import MachineModel
 from app.kinematics.symbols import (
@@ -175,3 +183,27 @@ def test_symbols_of_rotary_axes_have_meanings_and_units():
     assert describe_symbol("EAC") == "tilt of C about X"
     assert describe_symbol("XOC") == "shift of the axis of C in X"
     assert [find_unit(s) for s in ("XOC", "AOC", "EXC", "ECC")] == ["um", "urad"] * 2
+
+
+def test_a_spindle_grows_along_itself_wherever_the_head_turns_it(rng):
+    machine = machine_from_json(content("w-b-X-Y-Z-B-t"))
+    q = rng.uniform(0.0, 100.0, (20, 4))
+    at = replace(seen(machine, q, "T1", "workpiece"), time_s=np.linspace(0, 30, 20))
+    grown = ToolGrowth(10.0, 0.0).displacement_mm(at, np.array([0.005]))
+    size = 0.005 * (1.0 - np.exp(-at.time_s / 10.0))
+    B = np.radians(q[:, 3])
+    axis = np.stack([np.sin(B), np.zeros(20), np.cos(B)], axis=1)
+    np.testing.assert_allclose(grown, size[:, None] * axis, atol=1e-12)
+
+
+def test_an_eccentric_scale_moves_nothing_at_the_axis_zero(rng):
+    machine = machine_from_json(content("w-b-X-Y-Z-C-t"))
+    q = rng.uniform(0.0, 100.0, (20, 4))
+    q[0, 3] = 0.0
+    at = seen(machine, q, "T1", "workpiece")
+    effect = RotaryEccentricity(machine.rotary("C"))
+    moved = effect.displacement_mm(at, np.array([2e-5, 1e-5]))
+    C = np.radians(q[:, 3])
+    turn = 2e-5 * np.sin(C) + 1e-5 * (np.cos(C) - 1.0)
+    np.testing.assert_allclose(moved, find_arm("ECC", at) * turn[:, None], atol=1e-12)
+    assert np.abs(moved[0]).max() == 0.0

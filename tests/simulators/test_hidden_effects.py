@@ -29,6 +29,7 @@ from simulators.hidden.reversal_spike import ReversalSpike
 from simulators.hidden.screw_cyclic import ScrewCyclic
 from simulators.hidden.servo_mismatch import ServoMismatch
 from simulators.hidden.setup_step import SetupStep
+from simulators.hidden.spindle_growth import SpindleGrowth
 from simulators.hidden.squareness import Squareness
 from simulators.hidden.table_drift import TableDrift
 from simulators.hidden.thermal_growth import ThermalGrowth
@@ -197,6 +198,15 @@ def test_a_creeping_table_and_a_knock_shift_all_axes_alike(
     assert knock.truth(CLOCK)["parameters"]["t_s"]["value"] == 104.0
 
 
+def test_a_spindle_that_warms_moves_the_tool_along_itself_fast_at_first(
+    content: dict[str, Any],
+) -> None:
+    off, recording = moved_um(content, SpindleGrowth(10.0, 5.0))
+    true_s = CLOCK.true_s(recording.time_s)
+    np.testing.assert_allclose(off[:, 2], 10.0 * (1.0 - np.exp(-true_s / 5.0)))
+    assert np.abs(off[:, :2]).max() < 1e-9
+
+
 def test_a_guide_bends_most_in_its_middle_and_by_what_it_bears(
     content: dict[str, Any],
 ) -> None:
@@ -288,7 +298,7 @@ def test_bad_effects_are_refused_by_name(machine: MachineFile) -> None:
     with pytest.raises(SimulatorError, match="depth"):
         from_json({"name": "backlash", "depth": 3})
     assert parse_hidden("backlash*2", 1, machine).parameters(CLOCK) == {"width_um": 4.0}
-    assert len(CATALOGUED) == 12
+    assert len(CATALOGUED) == 13
     assert "squareness" not in CATALOGUED  # a model fitted to the recording has it
 
 

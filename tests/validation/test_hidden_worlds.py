@@ -14,9 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = str(ROOT / "validation")
 SHORT = (14, 14)
 QUICK = [
-    ("single", 24),  # backlash
-    ("single", 26),  # screw-cyclic
-    ("single", 30),  # servo-mismatch
+    ("single", 25),  # spindle-growth
+    ("single", 28),  # screw-cyclic
+    ("single", 32),  # servo-mismatch
     ("clean", 1),
     ("off-catalogue", 4),  # coolant-cycle
 ]

@@ -62,6 +62,12 @@ class WarmingUp(Effect):
         return _strain(self.axis, at, rise)
 
 
+def list_time_constants(at: Conditions) -> Float64[np.ndarray, " v"]:
+    """Return time constants that a recording can tell apart, in s."""
+    span_s = max(float(np.ptp(at.time_s)), 1.0)
+    return np.geomspace(0.03 * span_s, 5.0 * span_s, _TAUS)
+
+
 def _strain(
     axis: LinearAxis, at: Conditions, by: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3 1"]:
@@ -124,8 +130,7 @@ class ThermalGrowthFamily(Family):
         """Return time constants, where there is no sensor."""
         if candidate.value is None:
             return None
-        span = float(np.ptp(at.time_s))
-        return Scan(self.value_name, np.geomspace(0.03 * span, 5.0 * span, _TAUS))
+        return Scan(self.value_name, list_time_constants(at))
 
     def list_numbers(self, candidate: Candidate) -> dict[str, float]:
         """Return the temperature at which there is no growth, or the time constant."""
