@@ -51,8 +51,8 @@ NAMES = {
 }
 # What happens, how large in µm, between which shares of the Run; worlds of each.
 ROWS: dict[str, tuple[str, float, float, float, int]] = {
-    "nothing, on the fly": ("clean", 0.0, 0.0, 1.0, 100),
-    "nothing, at standstill": ("clean-points", 0.0, 0.0, 1.0, 30),
+    "nothing, on the fly": ("clean", 0.0, 0.0, 1.0, 250),
+    "nothing, at standstill": ("clean-points", 0.0, 0.0, 1.0, 50),
     "knock of 10 µm, first quarter": ("knock", 10.0, 0.05, 0.25, 20),
     "knock of 10 µm, second quarter": ("knock", 10.0, 0.25, 0.5, 20),
     "knock of 10 µm, third quarter": ("knock", 10.0, 0.5, 0.75, 25),
