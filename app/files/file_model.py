@@ -7,7 +7,8 @@ back as one BundleError: `machine.json: axes.X.max_mm is true; write a number`.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
@@ -68,13 +69,14 @@ Text = Annotated[str, Field(min_length=1)]
 Vector = Annotated[
     tuple[float, float, float], Strict(False), BeforeValidator(_require_three)
 ]
+_NO_CHARACTER = re.compile("[\0\ud800-\udfff]")
 Model = TypeVar("Model", bound=FileModel)
 
 
 def parse_json(data: bytes, file: str) -> object:
     """Return what the bytes of a JSON file say. Raises BundleError with the place."""
     try:
-        return json.loads(data.decode("utf-8-sig"))
+        content = json.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise BundleError(
             f"is not text in UTF-8 (byte {error.start})",
@@ -92,6 +94,33 @@ def parse_json(data: bytes, file: str) -> object:
         raise BundleError(
             "is nested too deeply or holds a number of too many digits", file=file
         ) from error
+    if b"\\u" in data:
+        _require_text(content, file)
+    return content
+
+
+def _require_text(content: object, file: str) -> None:
+    """Raise BundleError on what no text file or database can keep as text."""
+    found = (_NO_CHARACTER.search(text) for text in _list_texts(content))
+    code = next((one.group() for one in found if one), None)
+    if code is not None:
+        raise BundleError(
+            f"holds \\u{ord(code):04x}, which is no character",
+            file=file,
+            remedy="write the text without it",
+        )
+
+
+def _list_texts(content: object) -> Iterator[str]:
+    if isinstance(content, str):
+        yield content
+    elif isinstance(content, dict):
+        for key, value in content.items():
+            yield key
+            yield from _list_texts(value)
+    elif isinstance(content, list):
+        for value in content:
+            yield from _list_texts(value)
 
 
 def encode_json(content: object, *, indent: int | None = None) -> bytes:

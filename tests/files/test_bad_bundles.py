@@ -139,6 +139,8 @@ TABLE: list[tuple[str, Edit, str]] = [
         holding("machine.json", "[]"),
         "machine.json: is []; write an ob",
     ),
+    ("half a character", key("name", "x\ud800"), r"machine.json: holds \ud800, which"),
+    ("an empty character", key("name", "x\0"), r"machine.json: holds \u0000, which"),
     ("machine too deep", holding("machine.json", "[" * 100_000), "nested too deeply"),
     ("no schema", key("schema", None), "machine.json: schema is missing; add it"),
     ("later schema", key("schema", "machine/2"), 'schema is "machine/2"; write'),
