@@ -37,7 +37,7 @@ from app.motion.corner_path import corner_path
 from app.motion.motion_times import Drive, Stops, row_times_s
 from app.motion.workspace import Workspace
 from app.numerics.design_criteria import IntegratedVariance, find_best_place
-from app.planning.design_state import DesignState, PointDesignState, inverse
+from app.planning.design_state import DesignState, inverse
 from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import LegChoice, SearchEffort, SearchRegion
 from app.planning.next_configuration import (
@@ -46,6 +46,7 @@ from app.planning.next_configuration import (
 )
 from app.planning.plan_making import make_plan
 from app.planning.plan_order import PlanOrder
+from app.planning.point_design import PointDesignState
 from drivers.interfaces.records import Path as MachinePath
 from simulators import synthetic
 from simulators.scenario import load_machine

@@ -24,7 +24,7 @@ from app.errors import Unidentifiable
 from app.estimation.design_matrix import DesignMatrix
 from app.estimation.information import Information
 from app.estimation.noise import NoiseModel, split_sigma_mm
-from app.numerics.correlated_noise import (
+from app.numerics.ornstein_uhlenbeck import (
     OrnsteinUhlenbeckPrecision,
     build_ou_precision,
 )

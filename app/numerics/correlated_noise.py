@@ -23,12 +23,12 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.linalg import cholesky_banded, solveh_banded
+from scipy.linalg import cholesky_banded
 
 from app.numerics.banded_factor import BandedFactor
+from app.numerics.ornstein_uhlenbeck import build_ou_precision, interleave
 from app.numerics.scaled_cholesky import ScaledCholesky
 
-_BAND = 3
 _ROUNDING = 1e-12  # of the largest precision: no information
 
 
@@ -98,62 +98,11 @@ def factorise(
     if not ou_sigma.any():
         return Whitener(root, np.empty((0, 0)), np.empty((0, 3)), log_white)
     ou = build_ou_precision(time_s, ou_sigma, ou_time_s)
-    band = _interleave(white_precision, ou.diagonal, ou.below)
+    band = interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     log_sum = 2.0 * float(np.log(factor[0]).sum())
     log_determinant = log_white + ou.log_determinant + log_sum
     return Whitener(root, factor, ou.alone, log_determinant)
-
-
-@dataclass(frozen=True, slots=True)
-class OrnsteinUhlenbeckPrecision:
-    """C⁻¹, tridiagonal in time for each coordinate.
-
-    diagonal : (n, 3); below : (n, 3), from each point to the next, the last one 0
-    alone : (n, 3) precision of each point given the one before
-    log_determinant : of C
-    """
-
-    diagonal: Float64[np.ndarray, "n 3"]
-    below: Float64[np.ndarray, "n 3"]
-    alone: Float64[np.ndarray, "n 3"]
-    log_determinant: float
-
-    def multiply(self, ou: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Return C⁻¹ times a vector."""
-        product = self.diagonal * ou
-        product[:-1] += self.below[:-1] * ou[1:]
-        product[1:] += self.below[:-1] * ou[:-1]
-        return product
-
-    def solve(self, right: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Return C times a vector."""
-        none = np.zeros((len(right), 3, 3))
-        band = _interleave(none, self.diagonal, self.below)
-        solved = solveh_banded(band, right.ravel(), lower=True, check_finite=False)
-        return solved.reshape(right.shape)
-
-
-def build_ou_precision(
-    time_s: Float64[np.ndarray, " n"],
-    sigma: Float64[np.ndarray, "n 3"],
-    ou_time_s: float,
-) -> OrnsteinUhlenbeckPrecision:
-    """Return C⁻¹ for a given standard deviation and correlation time."""
-    step = np.diff(time_s)
-    keep = np.exp(-step / ou_time_s)
-    # −expm1 keeps its digits where steps are far shorter than the correlation time.
-    fresh = np.maximum(-np.expm1(-2.0 * step / ou_time_s), 1e-12)
-    alone = np.ones(len(time_s))
-    alone[1:] = 1.0 / fresh
-    unit = alone.copy()
-    unit[:-1] += keep**2 / fresh
-    below = np.zeros(len(time_s))
-    below[:-1] = -keep / fresh
-    scaled_below = below[:, None] / (sigma * np.roll(sigma, -1, axis=0))
-    log_c = 2.0 * float(np.log(sigma).sum()) + 3.0 * float(np.log(fresh).sum())
-    diagonal, alone = (each[:, None] / sigma**2 for each in (unit, alone))
-    return OrnsteinUhlenbeckPrecision(diagonal, scaled_below, alone, log_c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +233,7 @@ def extend(
     if state is not None:  # counted when the state was the newest
         ou.diagonal[0] -= 1.0 / state.sigma**2
         log_ou -= 2.0 * float(np.log(state.sigma).sum())
-    band = _interleave(white_precision, ou.diagonal, ou.below)
+    band = interleave(white_precision, ou.diagonal, ou.below)
     factor = cholesky_banded(band, lower=True, check_finite=False)
     solved = BandedFactor.of(factor).solve_half(pulled)
     log_sum = 2.0 * float(np.log(factor[0, :-3]).sum())
@@ -330,18 +279,3 @@ def _last_block(factor: Float64[np.ndarray, "4 m"]) -> Float64[np.ndarray, "3 3"
     block = np.diag(factor[0, -3:])
     block[1, 0], block[2, 1], block[2, 0] = factor[1, -3], factor[1, -2], factor[2, -3]
     return block
-
-
-def _interleave(
-    white: Float64[np.ndarray, "n 3 3"],
-    diagonal: Float64[np.ndarray, "n 3"],
-    below: Float64[np.ndarray, "n 3"],
-) -> Float64[np.ndarray, "4 m"]:
-    n = len(white)
-    band = np.zeros((_BAND + 1, n, 3))
-    for j in range(3):
-        band[0, :, j] = white[:, j, j] + diagonal[:, j]
-        for i in range(j + 1, 3):
-            band[i - j, :, j] = white[:, i, j]
-    band[_BAND] = below
-    return band.reshape(_BAND + 1, 3 * n)

@@ -20,9 +20,9 @@ from app.motion.configurations import join_rows
 from app.motion.motion_times import DEFAULT_FEED_MM_MIN, Drive
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace, moving_targets
-from app.planning.design_state import LineDesignState
 from app.planning.initial_design import choose_station, start_design
 from app.planning.leg_choice import SearchEffort
+from app.planning.line_design import LineDesignState
 from app.planning.planner import Planner
 from app.planning.target_blocks import PlanShare, plan_in_turn, wait_for_tracker
 from app.planning.target_shares import ExpectedLegs

@@ -18,8 +18,10 @@ from app.motion.motion_times import Drive
 from app.motion.nc_programs.programs import LARGEST_FEED_MM_MIN
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState, LineDesignState, PointDesignState
+from app.planning.design_state import DesignState
 from app.planning.forecast import Assumptions
+from app.planning.line_design import LineDesignState
+from app.planning.point_design import PointDesignState
 from app.planning.station_choice import MOST_STATIONS
 
 LINE_DWELL_S, POINT_DWELL_S = 0.4, 1.0

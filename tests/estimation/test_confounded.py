@@ -12,8 +12,8 @@ from app.kinematics.conditions import make_standstill
 from app.kinematics.volumetric_map import build_volumetric_map
 from app.motion.configurations import Configurations
 from app.motion.motion_times import Drive
-from app.planning.design_state import PointDesignState
 from app.planning.initial_design import start_design
+from app.planning.point_design import PointDesignState
 from app.results.error_tables import build_error_tables
 from drivers.interfaces.records import TrackerSamples
 from simulators import synthetic, turning_paths

@@ -11,10 +11,12 @@ import pytest
 from app.kinematics.machine import Machine, remove_rotary_axes
 from app.motion.motion_times import Drive
 from app.motion.workspace import Workspace
-from app.planning.design_state import DesignState, LineDesignState, PointDesignState
+from app.planning.design_state import DesignState
 from app.planning.forecast import Assumptions
 from app.planning.initial_design import start_design
+from app.planning.line_design import LineDesignState
 from app.planning.planner import Planner
+from app.planning.point_design import PointDesignState
 
 STAND_MM = np.array([250.0, -900.0, 100.0])
 

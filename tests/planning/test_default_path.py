@@ -20,8 +20,9 @@ from app.kinematics.machine import (
 from app.motion.motion_times import FASTEST_DEG_MIN, Drive, Legs, travel_time_s
 from app.motion.travel import check_travel
 from app.planning.default_path import default_path
-from app.planning.design_state import LineDesignState, inverse
+from app.planning.design_state import inverse
 from app.planning.initial_design import start_design
+from app.planning.line_design import LineDesignState
 from drivers.interfaces.records import Path
 
 STATION_MM = np.array([250.0, -900.0, 100.0])

@@ -10,9 +10,10 @@ from app.motion.motion_times import Drive, Legs, Stops, row_times_s
 from app.motion.travel import inner_travel
 from app.motion.workspace import Workspace
 from app.planning.default_path import default_path
-from app.planning.design_state import LineDesignState, inverse
+from app.planning.design_state import inverse
 from app.planning.initial_design import predict_lag_sigmas_s, start_design
 from app.planning.leg_choice import LegChoice, SearchEffort
+from app.planning.line_design import LineDesignState
 from app.planning.planner import Planner
 from drivers.interfaces.records import Path
 

@@ -9,8 +9,8 @@ import pytest
 from app.kinematics.machine import Machine
 from app.motion.motion_times import Drive
 from app.motion.workspace import Workspace, moving_targets
-from app.planning.design_state import LineDesignState
 from app.planning.initial_design import choose_station, start_design
+from app.planning.line_design import LineDesignState
 from app.planning.planner import Planner
 from app.planning.target_shares import share_among_targets
 from tests.planning.test_default_path import trunnion
