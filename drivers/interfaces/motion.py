@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 
 from drivers.interfaces.device import Device
+from drivers.interfaces.errors import Refused
 from drivers.interfaces.records import MotionStatus, Path
 
 
@@ -34,7 +35,8 @@ class MotionController(Device):
     def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
         """Start a straight move. Returns when it is taken; `wait` waits for its end.
 
-        Raises OutOfTravel before the first byte, Refused, MotionFault in alarm.
+        Raises OutOfTravel before the first byte, Refused, MotionFault in alarm and in
+        the other states of `UNABLE`.
         """
 
     @abstractmethod
@@ -49,7 +51,8 @@ class MotionController(Device):
     def wait(self, timeout_s: float) -> MotionStatus:
         """Wait until the axes stand (finished, held, aborted); return the last status.
 
-        Raises DeviceTimeout if it still runs after `timeout_s`, MotionFault in alarm.
+        Raises DeviceTimeout if it still runs after `timeout_s`, MotionFault in the
+        states of `UNABLE`.
         """
 
     @abstractmethod
@@ -67,3 +70,26 @@ class MotionController(Device):
     @abstractmethod
     def send_heartbeat(self) -> None:
         """Feed the controller's watchdog; it holds the feed when beats stay away."""
+
+    def reset(self) -> None:
+        """Clear alarm and emergency stop, switch the drives on. Moves nothing.
+
+        For a person who looks at the machine; nothing else calls it. Raises Refused
+        where it has to be done at the machine.
+        """
+        raise Refused("this controller is reset at the machine only")
+
+    def home(self, timeout_s: float) -> None:
+        """Home the axes that are not, and wait for it. The machine may move.
+
+        Raises Refused where it has to be done at the machine, MotionFault, or
+        DeviceTimeout if it takes longer.
+        """
+        raise Refused("this controller is homed at the machine only")
+
+    def limit_override(self, largest: float) -> None:
+        """Lower the feed override to `largest`, a factor, where it is above.
+
+        Raises Refused where it can be done at the machine only.
+        """
+        raise Refused("the feed override of this controller is set at the machine only")

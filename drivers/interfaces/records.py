@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,6 +135,23 @@ class MotionState(StrEnum):
     FINISHED = "finished"
     ABORTED = "aborted"
     ALARM = "alarm"
+    NOT_READY = "not-ready"  # drives off
+    UNHOMED = "unhomed"
+    ESTOP = "estop"
+    DOOR = "door"
+
+
+# States in which a machine cannot be driven: what is so, and what to do.
+UNABLE: Mapping[MotionState, str] = MappingProxyType(
+    {
+        MotionState.ALARM: "the controller is in alarm; clear it at the machine",
+        MotionState.NOT_READY: "the drives are off; switch the machine on, or reset it",
+        MotionState.UNHOMED: "the machine is not homed; home it",
+        MotionState.ESTOP: "the emergency stop is active; release it at the machine, "
+        "then reset",
+        MotionState.DOOR: "a door is open; close it",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +160,9 @@ class MotionStatus:
 
     line : row of the loaded path, from 0, that the machine moves towards or dwells at;
         0 before the path was started, its last value after the motion
+    alarm : text of the controller where it cannot be driven
     hold_reason : why it is held ("operator", "watchdog", "command"), empty if it is not
+    override : factor on the feed, None where the controller does not tell
     """
 
     state: MotionState
@@ -150,3 +170,4 @@ class MotionStatus:
     line: int
     alarm: str = ""
     hold_reason: str = ""
+    override: float | None = None

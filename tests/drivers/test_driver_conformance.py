@@ -36,10 +36,14 @@ CONTROLLERS = {
 # Where a driver of that name finds a device, on a running bench. A new driver of ours
 # needs a line here.
 TRACKER_PEERS = {"streaming": ["tracker_options"]}
-CONTROLLER_PEERS = {"modbus": ["motion_options", "motion_options_rtu"]}
+CONTROLLER_PEERS = {
+    "modbus": ["motion_options", "motion_options_rtu"],
+    "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
+}
 ABSENT = {
     "streaming": {"port": "/dev/truepath-no-such-port"},
     "modbus": {"serial_port": "/dev/truepath-no-such-port"},
+    "linuxcnc": {"host": "127.0.0.1", "port": 9},
 }
 
 

@@ -1,11 +1,4 @@
-"""LinuxCNC (RS-274/NGC).
-
-`G53` holds in its block: positions are machine coordinates whatever offsets are set.
-The exact stop is `G61.1`: `G61` follows the path exactly but runs through rows that lie
-on one line (measured on LinuxCNC 2.9). F is the feed of X, Y, Z where one of them
-moves, else that of the rotary axes, in deg/min.
-Source: LinuxCNC documentation, G-code reference (G53, G61.1, G94), and its interpreter.
-"""
+"""LinuxCNC (RS-274/NGC); how it drives is said in `drivers.interfaces.rs274`."""
 
 from __future__ import annotations
 
@@ -15,12 +8,13 @@ from typing import ClassVar
 from app.motion.nc_programs.dialect import BlockForms, Dialect, ProgramContent
 from app.motion.nc_programs.gcode import GCodeReader, Groups, find_name
 from app.motion.nc_programs.programmed_motion import ProgrammedMotion
+from drivers.interfaces import rs274
 
-_SAFE_START = ("G21", "G17 G40 G49 G80 G90 G94", "G61.1")
 _FORMS = BlockForms(
-    motion="N{row.number} G53 G1 {ends} F{row.feed:.3f}",
-    dwell=("G4 P{:.3f}",),
+    motion=rs274.MOTION,
+    dwell=(rs274.DWELL,),
     message="(MSG, {})",
+    number=f".{rs274.DECIMALS}f",
 )
 
 
@@ -34,7 +28,8 @@ class LinuxCnc(Dialect):
     def write(self, content: ProgramContent) -> str:
         """Return the program; its name is that of its file and stands in a comment."""
         lines = [f"({line})" for line in (f"PROGRAM {content.name}", *content.header)]
-        return "\n".join([*lines, *_SAFE_START, *_FORMS.write_rows(content), "M2", ""])
+        blocks = [*rs274.SAFE_START, *_FORMS.write_rows(content), rs274.END, ""]
+        return "\n".join([*lines, *blocks])
 
     def read(self, text: str) -> ProgrammedMotion:
         """Return the motion of the control."""
@@ -63,4 +58,4 @@ class _Reader(GCodeReader):
     frame = ("G53",)
     passive = ("G1", "G4")
     dwell_letter = "P"
-    end = "M2"
+    end = rs274.END

@@ -16,7 +16,7 @@ from drivers.cnc.modbus.controller_map import (
     parse_status,
 )
 from drivers.cnc.modbus.link import DeviceBusy, ModbusLink
-from drivers.cnc.modbus.priority_lock import PriorityLock
+from drivers.cnc.priority_lock import PriorityLock
 from drivers.interfaces.errors import (
     DeviceError,
     DeviceTimeout,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,12 @@ from drivers.cnc.modbus import registers as r
 from drivers.cnc.modbus.commands import CommandChannel
 from drivers.cnc.modbus.controller_map import Controller
 from drivers.cnc.modbus.link import ModbusLink, SerialAddress, TcpAddress
-from drivers.cnc.modbus.travel import check_dwells, check_feeds, check_positions
+from drivers.cnc.travel import (
+    arrange_path,
+    check_dwells,
+    check_feeds,
+    check_positions,
+)
 from drivers.interfaces.errors import (
     ConnectionLost,
     DeviceError,
@@ -87,8 +91,7 @@ class ModbusController(MotionController):
             np.array([feed_mm_min], np.float64),
             np.zeros(1),
         )
-        check_positions(controller, path.position)
-        check_feeds(controller, path.feed_mm_min)
+        _check_motion(controller, path)
         self._channel.command(r.Command.MOVE_TO, _rows_argument(0, r.path_words(path)))
 
     def load(self, path: Path) -> None:
@@ -173,21 +176,19 @@ class ModbusController(MotionController):
 
     def _encode_checked(self, path: Path) -> NDArray[np.uint16]:
         controller = self._require_controller()
-        if sorted(path.axes) != sorted(controller.axes):
-            raise Refused(
-                f"the path has the axes {' '.join(path.axes)}, "
-                f"the machine {' '.join(controller.axes)}"
-            )
+        path = arrange_path(path, controller.axes)
         if not 1 <= len(path) <= controller.max_waypoints:
             raise Refused(
                 f"the path has {len(path)} rows, 1 to {controller.max_waypoints} fit"
             )
-        order = [path.axes.index(axis) for axis in controller.axes]
-        path = replace(path, axes=controller.axes, position=path.position[:, order])
-        check_positions(controller, path.position)
-        check_feeds(controller, path.feed_mm_min)
-        check_dwells(path.dwell_s)
+        _check_motion(controller, path)
+        check_dwells(path.dwell_s, r.LONGEST_DWELL_S)
         return r.path_words(path)
+
+
+def _check_motion(controller: Controller, path: Path) -> None:
+    check_positions(controller.axes, controller.travel, path.position)
+    check_feeds(path.feed_mm_min, 1 / r.FEED_COUNTS, controller.max_feed_mm_min)
 
 
 def _rows_argument(first: int, words: NDArray[np.uint16]) -> list[int]:

@@ -30,6 +30,7 @@ ROWS_A_BLOCK = 7
 POSITION_COUNTS = 10_000  # a mm or a deg
 FEED_COUNTS = 1_000  # a mm/min, or a deg/min where only rotary axes move
 DWELL_COUNTS = 1_000  # a second
+LONGEST_DWELL_S = (2**31 - 1) / DWELL_COUNTS
 DEFAULT_WATCHDOG_S = 1.0
 
 

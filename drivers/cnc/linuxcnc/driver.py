@@ -1,0 +1,341 @@
+"""The driver of LinuxCNC, over linuxcncrsh."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from drivers.cnc.linuxcnc.machine import LinuxCncAxes
+from drivers.cnc.linuxcnc.memory import MotionMemory
+from drivers.cnc.linuxcnc.program import (
+    Program,
+    store_program,
+    write_move,
+    write_program,
+)
+from drivers.cnc.linuxcnc.rsh import RshLink
+from drivers.cnc.linuxcnc.session import LinuxCncSession
+from drivers.cnc.linuxcnc.watchdog import WatchdogLink
+from drivers.cnc.priority_lock import PriorityLock
+from drivers.cnc.travel import (
+    arrange_path,
+    check_dwells,
+    check_feeds,
+    check_positions,
+)
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    MotionFault,
+    Refused,
+)
+from drivers.interfaces.motion import MotionController
+from drivers.interfaces.records import UNABLE, Identity, MotionState, MotionStatus, Path
+from drivers.transport.tcp_port import TcpPort
+
+log = logging.getLogger(__name__)
+
+_LEAST_FEED, _MOST_FEED = 0.01, 1e6
+_LONGEST_DWELL_S = 1e6
+_BEGIN_S = 0.3  # in which a motion shows, or is refused
+_BEGIN_LOOK_S = 0.01
+
+
+class LinuxCncController(MotionController):
+    """LinuxCNC, whose linuxcncrsh listens at `host` and `port`.
+
+    program_folder : where programs are written; LinuxCNC sees it under the same name,
+        or as `remote_folder`
+    ini_file : copy of its INI file; the one it names itself if this can be read here
+    travel : in place of an INI file, `X 0 500, Y 0 400, Z -300 0` in order of joints
+    watchdog_port : where `truepath_watchdog.py` listens on that host, 0 without one
+    password, enable_password : of linuxcncrsh
+    prologue : blocks before each motion, separated by `;`, such as RTCP off
+    reset_at_connect, home_at_connect : clear the emergency stop and switch the drives
+        on; home what is not homed. The machine may move
+
+    Every verb may be called from any thread; `hold` and `abort` go before the others
+    and take the command back from any other client of linuxcncrsh.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str,
+        port: int = 5007,
+        program_folder: str = "",
+        remote_folder: str = "",
+        ini_file: str = "",
+        travel: str = "",
+        watchdog_port: int = 0,
+        password: str = "EMC",  # noqa: S107, of every linuxcncrsh that is not told one
+        enable_password: str = "EMCTOO",  # noqa: S107, likewise
+        serial_number: str = "",
+        prologue: str = "",
+        reset_at_connect: bool = False,
+        home_at_connect: bool = False,
+        home_timeout_s: float = 120.0,
+        reply_timeout_s: float = 1.0,
+        poll_s: float = 0.05,
+    ) -> None:
+        rsh = RshLink(TcpPort(host, port), password, enable_password, reply_timeout_s)
+        watchdog = (
+            WatchdogLink(TcpPort(host, watchdog_port), reply_timeout_s)
+            if watchdog_port
+            else None
+        )
+        self._session = LinuxCncSession(rsh, watchdog, ini_file, travel)
+        self._folder = FilePath(program_folder) if program_folder else None
+        self._remote_folder = FilePath(remote_folder or program_folder)
+        self._serial_number = serial_number
+        self._prologue = tuple(b.strip() for b in prologue.split(";") if b.strip())
+        self._at_connect = (reset_at_connect, home_at_connect)
+        self._home_timeout_s, self._poll_s = home_timeout_s, poll_s
+        self._lock = PriorityLock()
+        self._motion = MotionMemory()
+        self._aborts = 0
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes; none before `connect`."""
+        return self._session.machine.axes if self._session.machine else ()
+
+    @property
+    def travel(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest position of each axis; none before `connect`."""
+        return self._session.machine.travel if self._session.machine else ()
+
+    def connect(self) -> Identity:
+        """Open the link, read axes and travel; reset and home if the options say so."""
+        with self._lock.hold():
+            self._session.open()
+            machine = self._require_machine()
+        reset, home = self._at_connect
+        if reset and self.status().state in (MotionState.ESTOP, MotionState.NOT_READY):
+            self.reset()
+        if home and self.status().state is MotionState.UNHOMED:
+            self.home(self._home_timeout_s)
+        return Identity(
+            "LinuxCNC",
+            machine.name or "LinuxCNC",
+            self._serial_number,
+            self._session.version,
+        )
+
+    def status(self) -> MotionStatus:
+        """Read state, position, line and override."""
+        with self._lock.hold():
+            return self._look()
+
+    def move_to(self, position: Sequence[float], feed_mm_min: float) -> None:
+        """Start a straight move, by MDI; returns when it is under way."""
+        machine = self._require_machine()
+        where = np.atleast_2d(np.asarray(position, np.float64))
+        check_positions(machine.axes, machine.travel, where)
+        check_feeds(np.array([feed_mm_min]), _LEAST_FEED, _MOST_FEED)
+        move = write_move(machine.axes, where[0], feed_mm_min)
+        aborts = self._aborts
+        with self._lock.hold():
+            self._prepare("mdi")
+            self._session.drive_by_blocks(self._prologue)
+            self._session.require_joint_coordinates()
+        self._begin(f"mdi {move.text}", move, aborts)
+
+    def load(self, path: Path) -> None:
+        """Write a path as a program, open it, and see that it is open."""
+        machine = self._require_machine()
+        path = arrange_path(path, machine.axes)
+        if not len(path):
+            raise Refused("the path has no rows")
+        check_positions(machine.axes, machine.travel, path.position)
+        check_feeds(path.feed_mm_min, _LEAST_FEED, _MOST_FEED)
+        check_dwells(path.dwell_s, _LONGEST_DWELL_S)
+        program, aborts = write_program(path, self._prologue), self._aborts
+        store_program(program, self._folder)
+        with self._lock.hold():
+            self._prepare("auto")
+            self._session.open_program(self._remote_folder / program.name)
+            if self._aborts != aborts:
+                raise Refused("aborted while the path was being loaded")
+            self._motion = MotionMemory(loaded=program, ended=MotionState.READY)
+
+    def start(self) -> None:
+        """Run the loaded path from its first row."""
+        self._require_machine()
+        program, aborts = self._motion.loaded, self._aborts
+        if program is None:
+            raise Refused("no path is loaded; load one")
+        file = self._remote_folder / program.name
+        with self._lock.hold():
+            self._prepare("auto")
+            if not self._session.holds_program(file):
+                self._session.open_program(file)  # somebody has opened another one
+            if not self._prologue:
+                self._session.require_joint_coordinates()
+        self._begin("run", program, aborts)
+
+    def wait(self, timeout_s: float) -> MotionStatus:
+        """Wait until the axes stand, beating meanwhile."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            self.send_heartbeat()
+            status = self.status()
+            self._require_able(status)
+            if status.state is not MotionState.RUNNING:
+                return status
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise DeviceTimeout(
+                    f"{self._session.name}: still in motion after {timeout_s:g} s, "
+                    f"at line {status.line}"
+                )
+            time.sleep(min(self._poll_s, left_s))
+
+    def hold(self) -> None:
+        """Feed hold. Where nothing was ever connected there is nothing to hold."""
+        if self._session.machine is None:
+            return
+        with self._lock.hold(urgent=True):
+            if self._session.is_running():
+                self._motion.is_held_by_us = True
+                self._session.insist("pause")
+
+    def resume(self) -> None:
+        """Go on after a hold, of ours, of the operator or of the watchdog."""
+        self._require_machine()
+        with self._lock.hold():
+            if self._look().state is not MotionState.HELD:
+                return
+            self._session.arm()
+            self._motion.is_held_by_us = False
+            if not self._session.is_running():  # after the watchdog alone it does
+                self._session.demand("resume")
+
+    def abort(self) -> None:
+        """Stop and forget the path."""
+        self._aborts += 1
+        if self._session.machine is None:
+            return
+        with self._lock.hold(urgent=True):
+            self._session.insist("abort")
+            self._motion = MotionMemory(ended=MotionState.ABORTED)
+            self._session.disarm()
+
+    def send_heartbeat(self) -> None:
+        """Beat for the watchdog in HAL, where there is one."""
+        self._require_machine()
+        with self._lock.hold():
+            self._session.beat()
+
+    def reset(self) -> None:
+        """Clear the emergency stop and switch the drives on."""
+        self._require_machine()
+        with self._lock.hold():
+            self._session.demand_and_see(
+                "estop off", lambda: self._session.reads("estop", "off")
+            )
+            self._session.demand_and_see(
+                "machine on", lambda: self._session.reads("machine", "on")
+            )
+
+    def home(self, timeout_s: float) -> None:
+        """Home all joints that are not homed. The machine may move."""
+        self._require_machine()
+        with self._lock.hold():
+            self._session.demand("mode manual")
+            self._session.take_errors()
+            self._session.demand("home -1")
+        deadline_s = time.monotonic() + timeout_s
+        while (status := self.status()).state is MotionState.UNHOMED:
+            with self._lock.hold():
+                errors = self._session.take_errors()
+            if errors:
+                raise MotionFault(f"{self._session.name} does not home: {errors[0]}")
+            if time.monotonic() > deadline_s:
+                raise DeviceTimeout(
+                    f"{self._session.name}: not homed in {timeout_s:g} s"
+                )
+            time.sleep(self._poll_s)
+        self._require_able(status)
+
+    def limit_override(self, largest: float) -> None:
+        """Lower the feed override where it is above."""
+        self._require_machine()
+        with self._lock.hold():
+            if self._session.look().override > largest:
+                self._session.demand(f"feed_override {100 * largest:.0f}")
+
+    def close(self) -> None:
+        """Abort a motion that runs, release the ports."""
+        try:
+            if self._session.machine and self.status().state is MotionState.RUNNING:
+                self.abort()
+        except DeviceError as error:
+            log.warning("%s closed without an answer: %s", self._session.name, error)
+        with self._lock.hold(urgent=True):
+            self._session.close()
+
+    def _look(self) -> MotionStatus:
+        """Read the machine, and draw what it means for our motion. Locked."""
+        look = self._session.look()
+        was_under_way = self._motion.is_under_way
+        status = self._motion.judge(look)
+        if was_under_way and not self._motion.is_under_way:
+            self._session.disarm()
+            errors = self._session.take_errors()
+            self._motion.text = "; ".join(errors)
+            for error in errors:
+                log.warning("%s: %s", self._session.name, error)
+            status = replace(status, alarm=status.alarm or self._motion.text)
+        return status
+
+    def _prepare(self, mode: str) -> None:
+        """Make ready for a motion in a mode. Locked."""
+        status = self._look()
+        self._require_able(status)
+        if status.state in (MotionState.RUNNING, MotionState.HELD):
+            raise Refused(f"{self._session.name}: not in state {status.state}")
+        self._session.take_errors()
+        self._session.enter_mode(mode)
+
+    def _begin(self, what: str, program: Program, aborts: int) -> None:
+        """Have a motion begin, and see that it does or has ended already."""
+        with self._lock.hold():
+            if self._aborts != aborts:
+                raise Refused("aborted before it began")
+            self._session.arm()
+            try:
+                self._session.demand(what)
+            except Refused:
+                self._session.disarm()
+                raise
+            self._motion = self._motion.begin(program)
+            before = self._session.look().position
+        deadline_s = time.monotonic() + _BEGIN_S
+        while self._aborts == aborts and time.monotonic() < deadline_s:
+            with self._lock.hold():
+                look, errors = self._session.look(), self._session.take_errors()
+                if errors and self._aborts == aborts:
+                    self._motion = self._motion.end_refused()
+                    self._session.disarm()
+                    raise Refused(f"{self._session.name}: {'; '.join(errors)}")
+                if look.position != before or look.has_ended:
+                    return
+            time.sleep(_BEGIN_LOOK_S)
+
+    def _require_machine(self) -> LinuxCncAxes:
+        if self._session.machine is None:
+            raise ConnectionLost(
+                f"{self._session.name} is not connected; connect first"
+            )
+        return self._session.machine
+
+    def _require_able(self, status: MotionStatus) -> None:
+        if status.state in UNABLE:
+            raise MotionFault(f"{self._session.name}: {UNABLE[status.state]}")

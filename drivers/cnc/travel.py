@@ -1,0 +1,70 @@
+"""What must not reach the machine: refused before the first byte."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces.errors import OutOfTravel, Refused
+from drivers.interfaces.records import Path
+
+# Half of the finest step that both wires print, 0.1 µm or 0.0001 deg.
+_HALF_STEP = 0.5e-4
+
+
+def arrange_path(path: Path, axes: tuple[str, ...]) -> Path:
+    """Return a path in the axis order of a machine. Raises Refused for other axes."""
+    if sorted(path.axes) != sorted(axes):
+        raise Refused(
+            f"the path has the axes {' '.join(path.axes)}, the machine {' '.join(axes)}"
+        )
+    order = [path.axes.index(axis) for axis in axes]
+    return replace(path, axes=axes, position=path.position[:, order])
+
+
+def check_positions(
+    axes: tuple[str, ...],
+    travel: Sequence[tuple[float, float]],
+    position: NDArray[np.float64],
+) -> None:
+    """Raise OutOfTravel for the first of (n, axes) positions beyond the travel."""
+    if position.ndim != 2 or position.shape[1] != len(axes):
+        raise Refused(
+            f"positions have {position.shape[-1]} values, the machine has the axes "
+            f"{' '.join(axes)}"
+        )
+    low, high = np.array(travel).T
+    # Written so that what is not a number is outside as well.
+    inside = (position >= low - _HALF_STEP) & (position <= high + _HALF_STEP)
+    if inside.all():
+        return
+    row, axis = np.argwhere(~inside)[0]
+    raise OutOfTravel(
+        f"row {row}: {axes[axis]} = {position[row, axis]:.4f} is outside "
+        f"{low[axis]:.4f} to {high[axis]:.4f}; shorten the path, or check the travel "
+        "and the zero of the machine"
+    )
+
+
+def check_feeds(
+    feed_mm_min: NDArray[np.float64], least_mm_min: float, most_mm_min: float
+) -> None:
+    """Raise Refused for the first feed that the machine cannot drive."""
+    possible = (feed_mm_min >= least_mm_min) & (feed_mm_min <= most_mm_min)
+    if not possible.all():
+        row = int(np.argmin(possible))
+        raise Refused(
+            f"row {row}: a feed of {feed_mm_min[row]:g} mm/min is not possible; "
+            f"up to {most_mm_min:g} are"
+        )
+
+
+def check_dwells(dwell_s: NDArray[np.float64], longest_s: float) -> None:
+    """Raise Refused for the first dwell that is negative or endless."""
+    possible = (dwell_s >= 0) & (dwell_s <= longest_s)
+    if not possible.all():
+        row = int(np.argmin(possible))
+        raise Refused(f"row {row}: a dwell of {dwell_s[row]:g} s is not possible")
