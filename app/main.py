@@ -149,6 +149,7 @@ def _load_machine(
         settings.tracker_options,
         settings.motion_driver,
         settings.motion_options,
+        allow_no_watchdog=settings.allow_no_watchdog,
     )
     return read_machine(settings.machine_file), config
 

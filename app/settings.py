@@ -64,6 +64,8 @@ class Settings(BaseSettings):
     tracker_options: dict[str, Option] = Field(default_factory=dict)
     motion_driver: str = "modbus"
     motion_options: dict[str, Option] = Field(default_factory=dict)
+    allow_no_watchdog: bool = False
+    """Move a machine that does not hold the feed by itself when the service dies."""
 
     analysis_workers: int = Field(1, ge=1, le=64)
     executor: Literal["processes", "dask"] = "processes"

@@ -31,6 +31,9 @@ class DeviceIdentity(BaseModel):
     model: str
     serial_number: str
     firmware: str
+    has_watchdog: bool = Field(
+        description="A controller that holds the feed when the service dies."
+    )
 
 
 class Connection(BaseModel):

@@ -160,7 +160,10 @@ class _CellServer:
                 self._motion,
                 self._identities,
                 self._outbox.report,
-                EngineSettings(timeouts=self._config.timeouts),
+                EngineSettings(
+                    timeouts=self._config.timeouts,
+                    allow_no_watchdog=self._config.allow_no_watchdog,
+                ),
             )
             self._thread = threading.Thread(target=self._measurement.run, name="engine")
             self._thread.start()

@@ -98,6 +98,12 @@ NO_BEAM = Fault(
     "lock the beam on the reflector, then press Resume",
     latched=False,
 )
+NO_WATCHDOG = Fault(
+    "no-watchdog",
+    "the controller has no watchdog: it would move on if the service died",
+    "give it one, or set allow_no_watchdog and stay at its emergency stop",
+    latched=False,
+)
 STILL_HELD = Fault(
     "resume-unconfirmed",
     "the controller keeps holding",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path as FilePath
 
 from app.errors import MeasurementFailed
-from app.measurement.faults import Aborted, Fault, classify_fault
+from app.measurement.faults import NO_WATCHDOG, Aborted, Fault, classify_fault
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import MeasurementState
 from app.measurement.measurement_steps import MeasurementSteps, arrange_axes
@@ -103,6 +103,9 @@ class Measurement:
     def _measure(self) -> None:
         order = self._order
         check_travel(order.machine, order.commanded)
+        is_watched = self._devices["motion"].has_watchdog
+        if not (is_watched or self._settings.allow_no_watchdog):
+            raise NO_WATCHDOG
         status = self._motion.status()
         if status.state is MotionState.RUNNING:
             raise Fault(
@@ -129,6 +132,8 @@ class Measurement:
             on_recorded=view.show,
             reserve_bytes=order.reserve_bytes,
         )
+        if not is_watched:
+            self._record_event(NO_WATCHDOG.code, NO_WATCHDOG.text)
         self._monitor = MeasurementMonitor(
             self._tracker,
             self._motion,

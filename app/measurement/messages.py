@@ -50,6 +50,7 @@ class CellConfig:
     """Which drivers a cell uses, by their names as plug-ins, and how they are made.
 
     timeouts : for how long the tracker's stream may be less than good
+    allow_no_watchdog : move a machine that does not hold the feed by itself
     """
 
     tracker_driver: str
@@ -57,6 +58,7 @@ class CellConfig:
     motion_driver: str
     motion_options: Mapping[str, Any]
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
+    allow_no_watchdog: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ import numpy as np
 from app.errors import BundleError
 from app.files.run import Run, RunEvent
 from app.files.whole_files import sync_to_disk
+from app.measurement.faults import NO_WATCHDOG
 from app.measurement.messages import RunClosed
 from app.measurement.run_file import (
     AXES_STREAM,
@@ -88,6 +89,7 @@ def open_run(file: str | Path) -> Run:
             "source": place.name,
             "started": started,
             "outcome": closed.get("outcome", _TORN),
+            **_describe_watchdog(content.events),
             **{
                 name: f"{who.maker} {who.model} {who.serial_number} {who.firmware}"
                 for name, who in header.devices.items()
@@ -245,6 +247,10 @@ def _make_events(missing: list[str]) -> list[RunEvent]:
         RunEvent(0, "gap" if text.startswith("gap") else "bad-batch", text)
         for text in missing[:_NAMED_PROBLEMS]
     ]
+
+
+def _describe_watchdog(events: list[RunEvent]) -> dict[str, str]:
+    return {"watchdog": e.text for e in events if e.kind == NO_WATCHDOG.code}
 
 
 def _salvage(file: Path, content: _Content) -> str:

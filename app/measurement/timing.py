@@ -21,6 +21,7 @@ class EngineSettings:
     arrival : how far from a commanded position an axis may stand, mm or deg
     axes_rows : controller positions that are written together
     clock : by which the engine waits, monotonic
+    allow_no_watchdog : as in `CellConfig`
     """
 
     poll_s: float = 0.1
@@ -34,6 +35,7 @@ class EngineSettings:
     axes_rows: int = 10
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
     clock: Callable[[], float] = time.monotonic
+    allow_no_watchdog: bool = False
 
 
 class RunningClock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -20,6 +21,7 @@ from drivers.interfaces.records import MotionState, Path
 REACH = 2.0
 FEED_MM_MIN = 600.0
 MOTION_TIMEOUT_S = 30.0
+WATCHDOG_S = 5.0
 
 MakeController = Callable[[], MotionController]
 
@@ -142,6 +144,24 @@ def wait_ends_in_time(make: MakeController) -> None:
         controller.wait(MOTION_TIMEOUT_S)
 
 
+def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
+    """Who claims a watchdog is HELD, `WATCHDOG_S` after the last beat, with a reason."""
+    with make() as controller:
+        if not controller.connect().has_watchdog:
+            return
+        controller.move_to(_near(controller), _endless())
+        status = controller.status()
+        begin_s = time.monotonic()
+        while status.state is MotionState.RUNNING:
+            waited_s = time.monotonic() - begin_s
+            require(waited_s < WATCHDOG_S, f"no beat for {waited_s:.1f} s, no hold")
+            time.sleep(0.05)
+            status = controller.status()
+        controller.abort()
+    require(status.state is MotionState.HELD, f"without a beat it ended in {status}")
+    require(bool(status.hold_reason), "a hold by the watchdog has no reason")
+
+
 def close_stops_the_motion(make: MakeController) -> None:
     """`close` during a motion leaves a machine that comes to a stand."""
     controller = make()
@@ -177,6 +197,7 @@ MOTION_CHECKS: tuple[Callable[[MakeController], None], ...] = (
     resume_of_nothing_does_nothing,
     abort_from_another_thread_ends_the_motion,
     wait_ends_in_time,
+    a_claimed_watchdog_holds_the_feed,
     close_stops_the_motion,
     a_closed_controller_moves_nothing,
 )
@@ -195,6 +216,11 @@ def _near(controller: MotionController) -> list[float]:
 def _slow() -> float:
     """Return a feed at which the way to `_near` takes some seconds."""
     return 10 * REACH
+
+
+def _endless() -> float:
+    """Return a feed at which the way to `_near` takes a minute."""
+    return REACH
 
 
 def _outside(controller: MotionController) -> Iterator[list[float]]:

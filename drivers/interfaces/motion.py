@@ -69,7 +69,11 @@ class MotionController(Device):
 
     @abstractmethod
     def send_heartbeat(self) -> None:
-        """Feed the controller's watchdog; it holds the feed when beats stay away."""
+        """Feed the controller's watchdog; it holds the feed when beats stay away.
+
+        Does nothing where the identity says that there is none. No other verb but
+        `wait`, and those that begin a motion, counts as a beat.
+        """
 
     def reset(self) -> None:
         """Clear alarm and emergency stop, switch the drives on. Moves nothing.

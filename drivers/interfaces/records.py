@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answers on the port."""
+    """Who answers on the port.
+
+    has_watchdog : a motion controller that holds the feed by itself when heartbeats
+        stay away; a driver claims it only where it has seen a sign of it at `connect`
+    """
 
     maker: str
     model: str
     serial_number: str
     firmware: str
+    has_watchdog: bool = False
 
 
 @dataclass(frozen=True, slots=True)

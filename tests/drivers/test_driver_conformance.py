@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+import time
 from dataclasses import replace
 from importlib.metadata import entry_points
 
@@ -141,6 +142,7 @@ class GoodController(MotionController):
     """Keeps everything, in memory; motions end when somebody waits for them."""
 
     limits = ((0.0, 100.0),)
+    watches = True
     names = ("X",)
 
     def __init__(self) -> None:
@@ -153,7 +155,7 @@ class GoodController(MotionController):
 
     def connect(self) -> Identity:
         self.connected = True
-        return Identity("maker", "model", "1", "0")
+        return Identity("maker", "model", "1", "0", has_watchdog=True)
 
     def close(self) -> None:
         if self.at.state is MotionState.RUNNING:
@@ -163,12 +165,16 @@ class GoodController(MotionController):
     def status(self) -> MotionStatus:
         if not self.connected:
             raise ConnectionLost("connect first")
+        running = self.at.state is MotionState.RUNNING
+        if running and self.watches and time.monotonic() > self.fed_s + 0.1:
+            self.at = replace(self.at, state=MotionState.HELD, hold_reason="watchdog")
         return self.at
 
     def move_to(self, position, feed_mm_min) -> None:
         self.status()
         self.check(np.atleast_2d(position))
         self.target, self.feed = tuple(position), feed_mm_min
+        self.fed_s = time.monotonic()
         self.at = replace(self.at, state=MotionState.RUNNING)
 
     def load(self, path) -> None:
@@ -310,6 +316,7 @@ def test_a_faulty_tracker_is_caught(check, faults):
             {"abort": lambda self: None},
         ),
         (motion.wait_ends_in_time, {"wait": lambda self, timeout_s: self.at}),
+        (motion.a_claimed_watchdog_holds_the_feed, {"watches": False}),
         (motion.close_stops_the_motion, {"close": lambda self: None}),
         (
             motion.a_closed_controller_moves_nothing,
@@ -323,7 +330,8 @@ def test_a_faulty_tracker_is_caught(check, faults):
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
-def test_a_faulty_controller_is_caught(check, faults):
+def test_a_faulty_controller_is_caught(check, faults, monkeypatch):
+    monkeypatch.setattr(motion, "WATCHDOG_S", 0.3)
     faulty = with_faults(GoodController, **faults)
     machine = faulty()
 

@@ -155,6 +155,7 @@ class FakeMotion(MotionController):
         self.speed = speed
         self.calls: list[str] = []
         self.out_of_reach = False
+        self.has_watchdog = True
         self.ignores_hold = self.ignores_resume = False
         self.ends_after_s: float | None = None
         self.here = np.zeros(3)
@@ -178,7 +179,7 @@ class FakeMotion(MotionController):
         return ((0.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
 
     def connect(self) -> Identity:
-        return Identity("Us", "fake controller", "C1", "0")
+        return Identity("Us", "fake controller", "C1", "0", self.has_watchdog)
 
     def close(self) -> None:
         self.abort()

@@ -763,6 +763,30 @@ def test_nothing_moves_when_a_row_is_out_of_travel(
     assert journal.of(RunClosed)[0].run_file == ""
 
 
+def test_a_machine_without_a_watchdog_is_not_moved(begin, order, motion, journal):
+    motion.has_watchdog = False
+    running = begin(order)
+    assert running.ended() == "failed"
+    assert journal.faults == ["no-watchdog"]
+    assert motion.calls == []
+
+
+def test_a_machine_without_a_watchdog_is_moved_if_allowed_and_the_run_says_so(
+    begin, order, motion, calm
+):
+    motion.has_watchdog = False
+    running = begin(order, settings=replace(calm, allow_no_watchdog=True))
+    running.finished()
+    assert "no-watchdog" in [event.kind for event in running.run.events]
+    assert "no watchdog" in running.run.provenance["watchdog"]
+
+
+def test_a_watched_run_says_nothing_of_a_watchdog(begin, order):
+    running = begin(order)
+    running.finished()
+    assert "watchdog" not in running.run.provenance
+
+
 def test_a_controller_that_already_runs_is_left_alone(begin, order, motion, journal):
     motion.begin_elsewhere()
     running = begin(order)

@@ -50,10 +50,17 @@ class CommandChannel:
     acknowledgement; what is urgent goes before all that waits.
     """
 
-    def __init__(self, link: ModbusLink, serial_number: str, timeout_s: float) -> None:
+    def __init__(
+        self,
+        link: ModbusLink,
+        serial_number: str,
+        timeout_s: float,
+        watchdog_s: float = r.DEFAULT_WATCHDOG_S,
+    ) -> None:
         self._link = link
         self._serial_number = serial_number
         self._timeout_s = timeout_s
+        self._watchdog_ms = round(1000 * watchdog_s)
         self._lock = PriorityLock()
         self._controller: Controller | None = None
         self._sequence = 0
@@ -135,9 +142,22 @@ class CommandChannel:
                 f"{self.name}: controller {answers} answers, "
                 f"{self._serial_number} is configured; check the address"
             )
+        identity = replace(controller.identity, has_watchdog=self._set_watchdog())
+        controller = replace(controller, identity=identity)
         # Over a new connection too, a number that was sent in vain is not used again.
         self._sequence = self._sequence or self._read_status().acknowledged
         return controller
+
+    def _set_watchdog(self) -> bool:
+        """Set the longest silence in motion; tell whether the device has taken it."""
+        asked = r.encode("watchdog", self._watchdog_ms)
+        address = r.BY_NAME["watchdog"].address
+        try:
+            self._patiently(lambda: self._link.write(address, asked))
+            return self._read(r.Block(address, len(asked))) == asked
+        except Refused as error:
+            log.warning("%s has no watchdog: %s", self.name, error)
+            return False
 
     def _number(self, urgent: bool) -> int:
         """Return a number that the device has not just taken, and that is new for us.

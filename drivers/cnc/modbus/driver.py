@@ -39,6 +39,7 @@ class ModbusController(MotionController):
     unit : Modbus unit (device id)
     serial_number : refuse any other controller
     command_timeout_s : longest wait for the acknowledgement of a command
+    watchdog_s : longest silence in motion, 0.1 to 10; set and read back at `connect`
     poll_s : time between two looks of `wait`
 
     Every verb may be called from any thread; `hold` and `abort` overtake the others.
@@ -55,10 +56,13 @@ class ModbusController(MotionController):
         unit: int = 1,
         serial_number: str = "",
         command_timeout_s: float = 1.0,
+        watchdog_s: float = r.DEFAULT_WATCHDOG_S,
         poll_s: float = 0.05,
     ) -> None:
         link = ModbusLink(_address(host, port, serial_port, baudrate), unit)
-        self._channel = CommandChannel(link, serial_number, command_timeout_s)
+        self._channel = CommandChannel(
+            link, serial_number, command_timeout_s, watchdog_s
+        )
         self._poll_s = poll_s
         self._aborts = 0
 

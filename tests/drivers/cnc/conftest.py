@@ -30,6 +30,7 @@ class CncModel:
         self.takes_commands = True
         self.answers_with: int | None = None
         self.loses_rows = False
+        self.keeps_watchdog_ms: int | None = None
         self._ends_s = 0.0
         self._beat_s = 0.0
         self.put(0, struct.pack(">IIHH6H6HH", 0x54504331, 0x01020304, 1, 3,
@@ -72,6 +73,8 @@ class CncModel:
             self.state = FINISHED
 
     def written(self, first: int, count: int) -> None:
+        if self.keeps_watchdog_ms is not None:
+            self.words[181] = self.keeps_watchdog_ms
         if first <= 180 < first + count:
             self._beat_s = time.monotonic()
         fresh = self.words[200] != self.words[105]

@@ -46,12 +46,27 @@ def zigzag(rows: int) -> Path:
 
 
 def test_connect_reads_identity_axes_and_travel(controller):
-    assert controller.connect() == Identity("Truepath", "loopback", "CNC-1", "0.2")
+    assert controller.connect() == Identity(
+        "Truepath", "loopback", "CNC-1", "0.2", has_watchdog=True
+    )
     assert controller.axes == ("X", "Y", "Z")
     assert controller.travel == ((-10.0, 500.0), (0.0, 400.0), (-300.0, 0.0))
     status = controller.status()
     assert status.state is MotionState.IDLE
     assert status.position == (0.0, 0.0, 0.0)
+
+
+def test_connect_sets_the_watchdog_and_reads_it_back(peer):
+    with ModbusController(**peer.options, watchdog_s=0.5) as controller:
+        assert controller.connect().has_watchdog
+    assert peer.model.words[181] == 500
+
+
+def test_a_device_that_keeps_another_watchdog_time_has_none(peer):
+    with ModbusController(**peer.options, watchdog_s=0.5) as controller:
+        controller.close()
+        peer.model.keeps_watchdog_ms = 0
+        assert not controller.connect().has_watchdog
 
 
 def test_a_move_ends_where_it_was_sent(peer, controller):

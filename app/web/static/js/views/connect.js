@@ -68,9 +68,16 @@ function device(shape, name) {
       rows.replaceChildren(...(identity ? [
         fact(t("connect.serial"), identity.serial_number),
         fact(t("connect.firmware"), identity.firmware),
+        ...(shape === "controller" ? [watchdogFact(identity)] : []),
       ] : []));
     },
   };
+}
+
+function watchdogFact({ has_watchdog: has }) {
+  const row = fact(t("connect.watchdog"), t(has ? "connect.has_watchdog" : "connect.no_watchdog"));
+  mark(row, "data-tone", has ? null : "fault");
+  return row;
 }
 
 const fact = (name, value) => h("div", {}, h("dt", {}, name), h("dd", {}, value || "–"));

@@ -196,13 +196,16 @@ function healthCard(strip) {
   const samples = tile(t("run.samples"));
   const lost = tile(t("run.lost"));
   const crc = tile(t("run.crc"));
+  const unwatched = h("p", { class: "no-watchdog", "data-tone": "fault", hidden: true },
+    t("connect.no_watchdog"));
   const element = h("section", { class: "card stream" }, h("h2", {}, t("run.health")),
     h("p", { class: "stream-name quiet" }, t("run.signal", { unit: unitOf("length") }), key()),
-    h("dl", { class: "tiles" }, samples.element, lost.element, crc.element), strip);
+    h("dl", { class: "tiles" }, samples.element, lost.element, crc.element), unwatched, strip);
   return {
     element,
-    update({ job }) {
+    update({ job, machine }) {
       const now = job.health ?? {};
+      unwatched.hidden = machine?.motion?.has_watchdog !== false;
       write(samples.number, number(now.samples));
       write(lost.number, number(now.lost_samples));
       write(crc.number, number(now.crc_errors));
