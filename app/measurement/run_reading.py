@@ -250,7 +250,8 @@ def _make_events(missing: list[str]) -> list[RunEvent]:
 
 
 def _describe_watchdog(events: list[RunEvent]) -> dict[str, str]:
-    return {"watchdog": e.text for e in events if e.kind == NO_WATCHDOG.code}
+    texts = [event.text for event in events if event.kind == NO_WATCHDOG.code]
+    return {"watchdog": texts[0]} if texts else {}
 
 
 def _salvage(file: Path, content: _Content) -> str:

@@ -145,7 +145,7 @@ def wait_ends_in_time(make: MakeController) -> None:
 
 
 def a_claimed_watchdog_holds_the_feed(make: MakeController) -> None:
-    """Who claims a watchdog is HELD, `WATCHDOG_S` after the last beat, with a reason."""
+    """A claimed watchdog holds within `WATCHDOG_S` of the last beat, with a reason."""
     with make() as controller:
         if not controller.connect().has_watchdog:
             return
