@@ -126,6 +126,7 @@ class LinuxCncController(MotionController):
             machine.name or "LinuxCNC",
             self._serial_number,
             self._session.version,
+            has_watchdog=self._session.has_watchdog,
         )
 
     def status(self) -> MotionStatus:
