@@ -4,36 +4,47 @@ from __future__ import annotations
 
 import json
 import os
-import select
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Self
 
 import numpy as np
 
-from simulators.board import new_board
+from simulators.board import BoardReader, new_board
 from simulators.errors import SimulatorError
 from simulators.faults import parse_fault
 from simulators.hidden.drawing import as_json, parse_hidden
 from simulators.hidden.effect import HiddenEffect
+from simulators.hidden.motion import MotionFollower
+from simulators.hidden.superposition import locate_target_mm
+from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
+from simulators.processes import DeviceProcess, DeviceProcesses
 from simulators.profile import Limits
 from simulators.random_machine import random_machine
 from simulators.scenario import load_machine
-from simulators.tracker_head import random_clock
+from simulators.tracker_head import TrackerPose, place_anew, random_clock, random_pose
 from simulators.truth_machine import TruthMachine
 
-_START_TIMEOUT_S = 20.0
-_STOP_TIMEOUT_S = 3.0
+
+@dataclass(frozen=True, slots=True)
+class FollowedMotion:
+    """Where axes and target are at some times.
+
+    time_s : (n,) of the machine's clock
+    position : (n, axes) as commanded
+    target_mm : (n, 3) in the frame that the tracker stands on
+    """
+
+    time_s: np.ndarray
+    position: np.ndarray
+    target_mm: np.ndarray
 
 
-class Bench:
+class Bench(DeviceProcesses):
     """A simulated machine with its tracker, behind real links.
 
     machine : content of machine.json; the bundled demonstration machine without it
@@ -63,10 +74,11 @@ class Bench:
         rtu: bool = True,
         hidden: Sequence[HiddenEffect | str] = (),
     ) -> None:
+        super().__init__()
         if speed <= 0.0:
             raise SimulatorError(f"speed: {speed} is not above zero")
-        self.machine = dict(machine) if machine is not None else load_machine("demo")
-        nominal = parse_machine(self.machine)
+        self._content = dict(machine) if machine is not None else load_machine("demo")
+        nominal = parse_machine(self._content)
         self.truth: TruthMachine = random_machine(nominal, seed, scale=error_scale)
         self.hidden = tuple(
             parse_hidden(one, seed, nominal) if isinstance(one, str) else one
@@ -80,15 +92,26 @@ class Bench:
         self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
         self.has_rtu = rtu
         self._common = {
-            "machine": self.machine,
+            "machine": self._content,
             "seed": seed,
             "speed": speed,
             "error_scale": error_scale,
             "limits": asdict(limits or Limits()),
             "hidden": [as_json(effect) for effect in self.hidden],
         }
-        self._children: dict[str, _Child] = {}
-        self._addresses: dict[str, dict[str, Any]] = {}
+        self._reader: BoardReader | None = None
+        self._pose = random_pose(nominal, seed)
+        self._follower = MotionFollower(nominal, remembers=bool(self.hidden))
+
+    @property
+    def machine(self) -> Mapping[str, Any]:
+        """Content of machine.json."""
+        return self._content
+
+    @property
+    def pose(self) -> TrackerPose:
+        """Where the tracker stands, in the frame that it stands on."""
+        return self._pose
 
     def start(self) -> Self:
         """Start both processes; returns when both listen.
@@ -106,9 +129,11 @@ class Bench:
             for device, link in (("cnc", cnc_link), ("tracker", tracker_link)):
                 faults = [text for name, text in self._faults if name == device]
                 orders = self._common | {"link": link, "faults": faults}
-                self._children[device] = _Child(device, orders, board)
-            for device, child in self._children.items():
-                self._addresses[device] = child.listening()
+                module = f"{device}_process"
+                self._processes[device] = DeviceProcess(module, orders, [board])
+            for device, process in self._processes.items():
+                self._addresses[device] = process.listening()
+            self._reader = BoardReader(board)
         except BaseException:
             self.close()
             raise
@@ -116,45 +141,38 @@ class Bench:
             os.close(board)
         return self
 
-    @property
-    def tracker_options(self) -> dict[str, Any]:
-        """Options for the factory of the tracker driver."""
-        return dict(self._addresses["tracker"])
-
-    @property
-    def motion_options(self) -> dict[str, Any]:
-        """Options for the factory of the motion driver, over Modbus TCP."""
-        return {**self._addresses["cnc"]["tcp"], "unit": 1}
-
-    @property
-    def motion_options_rtu(self) -> dict[str, Any]:
-        """Options for the factory of the motion driver, over Modbus RTU."""
-        return {**self._addresses["cnc"]["rtu"], "baudrate": 115_200, "unit": 1}
-
-    @property
-    def process_ids(self) -> dict[str, int]:
-        """Process identifiers of `tracker` and `cnc`."""
-        return {device: child.process_id for device, child in self._children.items()}
-
-    @property
-    def alive(self) -> bool:
-        """Whether both processes run."""
-        return len(self._children) == 2 and all(
-            child.alive for child in self._children.values()
-        )
-
     def inject(self, fault: str) -> None:
         """Let a fault begin now, or as long after now as it says."""
-        self._children[parse_fault(fault).device].tell(fault)
+        self._processes[parse_fault(fault).device].tell(fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
         """Set the tracker down at a place, turned and tilted anew by the number."""
         place = [float(v) for v in place_mm]
-        self._children["tracker"].tell(json.dumps({"place": place, "number": number}))
+        self._processes["tracker"].tell(json.dumps({"place": place, "number": number}))
+        self._pose = place_anew(place, self._common["seed"] + 1000 * number)
 
     def truth_at(self, points_mm: np.ndarray) -> np.ndarray:
         """Return the true volumetric error in µm at axis positions, (n, 3)."""
         return 1e3 * self.truth.deviation_mm(np.asarray(points_mm, float))
+
+    def now_s(self) -> float:
+        """Return the time of the machine's clock."""
+        return MachineClock(self._common["epoch_ns"], self._common["speed"]).now_s()
+
+    def follow(self, time_s: np.ndarray, target: str = "") -> FollowedMotion:
+        """Return where axes and target truly are at times (n,) of the machine's clock.
+
+        Up to now, and as far back as the last minute of the wall clock; hidden effects
+        are in it, the pose of the tracker and its noise are not.
+        """
+        timeline = None if self._reader is None else self._reader.timeline()
+        if timeline is None:
+            raise SimulatorError("the bench has not started")
+        motion, time_s = self._follower.follow(timeline), np.asarray(time_s, float)
+        name = target or self.truth.machine.reflectors[0].name
+        names = [name] * len(time_s)
+        place = locate_target_mm(self.truth, motion, time_s, names, self.hidden)
+        return FollowedMotion(time_s, timeline.positions(time_s), place)
 
     def hidden_truth(self) -> list[dict[str, Any]]:
         """Return the hidden effects in the form of `discovery.json`."""
@@ -162,25 +180,13 @@ class Bench:
 
     def close(self) -> None:
         """End both processes and wait for them. Idempotent."""
-        for child in self._children.values():
-            child.release()
-        for child in self._children.values():
-            child.end(_STOP_TIMEOUT_S)
-        self._children = {}
+        super().close()
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
         if self._own_workdir is not None:
             self._own_workdir.cleanup()
             self._own_workdir = None
-
-    def __enter__(self) -> Self:
-        return self.start()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _folder(self) -> Path:
         if self._workdir is not None:
@@ -188,74 +194,3 @@ class Bench:
             return self._workdir
         self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
         return Path(self._own_workdir.name)
-
-
-class _Child:
-    """One simulator process and its life line."""
-
-    def __init__(self, device: str, orders: Mapping[str, Any], board: int) -> None:
-        self._device = device
-        # Many small matrices: threads of a BLAS would only fight for the cores.
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self._process = subprocess.Popen(  # noqa: S603, our own module
-            [sys.executable, "-m", f"simulators.{device}_process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            pass_fds=[board],
-            env=environment,
-        )
-        self.tell(json.dumps(orders))
-
-    @property
-    def process_id(self) -> int:
-        return self._process.pid
-
-    @property
-    def alive(self) -> bool:
-        return self._process.poll() is None
-
-    def tell(self, line: str) -> None:
-        if self._process.stdin is None:
-            raise SimulatorError(f"the simulated {self._device} is closed")
-        try:
-            self._process.stdin.write(line.encode() + b"\n")
-        except BrokenPipeError as error:
-            raise SimulatorError(f"the simulated {self._device} has ended") from error
-
-    def listening(self) -> dict[str, Any]:
-        """Wait until the process listens; return where."""
-        stdout = self._process.stdout
-        if stdout is None:
-            raise SimulatorError(f"the simulated {self._device} is closed")
-        deadline_s = time.monotonic() + _START_TIMEOUT_S
-        line = b""
-        while not line.endswith(b"\n"):
-            left_s = max(deadline_s - time.monotonic(), 0.0)
-            ready, _, _ = select.select([stdout], [], [], left_s)
-            part = os.read(stdout.fileno(), 4096) if ready else b""
-            if not part:
-                raise SimulatorError(
-                    f"the simulated {self._device} did not start; "
-                    f"its last words are on standard error"
-                )
-            line += part
-        report = json.loads(line)
-        if "error" in report:
-            raise SimulatorError(f"the simulated {self._device}: {report['error']}")
-        return report
-
-    def release(self) -> None:
-        """Let go of the life line; the process ends by itself."""
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-
-    def end(self, timeout_s: float) -> None:
-        """Wait for the end, with force if it takes longer."""
-        try:
-            self._process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()

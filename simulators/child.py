@@ -1,8 +1,9 @@
 """The common frame of a simulator process: its orders, its life line, its end.
 
 The parent writes one line of JSON to standard input and reads one line of JSON with the
-addresses from standard output. Every further line of input is a fault to inject. The
-process ends when the input does: a parent that dies, by whatever signal, closes it.
+addresses from standard output. Every further line of input is a fault to inject, or
+asks for the device's state, which is answered by one line of JSON. The process ends
+when the input does: a parent that dies, by whatever signal, closes it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,11 @@ import sys
 from typing import Any
 
 _BLOCK = 4096
+
+
+def is_question(line: str) -> bool:
+    """Tell whether a line of input asks for the state."""
+    return line.startswith('{"ask"')
 
 
 class LifeLine:
@@ -54,7 +60,7 @@ class LifeLine:
         self.report({"error": str(error)})
 
     def report(self, content: dict[str, Any]) -> None:
-        """Tell the parent that the device listens, and where."""
+        """Tell the parent where the device listens, or its state."""
         sys.stdout.write(json.dumps(content) + "\n")
         sys.stdout.flush()
 

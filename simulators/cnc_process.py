@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.cnc.modbus.registers import HoldReason
 from simulators.board import BoardWriter
-from simulators.child import LifeLine
+from simulators.child import LifeLine, is_question
 from simulators.cnc_controller import Controller
 from simulators.cnc_registers import Clocks, CncRegisters
 from simulators.faults import Fault, Schedule, parse_fault
@@ -44,6 +44,21 @@ class Panel:
     def inject(self, line: str) -> None:
         """Take a fault that begins now."""
         self._faults.add(parse_fault(line), self._clock.now_s())
+
+    def read_state(self) -> dict[str, Any]:
+        """Return what the controller knows of itself."""
+        controller, now_s = self._controller, self._clock.now_s()
+        controller.update(now_s)
+        return {
+            "state": str(controller.state),
+            "position": controller.position(now_s).tolist(),
+            "line": controller.line(now_s),
+            "feed_mm_min": controller.feed_mm_min(now_s),
+            "path_rows": 0 if controller.path is None else len(controller.path),
+            "hold_reason": controller.hold_reason.name.lower(),
+            "alarm_code": controller.alarm_code,
+            "alarm": controller.alarm_text,
+        }
 
     def update(self) -> None:
         """Let time pass: states, watchdog, operator, alarms."""
@@ -122,7 +137,10 @@ def main() -> None:
 def _serve(life: LifeLine, ports: list[ModbusPort], panel: Panel) -> None:
     while not life.ended:
         for line in life.lines():
-            panel.inject(line)
+            if is_question(line):
+                life.report(panel.read_state())
+            else:
+                panel.inject(line)
         panel.update()
         if panel.disconnects():
             for port in ports:

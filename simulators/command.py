@@ -14,11 +14,12 @@ import select
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 from simulators.bench import Bench
+from simulators.control_orders import obey
+from simulators.control_socket import ControlSocket
 from simulators.errors import SimulatorError
 from simulators.faults import KINDS, parse_fault
 from simulators.hidden.drawing import EFFECTS
@@ -32,9 +33,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     try:
         bench = _bench(options)
-        with _signals() as signalled, bench:
+        with _signals() as signalled, bench, _control(options, bench) as control:
             _announce(bench, as_json=options.json)
-            return _serve(bench, signalled)
+            return _serve(bench, signalled, control)
     except (SimulatorError, OSError) as error:
         print(f"truepath simulate: {error}", file=sys.stderr)
         return 2
@@ -57,15 +58,32 @@ def _bench(options: argparse.Namespace) -> Bench:
     )
 
 
-def _serve(bench: Bench, signalled: int) -> int:
-    """Wait for a signal, injecting faults from standard input meanwhile."""
+@contextmanager
+def _control(
+    options: argparse.Namespace, bench: Bench
+) -> Iterator[ControlSocket | None]:
+    """Yield the control socket, if one is asked for."""
+    if options.control is None:
+        yield None
+        return
+    with closing(ControlSocket(options.control, lambda o: obey(bench, o))) as control:
+        yield control
+
+
+def _serve(bench: Bench, signalled: int, control: ControlSocket | None) -> int:
+    """Wait for a signal, obeying standard input and the control socket meanwhile."""
     lines = _LineReader(sys.stdin.fileno()) if sys.stdin else None
     while True:
         listening = lines is not None and lines.ours
         waited = [signalled, lines.descriptor] if lines and listening else [signalled]
+        waited += control.descriptors() if control else []
         ready, _, _ = select.select(waited, [], [], _CHECK_S)
         if signalled in ready:
             return 0
+        if control:
+            control.serve()
+            if control.has_lost_owner:
+                return 0
         if not bench.alive:
             print("truepath simulate: a simulator has ended", file=sys.stderr)
             return 1
@@ -134,13 +152,7 @@ def _signals() -> Iterator[int]:
 
 
 def _announce(bench: Bench, *, as_json: bool) -> None:
-    where: dict[str, Any] = {
-        "tracker": bench.tracker_options,
-        "modbus_tcp": bench.motion_options,
-    }
-    if bench.has_rtu:
-        where["modbus_rtu"] = bench.motion_options_rtu
-    where |= {"machine": bench.machine.get("name", ""), "pids": bench.process_ids}
+    where = bench.describe()
     if as_json:
         print(json.dumps(where), flush=True)
         return
@@ -194,6 +206,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="EFFECT[*SIZE_UM]",
         help="an effect that the model in use lacks, drawn by the seed, or a JSON "
         "object with its numbers: " + ", ".join(EFFECTS),
+    )
+    add(
+        "--control",
+        type=Path,
+        metavar="PATH",
+        help="Unix socket for orders in lines of JSON, for this user alone",
     )
     add("--json", action="store_true", help="print one JSON object")
     return parser

@@ -7,6 +7,7 @@ seconds: a sped-up simulation shortens the measurement, not the patience of a li
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from drivers.tracker.streaming.messages import (
 from simulators.faults import Schedule
 from simulators.frame_damage import FrameDamage
 from simulators.hidden.effect import HiddenEffect
-from simulators.hidden.motion import Motion, continue_from
+from simulators.hidden.motion import MotionFollower
 from simulators.hidden.superposition import locate_target_mm, misread
 from simulators.randomness import generator
 from simulators.timeline import Timeline
@@ -109,13 +110,26 @@ class TrackerDevice:
         self._beam_locked = True
         self._last_heard_s = -np.inf
         self._next_status_s = 0.0
-        self._newest: Timeline | None = None
-        self._motion: Motion | None = None
+        self._follower = MotionFollower(
+            parts.truth.machine, remembers=bool(parts.hidden)
+        )
 
     @property
     def streaming(self) -> bool:
         """Whether a stream runs."""
         return self._stream is not None
+
+    def read_state(self) -> dict[str, Any]:
+        """Return what the device knows of itself."""
+        rate_hz = 0.0 if self._stream is None else self._stream.rate_hz
+        return {
+            "streaming": self.streaming,
+            "rate_hz": rate_hz,
+            "samples": self._sequence,
+            "frames_sent": self._frames_sent,
+            "frames_dropped": self._frames_dropped,
+            "beam_locked": self._beam_locked,
+        }
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
         """Take bytes of the host; return the replies."""
@@ -265,24 +279,13 @@ class TrackerDevice:
         for fault, mask in self._faults.struck("target", moments_s, rows):
             number = min(max(int(fault.amount), 1), len(reflectors))
             targets[mask] = reflectors[number - 1].name
-        motion = self._follow_board(timeline)
+        motion = self._follower.follow(timeline)
         place_mm = locate_target_mm(
             parts.truth, motion, moments_s, targets.tolist(), parts.hidden
         )
         for fault, mask in self._faults.struck("knock", moments_s, rows):
             place_mm[mask] += fault.amount * _PUSH
         return place_mm
-
-    def _follow_board(self, timeline: Timeline) -> Motion:
-        """Return the motion so far: play and friction remember it, the board not."""
-        machine = self._parts.truth.machine
-        if not self._parts.hidden:
-            return Motion(machine, timeline)
-        if self._newest is not timeline:
-            known = None if self._motion is None else self._motion.timeline
-            self._motion = Motion(machine, continue_from(known, timeline))
-            self._newest = timeline
-        return self._motion or Motion(machine, timeline)
 
     def _beam_event(self, raw: RawSamples) -> bytes:
         locked = not raw.status[-1] & StatusBit.BEAM_BROKEN

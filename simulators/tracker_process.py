@@ -10,7 +10,7 @@ from typing import Any
 
 from simulators import tracker_head
 from simulators.board import BoardReader
-from simulators.child import LifeLine
+from simulators.child import LifeLine, is_question
 from simulators.faults import Schedule, parse_fault
 from simulators.hidden.drawing import from_json
 from simulators.links import Port, PtyPort, TcpPort
@@ -51,7 +51,9 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
     wake_s = time.monotonic()
     while not life.ended:
         for line in life.lines():
-            if line.startswith("{"):
+            if is_question(line):
+                life.report(device.read_state())
+            elif line.startswith("{"):
                 move = json.loads(line)
                 seed = orders["seed"] + 1000 * move["number"]
                 device.set_down(tracker_head.place_anew(move["place"], seed))

@@ -116,3 +116,23 @@ def continue_from(known: Timeline | None, new: Timeline) -> Timeline:
         return new
     past = known.cut(float(new.start_s[0]))
     return past.last(_KEPT_PIECES).then(new)
+
+
+class MotionFollower:
+    """The motion on a board so far: play and friction remember it, the board not.
+
+    remembers : whether anything looks back
+    """
+
+    def __init__(self, machine: MachineFile, *, remembers: bool) -> None:
+        self._machine, self._remembers = machine, remembers
+        self._newest: Timeline | None = None
+        self._motion: Motion | None = None
+
+    def follow(self, timeline: Timeline) -> Motion:
+        """Return the motion up to the newest timeline of the board."""
+        if self._motion is None or self._newest is not timeline:
+            known = self._motion.timeline if self._motion and self._remembers else None
+            self._motion = Motion(self._machine, continue_from(known, timeline))
+            self._newest = timeline
+        return self._motion

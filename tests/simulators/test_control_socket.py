@@ -1,0 +1,202 @@
+"""Rigs worked by their control socket, and the fixtures that stand on it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from drivers.cnc.modbus.driver import ModbusController
+from drivers.interfaces.records import MotionState
+from drivers.tracker.streaming.driver import StreamingTracker
+from simulators.command import main
+from simulators.control_socket import ControlSocket
+from simulators.errors import SimulatorError
+from simulators.rig import Rig, running_rig
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[Rig]:
+    with running_rig({"seed": 4, "speed": 5.0, "tracker": "tcp"}) as started:
+        yield started
+
+
+def until(condition: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline_s, "waited in vain"
+        time.sleep(0.02)
+
+
+def test_state_follows_the_devices(rig: Rig) -> None:
+    with (
+        StreamingTracker(**rig.tracker_options) as tracker,
+        ModbusController(**rig.motion_options) as motion,
+    ):
+        assert not rig.read_state()["tracker"]["streaming"]
+        tracker.start(200.0)
+        motion.move_to((30.0, 20.0, 10.0), 3000.0)
+        assert motion.wait(10.0).state is MotionState.FINISHED
+        state = rig.read_state()
+    assert state["tracker"]["rate_hz"] == 200.0
+    assert state["cnc"]["state"] == "finished"
+    assert state["cnc"]["position"] == pytest.approx([30.0, 20.0, 10.0])
+
+
+def test_a_fault_strikes_when_it_is_ordered(rig: Rig) -> None:
+    with ModbusController(**rig.motion_options) as motion:
+        rig.inject("cnc:alarm+1s*4711")
+        until(lambda: rig.read_state()["cnc"]["alarm_code"] == 4711)
+        assert motion.status().state is MotionState.ALARM
+
+
+def test_the_measured_point_is_the_true_one_seen_from_the_pose(rig: Rig) -> None:
+    pose = rig.read_truth()["pose"]
+    with StreamingTracker(**rig.tracker_options) as tracker:
+        tracker.start(200.0)
+        measured = tracker.read(2.0).position_mm.mean(axis=0)
+    true = np.array(rig.read_position()["target_mm"][0])
+    seen = (true - pose["position_mm"]) @ np.array(pose["rotation"])
+    assert np.linalg.norm(measured - seen) < 0.05
+
+
+def test_positions_of_the_past_are_the_same_again(rig: Rig) -> None:
+    now_s = rig.read_position()["time_s"][0]
+    times = [now_s - 2.0, now_s - 1.0, now_s]
+    first, second = rig.read_position(times), rig.read_position(times)
+    assert first == second
+    assert np.shape(first["target_mm"]) == (3, 3)
+
+
+def test_truth_is_that_of_any_point(rig: Rig) -> None:
+    truth = rig.read_truth()
+    grid = np.array(truth["points_mm"])[:5]
+    np.testing.assert_allclose(rig.truth_at(grid), truth["deviation_um"][:5], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (b"nonsense", "Expecting value"),
+        (b"[]", "expected an object"),
+        (b'{"do": "explode"}', "known are links, state"),
+        (b'{"do": "inject"}', "fault is missing"),
+        (b'{"do": "inject", "fault": "tracker:explode"}', "unknown"),
+        (b'{"do": "truth", "points": [[1, 2]]}', "rows of axis positions"),
+        (b'{"do": "position", "time_s": [NaN]}', "seconds"),
+        (b'{"do": "position", "target": "nobody"}', "nobody"),
+        (b'{"do": "move-tracker", "place_mm": [1]}', "in mm"),
+    ],
+)
+def test_what_is_not_understood_is_said_and_the_rig_lives(
+    rig: Rig, order: bytes, said: str
+) -> None:
+    rig._socket.sendall(order + b"\n")
+    answer = json.loads(rig._lines.readline())
+    assert not answer["ok"]
+    assert said in answer["error"]
+    assert rig.read_state()
+
+
+def test_the_page_shows_the_example_that_is_a_test() -> None:
+    here = Path(__file__)
+    example = here.with_name("test_rig_example.py").read_text()
+    page = here.parents[2] / "docs" / "test-rigs.md"
+    assert f"```python\n{example}```" in page.read_text()
+
+
+def test_only_its_user_opens_it(tmp_path: Path) -> None:
+    path = tmp_path / "control"
+    control = ControlSocket(path, lambda order: order)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    control.close()
+    assert not path.exists()
+
+
+def test_it_never_takes_what_is_not_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "control"
+    path.write_text("a letter")
+    with pytest.raises(SimulatorError, match="give another path"):
+        ControlSocket(path, dict)
+    assert path.read_text() == "a letter"
+    path.unlink()
+    first = ControlSocket(path, dict)
+    with pytest.raises(SimulatorError, match="in use"):
+        ControlSocket(path, dict)
+    first.close()
+
+
+def test_one_left_behind_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "control"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    ControlSocket(path, dict).close()
+
+
+def test_a_rig_ends_with_the_process_that_owns_it(tmp_path: Path) -> None:
+    owner = subprocess.Popen(
+        [sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True
+    )
+    with owner:
+        assert owner.stdout is not None
+        pids = json.loads(owner.stdout.readline())
+        owner.send_signal(signal.SIGKILL)
+    until(lambda: not any(runs(pid) for pid in pids.values()))
+
+
+OWNER = """
+import json, time
+from simulators.rig import running_rig
+with running_rig({}) as rig:
+    print(json.dumps(rig.links["pids"]), flush=True)
+    time.sleep(60)
+"""
+
+
+def runs(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_a_control_path_that_cannot_be_is_a_clear_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--control", str(tmp_path / "no" / "folder")]) == 2
+    assert "control socket" in capsys.readouterr().err
+
+
+def test_a_rig_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(SimulatorError, match="no rig answers"):
+        Rig(tmp_path / "nowhere")
+
+
+def test_other_suites_use_a_rig_that_runs(rig: Rig, tmp_path: Path) -> None:
+    suite = tmp_path / "test_theirs.py"
+    suite.write_text(
+        "def test_it(truepath_bench):\n"
+        "    assert truepath_bench.read_state()['cnc']['position']\n"
+    )
+    control = rig._socket.getpeername()
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, f"--truepath-control={control}", str(suite)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
