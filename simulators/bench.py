@@ -16,6 +16,7 @@ import numpy as np
 from simulators.board import BoardReader, new_board
 from simulators.errors import SimulatorError
 from simulators.faults import parse_fault
+from simulators.followed_positions import open_source
 from simulators.hidden.drawing import as_json, parse_hidden
 from simulators.hidden.effect import HiddenEffect
 from simulators.hidden.motion import MotionFollower
@@ -53,6 +54,8 @@ class Bench(DeviceProcesses):
     faults : see `simulators.faults`; `inject` adds more while it runs
     workdir : holds the links `tracker` and `modbus-rtu` to the terminals
     tracker : link of the tracker, `pty` or `tcp`
+    source : axis positions in place of the simulated CNC, a name or a descriptor, see
+        `simulators.followed_positions`; source_unit_s : a step of its first column
     hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
         seed; their time begins with the bench
     """
@@ -73,6 +76,8 @@ class Bench(DeviceProcesses):
         limits: Limits | None = None,
         rtu: bool = True,
         hidden: Sequence[HiddenEffect | str] = (),
+        source: str | int | None = None,
+        source_unit_s: float = 1.0,
     ) -> None:
         super().__init__()
         if speed <= 0.0:
@@ -90,7 +95,8 @@ class Bench(DeviceProcesses):
         self._own_workdir: tempfile.TemporaryDirectory[str] | None = None
         self._tracker_link = {"kind": tracker, "host": host, "port": tracker_port}
         self._cnc_link = {"host": host, "port": modbus_port, "rtu": rtu}
-        self.has_rtu = rtu
+        self.has_rtu = rtu and source is None
+        self._source, self._source_unit_s = source, source_unit_s
         self._common = {
             "machine": self._content,
             "seed": seed,
@@ -119,31 +125,42 @@ class Bench(DeviceProcesses):
         Raises SimulatorError if one does not come up.
         """
         folder = self._folder()
-        board = new_board()
-        self._common |= {"epoch_ns": time.monotonic_ns(), "board": board}
+        motion = new_board() if self._source is None else _open(self._source)
+        self._common |= {
+            "epoch_ns": time.monotonic_ns(),
+            "board": motion,
+            "source_unit_s": None if self._source is None else self._source_unit_s,
+        }
         tracker_link = self._tracker_link | {"symlink": str(folder / "tracker")}
         cnc_link = self._cnc_link | {
             "rtu_symlink": str(folder / "modbus-rtu"),
         }
+        links = {"cnc": cnc_link, "tracker": tracker_link}
+        if self._source is not None:
+            del links["cnc"]
         try:
-            for device, link in (("cnc", cnc_link), ("tracker", tracker_link)):
+            for device, link in links.items():
                 faults = [text for name, text in self._faults if name == device]
                 orders = self._common | {"link": link, "faults": faults}
                 module = f"{device}_process"
-                self._processes[device] = DeviceProcess(module, orders, [board])
+                self._processes[device] = DeviceProcess(module, orders, [motion])
             for device, process in self._processes.items():
                 self._addresses[device] = process.listening()
-            self._reader = BoardReader(board)
+            if self._source is None:
+                self._reader = BoardReader(motion)
         except BaseException:
             self.close()
             raise
         finally:
-            os.close(board)
+            os.close(motion)
         return self
 
     def inject(self, fault: str) -> None:
         """Let a fault begin now, or as long after now as it says."""
-        self._processes[parse_fault(fault).device].tell(fault)
+        device = parse_fault(fault).device
+        if device not in self._processes:
+            raise SimulatorError(f"{fault}: there is no simulated {device} here")
+        self._processes[device].tell(fault)
 
     def move_tracker(self, place_mm: Sequence[float], number: int = 1) -> None:
         """Set the tracker down at a place, turned and tilted anew by the number."""
@@ -167,7 +184,9 @@ class Bench(DeviceProcesses):
         """
         timeline = None if self._reader is None else self._reader.timeline()
         if timeline is None:
-            raise SimulatorError("the bench has not started")
+            raise SimulatorError(
+                "the bench has not started, or its positions come from outside"
+            )
         motion, time_s = self._follower.follow(timeline), np.asarray(time_s, float)
         name = target or self.truth.machine.reflectors[0].name
         names = [name] * len(time_s)
@@ -194,3 +213,7 @@ class Bench(DeviceProcesses):
             return self._workdir
         self._own_workdir = tempfile.TemporaryDirectory(prefix="truepath-bench-")
         return Path(self._own_workdir.name)
+
+
+def _open(source: str | int) -> int:
+    return open_source(source) if isinstance(source, str) else os.dup(source)

@@ -55,6 +55,8 @@ def _bench(options: argparse.Namespace) -> Bench:
         error_scale=options.error_scale,
         rtu=options.rtu,
         hidden=options.hide,
+        source=options.follow,
+        source_unit_s=options.follow_unit,
     )
 
 
@@ -206,6 +208,19 @@ def _parser() -> argparse.ArgumentParser:
         metavar="EFFECT[*SIZE_UM]",
         help="an effect that the model in use lacks, drawn by the seed, or a JSON "
         "object with its numbers: " + ", ".join(EFFECTS),
+    )
+    add(
+        "--follow",
+        metavar="SOURCE",
+        help="file, FIFO or HOST:PORT with lines of time and axis positions, in place "
+        "of the simulated CNC",
+    )
+    add(
+        "--follow-unit",
+        type=float,
+        default=1.0,
+        metavar="SECONDS",
+        help="what a step of the first column of those lines is",
     )
     add(
         "--control",

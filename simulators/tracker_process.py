@@ -12,6 +12,7 @@ from simulators import tracker_head
 from simulators.board import BoardReader
 from simulators.child import LifeLine, is_question
 from simulators.faults import Schedule, parse_fault
+from simulators.followed_positions import FollowedPositions
 from simulators.hidden.drawing import from_json
 from simulators.links import Port, PtyPort, TcpPort
 from simulators.machine_clock import MachineClock
@@ -43,8 +44,12 @@ def main() -> None:
 
 
 def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
-    clock = MachineClock(orders["epoch_ns"], orders["speed"])
-    board = BoardReader(orders["board"])
+    source = _source(orders)
+    clock = (
+        source
+        if isinstance(source, FollowedPositions)
+        else MachineClock(orders["epoch_ns"], orders["speed"])
+    )
     faults = Schedule(map(parse_fault, orders["faults"]))
     device = _device(orders, faults)
     life.report(port.address)
@@ -59,8 +64,9 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
                 device.set_down(tracker_head.place_anew(move["place"], seed))
             else:
                 faults.add(parse_fault(line), clock.now_s())
+        # Its clock first: see `simulators.board`. What is followed brings its own.
         now_s, wall_s = clock.now_s(), time.monotonic()
-        timeline = board.timeline()
+        timeline = source.timeline()
         if faults.strikes("disconnect", now_s):
             port.disconnect()
             device.forget_host()
@@ -96,6 +102,13 @@ def _wait(descriptors: list[int], port: Port, until_s: float) -> None:
     # to a new host stands behind what the last one has left unread.
     blocked = port.list_blocked_descriptors()
     select.select(descriptors, blocked, [], max(until_s - time.monotonic(), 0.0))
+
+
+def _source(orders: dict[str, Any]) -> BoardReader | FollowedPositions:
+    if orders["source_unit_s"] is None:
+        return BoardReader(orders["board"])
+    axes = len(orders["machine"]["axes"])
+    return FollowedPositions(orders["board"], axes, orders["source_unit_s"])
 
 
 def _port(link: dict[str, Any]) -> Port:
