@@ -8,12 +8,15 @@ them. Needs Debian's linuxcnc-uspace and root.
 
 from __future__ import annotations
 
+import argparse
+import json
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -26,6 +29,7 @@ from app.measurement.messages import (
     CellConfig,
     FaultReported,
     MeasurementOrder,
+    MeasurementProgress,
     RunClosed,
 )
 from app.measurement.run_reading import open_run
@@ -33,12 +37,18 @@ from drivers.interfaces.records import Path
 from simulators.bench import Bench
 from simulators.linuxcnc.files import LinuxCncMachine
 from simulators.linuxcnc.rig import LinuxCncRig
-from simulators.machine_file import parse_machine
+from simulators.machine_file import MachineFile, parse_machine
+from simulators.paths import chord_path
+from simulators.scenario import load_machine
 from simulators.timeline import Program
+from simulators.turning_paths import turning_path
 
 _BEYOND = 10.0  # travel of LinuxCNC beyond that of the machine file, mm or deg
 SAMPLE_S = 1e-3
 _POINTS = 400
+TURN_DWELL_S = 1.5
+FEED_MM_MIN = 9000.0
+FIRST_SEED = 1001
 _MAIN = "import sys; from app.cli.command import main; sys.exit(main())"
 
 
@@ -101,6 +111,7 @@ def live_rig(content: Mapping[str, Any], seed: int, **more: Any) -> Iterator[Liv
 
 def measure(rig: LiveRig, order: MeasurementOrder, within_s: float) -> RunClosed:
     """Measure through a cell process, as a job of the service does."""
+    changes = list_target_changes(rig.bench, order)
     cell = Cell(rig.config)
     cell.start()
     try:
@@ -108,14 +119,57 @@ def measure(rig: LiveRig, order: MeasurementOrder, within_s: float) -> RunClosed
         cell.begin(order)
         deadline_s = time.monotonic() + within_s
         while time.monotonic() < deadline_s:
-            for event in cell.poll(0.2):
+            for event in cell.poll(0.05):
                 if isinstance(event, FaultReported):
                     print(event, file=sys.stderr, flush=True)
+                if isinstance(event, MeasurementProgress) and changes:
+                    changes = turn_tracker(rig.bench, event, changes)
                 if isinstance(event, RunClosed):
                     return event
         raise TimeoutError(f"not measured in {within_s:g} s")
     finally:
         cell.close()
+
+
+Change = tuple[np.ndarray, str, float]
+
+
+def list_target_changes(bench: Bench, order: MeasurementOrder) -> list[Change]:
+    """Return where the machine stands for another target, the order, and from when."""
+    path, known = (
+        order.commanded,
+        [r.name for r in parse_machine(bench.machine).reflectors],
+    )
+    return [
+        (path.position[row], f"tracker:target*{known.index(name) + 1}", np.inf)
+        for row, name in enumerate(path.target)
+        if row and name != path.target[row - 1]
+    ]
+
+
+def turn_tracker(
+    bench: Bench, progress: MeasurementProgress, changes: list[Change]
+) -> list[Change]:
+    """Turn the tracker once the machine has stood for a dwell at the next change."""
+    (place, fault, since_s), *later = changes
+    now_s = time.monotonic()
+    stands = np.allclose(progress.position, place, rtol=0, atol=0.01)
+    if not stands:
+        return [(place, fault, np.inf), *later]
+    if now_s - since_s < TURN_DWELL_S + 0.3:
+        return [(place, fault, min(since_s, now_s)), *later]
+    bench.inject(fault)
+    return later
+
+
+def stand_for_turns(program: Program) -> Program:
+    """Return a program that stands longer before and at each change of the target."""
+    target = np.array(program.target or [""] * len(program))
+    changed = np.append(False, target[1:] != target[:-1])
+    dwell_s = np.where(
+        changed | np.append(changed[1:], False), TURN_DWELL_S, program.dwell_s
+    )
+    return replace(program, dwell_s=dwell_s)
 
 
 def make_order(
@@ -150,23 +204,18 @@ def calibrate(
 def judge(bench: Bench, folder: FilePath) -> tuple[float, float, float]:
     """Return the error before and left in µm, and the share within 2u."""
     machine = parse_machine(bench.machine)
+    axes = machine.axis_names
     q = np.random.default_rng(5).uniform(
-        machine.low, machine.high, (_POINTS, len(machine.axes))
+        machine.low, machine.high, (_POINTS, len(axes))
     )
+    q = np.round(q, 4)
+    target = machine.reflectors[0].name
+    names = [f"{axis.lower()}_{'deg' if axis in 'ABC' else 'mm'}" for axis in axes]
+    lines = [",".join([*names, "target"])]
+    lines += [",".join([*map(str, row), target]) for row in q.tolist()]
+    (folder / "points.csv").write_text("\n".join(lines) + "\n")
     truth_um = bench.truth_at(q)
-    names = [
-        f"{axis.name.lower()}_{'deg' if axis.name in 'ABC' else 'mm'}"
-        for axis in machine.axes
-    ]
     point = bench.truth.nominal_point_mm(q, machine.reflector())
-    np.savetxt(
-        folder / "points.csv",
-        q,
-        delimiter=",",
-        header=",".join(names),
-        comments="",
-        fmt="%.4f",
-    )
     run("analyse", folder / "bundle", "-o", folder)
     run(
         "predict",
@@ -203,3 +252,59 @@ def run(*arguments: object) -> None:
     """Run a command of the service."""
     command = [sys.executable, "-c", _MAIN, *map(str, arguments)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)  # noqa: S603
+
+
+@dataclass(frozen=True)
+class Case:
+    """A machine of the simulators' scenarios and how it is driven."""
+
+    name: str
+    kinematics: str
+    hal: str
+    program: Callable[[MachineFile, int], Program]
+
+
+def _drive_chords(machine: MachineFile, seed: int) -> Program:
+    return chord_path(machine, seed, 60, FEED_MM_MIN)
+
+
+def _drive_all_axes(machine: MachineFile, seed: int) -> Program:
+    return stand_for_turns(turning_path(machine, seed, 144, FEED_MM_MIN))
+
+
+THREE_AXES = Case("demo", "", "", _drive_chords)
+FIVE_AXES = Case(
+    "trunnion",
+    "xyzac-trt-kins sparm=identityfirst",
+    "net kinstype motion.analog-out-03 => motion.switchkins-type\n",
+    _drive_all_axes,
+)
+
+
+def run_case(case: Case, seed: int, folder: FilePath) -> Outcome:
+    """Calibrate a machine of a seed on a LinuxCNC of its own."""
+    content = load_machine(case.name)
+    program = case.program(parse_machine(content), seed)
+    with live_rig(content, seed, kinematics=case.kinematics, hal=case.hal) as rig:
+        order = make_order(content, program, folder / "run.sqlite")
+        return calibrate(rig, order, folder, 1500.0)
+
+
+def main() -> None:
+    """Print a case, or write the table of all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--case", choices=["demo", "trunnion"])
+    parser.add_argument("--seed", type=int, default=FIRST_SEED)
+    options = parser.parse_args()
+    for case in (THREE_AXES, FIVE_AXES):
+        if options.case in (None, case.name):
+            with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
+                outcome = run_case(case, options.seed, FilePath(folder))
+            print(
+                json.dumps({"case": case.name, "seed": options.seed} | asdict(outcome)),
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
