@@ -19,6 +19,11 @@ class PriorityLock:
         self._taken = False
         self._urgent = 0
 
+    @property
+    def is_wanted(self) -> bool:
+        """Whether somebody urgent waits for it."""
+        return self._urgent > 0
+
     @contextmanager
     def hold(self, *, urgent: bool = False) -> Iterator[None]:
         """Hold the lock inside a `with`."""

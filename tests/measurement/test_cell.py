@@ -436,6 +436,18 @@ def test_a_short_silence_is_lived_through(bench, watchful, long_order):
     assert closed.lost_samples > 0.5 * SPEED * 500
 
 
+def test_a_closed_connection_of_the_controller_costs_nothing(bench, watchful, order):
+    watchful.cell.begin(order)
+    watchful.until_line(1)
+    for _ in range(2):
+        bench.inject("cnc:disconnect")
+        time.sleep(0.3)
+    closed = watchful.until_closed()
+    assert closed.outcome == "finished"
+    assert watchful.faults == []
+    assert closed.lost_samples == 0
+
+
 @contextmanager
 def suspended(*process_ids: int) -> Iterator[None]:
     """Let processes not run meanwhile."""

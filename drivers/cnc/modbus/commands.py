@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import random
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
 
@@ -15,9 +17,10 @@ from drivers.cnc.modbus.controller_map import (
     parse_controller,
     parse_status,
 )
-from drivers.cnc.modbus.link import DeviceBusy, ModbusLink
+from drivers.cnc.modbus.link import TIMEOUT_S, DeviceBusy, ModbusLink
 from drivers.cnc.priority_lock import PriorityLock
 from drivers.interfaces.errors import (
+    ConnectionLost,
     DeviceError,
     DeviceTimeout,
     MotionFault,
@@ -31,6 +34,8 @@ log = logging.getLogger(__name__)
 
 _ACK_POLL_S = 0.002
 _BUSY_POLL_S = 0.02
+_URGENT_S = 0.45  # by then a hold that does not reach the controller says so
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 1.0  # between attempts to open a broken link
 _REASONS: dict[int, str] = {
     r.Result.WRONG_STATE: "not in this state",
     r.Result.NO_PATH: "no path is loaded",
@@ -65,6 +70,8 @@ class CommandChannel:
         self._controller: Controller | None = None
         self._sequence = 0
         self._beats = 0
+        self._is_urgent = False  # what goes on now
+        self._pause_s = self._reopen_at_s = 0.0
 
     @property
     def name(self) -> str:
@@ -86,12 +93,7 @@ class CommandChannel:
         with self._lock.hold():
             if self._controller is None or not self._link.is_open:
                 self._controller = None
-                self._link.open()
-                try:
-                    self._controller = self._identify()
-                except DeviceError:
-                    self._link.close()
-                    raise
+                self._controller = self._open_link()
                 log.info(
                     "%s: %s answers; this driver has met simulated CNCs only so far",
                     self.name,
@@ -126,10 +128,49 @@ class CommandChannel:
         self, verb: r.Command, arguments: Sequence[int] = (), *, urgent: bool = False
     ) -> ControllerStatus:
         """Have a verb done once; return the status that acknowledges it."""
+        limit_s = _URGENT_S if urgent else self._timeout_s
+        deadline_s = time.monotonic() + limit_s
         with self._lock.hold(urgent=urgent):
-            status = self._deliver([self._number(urgent), verb, *arguments])
-            self._judge(verb, status)
+            self._is_urgent = urgent
+            try:
+                request = [self._number(deadline_s), verb, *arguments]
+                status = self._deliver(request, deadline_s)
+                self._judge(verb, status)
+            finally:
+                self._is_urgent = False
             return status
+
+    def _open_link(self) -> Controller:
+        self._link.open()
+        try:
+            return self._identify()
+        except DeviceError:
+            self._link.close()
+            raise
+
+    def _reopen(self) -> None:
+        """Open a broken link anew; the controller of before has to answer.
+
+        Raises ConnectionLost, at once where the last attempt was a moment ago.
+        """
+        if self._controller is None or self._link.is_open:
+            return
+        now_s = time.monotonic()
+        if now_s < self._reopen_at_s:
+            raise ConnectionLost(
+                f"{self.name} is gone; check cable and power. It is tried again"
+            )
+        self._pause_s = min(2 * self._pause_s + _FIRST_PAUSE_S, _LONGEST_PAUSE_S)
+        self._reopen_at_s = now_s + self._pause_s * random.uniform(0.5, 1.0)  # noqa: S311
+        found = self._open_link()
+        if found != self._controller:
+            self._link.close()
+            raise WrongDevice(
+                f"{self.name}: {found.identity} answers after the link was gone, "
+                f"{self._controller.identity} did before; check it, then connect again"
+            )
+        self._pause_s = self._reopen_at_s = 0.0
+        log.warning("%s: the link is back, the same controller answers", self.name)
 
     def _identify(self) -> Controller:
         try:
@@ -159,34 +200,33 @@ class CommandChannel:
             log.warning("%s has no watchdog: %s", self.name, error)
             return False
 
-    def _number(self, urgent: bool) -> int:
+    def _number(self, deadline_s: float) -> int:
         """Return a number that the device has not just taken, and that is new for us.
 
         Another master may have used the number that would be ours: the device would
         take our command for a repeat and not run it. What is urgent is sent blindly
-        rather than not at all.
+        rather than late or not at all.
         """
-        try:
-            acknowledged = self._read_status().acknowledged
-        except DeviceTimeout:
-            if not urgent:
-                raise
-            acknowledged = 0
+        acknowledged = 0
+        if not self._is_urgent:
+            acknowledged = self._insist(self._read_status, deadline_s).acknowledged
+        elif time.monotonic() + 2 * TIMEOUT_S < deadline_s:
+            with suppress(ConnectionLost, DeviceTimeout):
+                acknowledged = self._read_status().acknowledged
         self._sequence = _following(self._sequence)
         if self._sequence == acknowledged:
             self._sequence = _following(acknowledged)
         return self._sequence
 
-    def _deliver(self, request: list[int]) -> ControllerStatus:
+    def _deliver(self, request: list[int], deadline_s: float) -> ControllerStatus:
         """Write a command and read until its number is acknowledged.
 
         After a write without reply the state is read first; then the same number is
-        sent again, which runs nothing a second time.
+        sent again, which runs nothing a second time. So it is after a broken link.
         """
-        deadline_s = time.monotonic() + self._timeout_s
-        delivered = self._try_write(request)
+        delivered = self._try_write(request, deadline_s)
         while True:
-            status = self._read_status()
+            status = self._insist(self._read_status, deadline_s)
             if status.acknowledged == request[0]:
                 return status
             if time.monotonic() >= deadline_s:
@@ -196,17 +236,30 @@ class CommandChannel:
                     "another master commands it"
                 )
             if not delivered:
-                delivered = self._try_write(request)
+                delivered = self._try_write(request, deadline_s)
             time.sleep(_ACK_POLL_S)
 
-    def _try_write(self, request: list[int]) -> bool:
-        """Write a command; False if its outcome is unknown."""
+    def _try_write(self, request: list[int], deadline_s: float) -> bool:
+        """Write a command; False if its outcome is unknown and there is time to see."""
         try:
+            self._reopen()
             self._link.write(r.COMMAND.address, request)
-        except DeviceTimeout as error:
+        except (ConnectionLost, DeviceTimeout) as error:
+            if time.monotonic() + TIMEOUT_S > deadline_s:
+                raise
             log.warning("reading back the state: %s", error)
             return False
         return True
+
+    def _insist(self, request: Callable[[], T], deadline_s: float) -> T:
+        """Repeat a harmless request while there is time; reopen a broken link."""
+        while True:
+            try:
+                return request()
+            except (ConnectionLost, DeviceTimeout):
+                if time.monotonic() + TIMEOUT_S > deadline_s:
+                    raise
+                time.sleep(_BUSY_POLL_S)
 
     def _judge(self, verb: r.Command, status: ControllerStatus) -> None:
         place = f"{self.name} refuses {verb.name}"
@@ -235,15 +288,27 @@ class CommandChannel:
         return self._patiently(lambda: self._link.read(block))
 
     def _patiently(self, request: Callable[[], T]) -> T:
-        """Repeat a harmless request while the device says that it is busy."""
+        """Repeat a harmless request: once, longer while the device says it is busy.
+
+        Nothing is repeated where somebody waits to hold the feed, or a gateway says
+        that it does not reach the device.
+        """
         deadline_s = time.monotonic() + self._timeout_s
+        has_failed = False
         while True:
             try:
+                self._reopen()
                 return request()
             except DeviceBusy:
                 if time.monotonic() >= deadline_s:
                     raise
                 time.sleep(_BUSY_POLL_S)
+            except (ConnectionLost, DeviceTimeout) as error:
+                is_behind = isinstance(error, ConnectionLost) and self._link.is_open
+                is_late = self._is_urgent or self._lock.is_wanted
+                if has_failed or is_behind or is_late:
+                    raise
+                has_failed = True
 
 
 def _following(number: int) -> int:

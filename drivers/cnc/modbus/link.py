@@ -22,9 +22,10 @@ from drivers.interfaces.errors import (
 # Our errors tell what failed; without this the library's log goes to the terminal.
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
 
-# The library's own 3 s and 3 repeats are 12 s of blindness; these are 0.4 s.
+# The library's own 3 s and 3 repeats are 12 s of blindness. The caller repeats what may
+# be repeated, unless somebody waits to hold the feed.
 TIMEOUT_S = 0.2
-RETRIES = 1
+RETRIES = 0
 
 _CONFIGURATION = {
     1: "does not know this function",
@@ -77,7 +78,9 @@ class ModbusLink:
     """Holding registers of one unit. For one thread at a time: the driver has the lock.
 
     A connection that broke stays broken until `open`: the library would take it up
-    again by itself, and another device may answer by then.
+    again by itself, and another device may answer by then. A connection that is only
+    silent is kept: what was sent on it would otherwise be obeyed after what is sent on
+    the next one.
     """
 
     def __init__(self, address: TcpAddress | SerialAddress, unit: int) -> None:
@@ -150,8 +153,8 @@ class ModbusLink:
                 f"{self._address} is gone; check cable and power, then connect again"
             )
         return DeviceTimeout(
-            f"{self.name}: no valid reply in {TIMEOUT_S * (1 + RETRIES):g} s; "
-            "check power, unit number, baud rate and shielding"
+            f"{self.name}: no valid reply in {TIMEOUT_S:g} s; check "
+            "power, unit number, baud rate and shielding"
         )
 
     def _check(self, reply: ModbusPDU, doing: str) -> None:

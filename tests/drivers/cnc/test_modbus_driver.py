@@ -1,5 +1,6 @@
 """The Modbus controller's driver against a CNC whose bytes are written by hand."""
 
+import contextlib
 import struct
 import threading
 import time
@@ -294,7 +295,7 @@ def test_a_command_that_is_never_taken_is_a_fault(tcp_peer):
 
 
 def test_a_lost_reply_runs_the_command_once(peer, controller):
-    lose = [True, True]  # the library itself repeats once
+    lose = [True]
 
     def mangle(reply):
         is_write = reply[-8:-4] == b"\0\xc8\0\2" or b"\x10\0\xc8" in reply
@@ -311,7 +312,7 @@ def test_a_lost_request_is_sent_again_after_reading_the_state(tcp_peer, tcp_cont
     model = tcp_peer.model
     model.words[104] = 1
     run = model.written
-    to_lose, replies_to_lose = [1, 2], []  # the library itself repeats once
+    to_lose, replies_to_lose = [1, 2], []
 
     def forgets(first, count):
         if first == 200 and to_lose:
@@ -373,7 +374,7 @@ def test_bad_replies_are_a_timeout_within_half_a_second(peer, controller, mangle
         "cut": lambda reply: reply[:-1],
     }[mangled]
     begin = time.monotonic()
-    with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.4 s"):
+    with pytest.raises(DeviceTimeout, match=r"no valid reply in 0\.2 s"):
         controller.status()
     assert time.monotonic() - begin < 0.9
     peer.mangle = lambda reply: reply
@@ -491,23 +492,86 @@ def test_another_unit_does_not_answer(peer):
 
 
 @pytest.mark.parametrize("how", ["hangs_up", "resets"])
-def test_a_connection_that_breaks_stays_broken_until_connect(
-    tcp_peer, tcp_controller, how
+@pytest.mark.parametrize("verb", ["status", "hold", "send_heartbeat", "start"])
+def test_a_connection_that_breaks_is_opened_again_by_the_next_verb(
+    tcp_peer, tcp_controller, how, verb
 ):
+    tcp_peer.model.words[104] = 1
     setattr(tcp_peer, how, True)
     with pytest.raises(ConnectionLost, match="check cable and power"):
         tcp_controller.status()
     setattr(tcp_peer, how, False)
-    for verb in (
-        tcp_controller.status,
-        tcp_controller.hold,
-        tcp_controller.send_heartbeat,
-    ):
-        with pytest.raises(ConnectionLost):
+    time.sleep(0.2)  # the pause before another attempt
+    getattr(tcp_controller, verb)()
+    assert tcp_peer.model.executed == {"hold": [HOLD], "start": [START]}.get(verb, [])
+
+
+def test_one_close_costs_nothing(tcp_peer, tcp_controller):
+    tcp_peer.model.words[104] = 1
+    for _ in range(3):
+        tcp_peer.drop()
+        tcp_controller.send_heartbeat()
+        tcp_peer.drop()
+        assert tcp_controller.status().state is MotionState.IDLE
+        tcp_peer.drop()
+        tcp_controller.hold()
+    tcp_peer.drop()
+    tcp_controller.start()
+    assert tcp_peer.model.executed == [HOLD, HOLD, HOLD, START]
+
+
+def test_a_command_whose_link_breaks_under_way_runs_once(tcp_peer, tcp_controller):
+    model = tcp_peer.model
+    model.words[104] = 1
+    run, breaks = model.written, [True]
+
+    def written(first, count):
+        run(first, count)
+        if first == 200 and _popped(breaks):
+            tcp_peer.hangs_up = True
+
+    model.written = written
+    tcp_peer.mangle = lambda reply: reply if not tcp_peer.hangs_up else b""
+    opening = threading.Timer(0.3, setattr, (tcp_peer, "hangs_up", False))
+    opening.start()
+    tcp_controller.start()
+    opening.join()
+    assert model.executed == [START]
+
+
+def test_another_controller_after_a_broken_link_is_refused(tcp_peer, tcp_controller):
+    tcp_peer.model.put(36, b"CNC-2".ljust(16, b"\0"))
+    tcp_peer.drop()
+    with pytest.raises(WrongDevice, match="CNC-2"):
+        tcp_controller.status()
+    with pytest.raises(DeviceError):
+        tcp_controller.start()
+    assert tcp_peer.model.executed == []
+
+
+@pytest.mark.parametrize("is_busy", [False, True])
+def test_a_hold_into_a_black_hole_says_so_within_half_a_second(
+    tcp_peer, tcp_controller, is_busy
+):
+    tcp_peer.mangle = lambda reply: b""
+    asking = threading.Thread(target=suppressing(tcp_controller.status))
+    if is_busy:
+        asking.start()
+        time.sleep(0.02)
+    begin_s = time.monotonic()
+    with pytest.raises(DeviceTimeout):
+        tcp_controller.hold()
+    assert time.monotonic() - begin_s < 0.5
+    if is_busy:
+        asking.join()
+
+
+def suppressing(verb):
+    def run():
+        with contextlib.suppress(DeviceError):
             verb()
-    tcp_controller.connect()
-    tcp_controller.hold()
-    assert tcp_controller.status().state is MotionState.IDLE
+
+    return run
 
 
 def test_connect_twice_is_one_connection(peer, controller):
