@@ -27,6 +27,7 @@ class Rig:
     """
 
     def __init__(self, control: Path | str) -> None:
+        self.control = Path(control)
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.settimeout(_ANSWER_TIMEOUT_S)
         try:

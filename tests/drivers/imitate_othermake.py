@@ -1,0 +1,108 @@
+"""A device like Othermake's LT-50 that looks at the machine of a rig.
+
+python imitate_othermake.py CONTROL [SHARE]: prints its TCP port; SHARE of its sample
+lines are damaged. It has a frame, a clock and a numbering of its own.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import sys
+
+import numpy as np
+
+from simulators.rig import Rig
+
+PLACE_MM = np.array([-700.0, -600.0, 150.0])
+TURN = 0.4
+EPOCH_MS = 3_600_000
+NOISE_MM = 0.002
+
+
+def line(text: str) -> bytes:
+    return f"{text}*{sum(text.encode()) % 256:02X}\n".encode()
+
+
+class Instrument:
+    def __init__(self, rig: Rig, share: float) -> None:
+        self.rig, self.share = rig, share
+        self.rng = np.random.default_rng(5)
+        self.rate_hz, self.begin_s, self.taken = 0.0, 0.0, 0
+
+    def obey(self, order: str) -> bytes:
+        verb, _, rate = order.rpartition("*")[0].partition(" ")
+        if line(order.rpartition("*")[0]) != f"{order}\n".encode():
+            return line("NO wrong sum")
+        if verb == "WHO":
+            return line("ME Othermake;LT-50;4711;2.1")
+        if verb == "HALT":
+            self.rate_hz = 0.0
+            taken, self.taken = self.taken, 0
+            return line(f"HALT {taken}")
+        if verb == "GO" and self.rate_hz:
+            return line("NO streams already")
+        if verb == "GO":
+            self.rate_hz, self.taken = float(rate), 0
+            now_s = self.rig.read_position()["time_s"][0]
+            self.begin_s = np.ceil(1e3 * now_s) / 1e3
+            return line(f"GO {rate} {EPOCH_MS + round(1e3 * self.begin_s)}")
+        return line(f"NO {verb}")
+
+    def due(self) -> bytes:
+        if not self.rate_hz:
+            return b""
+        now_s = self.rig.read_position()["time_s"][0]
+        until = int((now_s - self.begin_s) * self.rate_hz)
+        numbers = np.arange(self.taken, until)
+        if not len(numbers):
+            return b""
+        self.taken = until
+        times = self.begin_s + numbers / self.rate_hz
+        target = np.array(self.rig.read_position(times.tolist())["target_mm"])
+        away = target - PLACE_MM + self.rng.normal(0.0, NOISE_MM, target.shape)
+        c, s = np.cos(TURN), np.sin(TURN)
+        forward, left = away[:, 0] * c + away[:, 1] * s, away[:, 1] * c - away[:, 0] * s
+        return b"".join(
+            self.wear(
+                line(f"S {n} {1e3 * n / self.rate_hz:g} {x:.5f} {-y:.5f} {z:.5f} 1")
+            )
+            for n, x, y, z in zip(numbers, forward, left, away[:, 2], strict=True)
+        )
+
+    def wear(self, text: bytes) -> bytes:
+        if self.rng.random() >= self.share:
+            return text
+        at = int(self.rng.integers(len(text) - 1))
+        return text[:at] + bytes([text[at] ^ 0x11]) + text[at + 1 :]
+
+
+def main() -> None:
+    instrument = Instrument(Rig(sys.argv[1]), float([*sys.argv, 0.0][2]))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        print(server.getsockname()[1], flush=True)
+        while True:
+            host, _ = server.accept()
+            with host:
+                serve(instrument, host)
+
+
+def serve(instrument: Instrument, host: socket.socket) -> None:
+    rest = b""
+    try:
+        while True:
+            if select.select([host], [], [], 0.02)[0]:
+                data = host.recv(4096)
+                if not data:
+                    break
+                *orders, rest = (rest + data).split(b"\n")
+                for order in orders:
+                    host.sendall(instrument.obey(order.decode()))
+            host.sendall(instrument.due())
+    except OSError:
+        pass
+    instrument.rate_hz = 0.0
+
+
+if __name__ == "__main__":
+    main()

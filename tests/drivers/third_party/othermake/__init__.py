@@ -1,0 +1,1 @@
+"""Othermake's laser tracker LT-50 for Truepath."""
