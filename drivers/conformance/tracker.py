@@ -82,7 +82,7 @@ def start_twice_is_one_stream(make: MakeTracker) -> None:
 
 
 def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
-    """Numbers of one connection rise over `stop` and `start`; that is no loss."""
+    """Numbers and times of one connection rise over `stop` and `start`."""
     with make() as tracker:
         blocks: list[TrackerSamples] = []
         for _ in range(2):
@@ -90,9 +90,11 @@ def numbers_go_on_after_a_pause(make: MakeTracker) -> None:
             blocks.append(_read(tracker, 20))
             tracker.stop()
             blocks.append(tracker.read(0.05))
-        sequence = TrackerSamples.join(blocks).sequence
+        samples = TrackerSamples.join(blocks)
         lost = tracker.health.lost_samples
+    sequence, time_s = samples.sequence, samples.device_time_s
     require(bool((np.diff(sequence) > 0).all()), "numbers do not rise over a pause")
+    require(bool((np.diff(time_s) > 0).all()), "times do not rise over a pause")
     gaps = int(sequence[-1] - sequence[0]) + 1 - len(sequence)
     require(lost == gaps, f"{lost} samples are counted lost, {gaps} are missing")
 

@@ -250,6 +250,11 @@ def test_a_good_controller_passes(shared_machine, check):
 COUNTER = itertools.count()
 
 
+def begin_clock_anew(self, timeout_s):
+    block = GoodTracker.read(self, timeout_s)
+    return replace(block, device_time_s=block.device_time_s % 0.02)
+
+
 def with_faults(base, **faults):
     return type("Faulty", (base,), faults)
 
@@ -276,6 +281,10 @@ def with_faults(base, **faults):
         (
             tracker.numbers_go_on_after_a_pause,
             {"health": property(lambda self: LinkHealth(lost_samples=7))},
+        ),
+        (
+            tracker.numbers_go_on_after_a_pause,
+            {"read": lambda self, timeout_s: begin_clock_anew(self, timeout_s)},
         ),
         (tracker.impossible_rates_are_refused, {"start": lambda self, rate: None}),
         (
