@@ -37,7 +37,7 @@ from app.jobs.store import Store
 from app.jobs.workers import choose_workers
 from app.kinematics.machine import Machine
 from app.measurement.cell import Cell
-from app.measurement.messages import CellConfig
+from app.measurement.messages import CellConfig, StreamTimeouts
 from app.plugins import load
 from app.service_log import configure_log
 from app.settings import Settings
@@ -149,6 +149,7 @@ def _load_machine(
         settings.tracker_options,
         settings.motion_driver,
         settings.motion_options,
+        StreamTimeouts(**{f"{k}_s": v for k, v in settings.tracker_patience_s.items()}),
         allow_no_watchdog=settings.allow_no_watchdog,
     )
     return read_machine(settings.machine_file), config

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import platformdirs
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -27,6 +27,8 @@ from sqlalchemy.exc import ArgumentError
 from app.errors import BadInput
 
 Option = str | int | float | bool
+_PATIENCE = ("silent", "dead", "beam", "late", "point")
+_LONGEST_S = 3600.0
 
 
 class Settings(BaseSettings):
@@ -62,6 +64,8 @@ class Settings(BaseSettings):
     machine_file: Path | None = None
     tracker_driver: str = "streaming"
     tracker_options: dict[str, Option] = Field(default_factory=dict)
+    tracker_patience_s: dict[str, float] = Field(default_factory=dict)
+    """What is not usual for this tracker: `silent`, `dead`, `beam`, `late`, `point`."""
     motion_driver: str = "modbus"
     motion_options: dict[str, Option] = Field(default_factory=dict)
     allow_no_watchdog: bool = False
@@ -80,6 +84,16 @@ class Settings(BaseSettings):
 
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["console", "json"] = "console"
+
+    @field_validator("tracker_patience_s")
+    @classmethod
+    def _require_patience(cls, given: dict[str, float]) -> dict[str, float]:
+        for name, value in given.items():
+            if name not in _PATIENCE:
+                raise ValueError(f"{name} is none of {', '.join(_PATIENCE)}")
+            if not 0.0 < value < _LONGEST_S:
+                raise ValueError(f"{name} is {value:g} s, not in 0 to {_LONGEST_S:g} s")
+        return given
 
     @model_validator(mode="after")
     def _require_loopback(self) -> Self:

@@ -15,8 +15,13 @@ from app.alignment.cell_blocks import (
     reduce_standstills,
 )
 from app.alignment.cell_observations import join_blocks
-from app.alignment.cleaning import find_valid_samples, require_units
+from app.alignment.cleaning import find_valid_samples, require_mm, require_seconds
 from app.alignment.left_out import LeftOut, describe_unusable
+from app.alignment.measured_points import (
+    find_measured,
+    list_as_stops,
+    reduce_points,
+)
 from app.alignment.nominal_path import (
     NominalPath,
     compute_nominal_path,
@@ -29,11 +34,12 @@ from app.alignment.sequence import Matching, match_stops, require_targets
 from app.alignment.stops import StopSequence, find_stops
 from app.alignment.surroundings import add_surroundings
 from app.errors import AlignmentError
-from app.files.run import Run
+from app.files.run import PointRows, Run
 
 _TURN_DEG = 1.0  # of rotary axes: more is a line, whether or not the target moves
 _FEWEST_ASTRAY = 3  # standstills that a machine may make by itself
 _SHORTEST_LINE_S = 0.3  # at its feed: shorter ones are mostly ramps
+_FEWEST_POINTS = 4  # of which three tell the pose
 _FEWEST_SAMPLES = 100  # below it there is nothing to match
 
 
@@ -61,6 +67,8 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     cell_mm : longest cell on a line; shorter ones show shorter waves
     Raises AlignmentError if stream and commanded path or points do not belong together.
     """
+    if run.points is not None:
+        return _align_points(run, run.points)
     usable = find_valid_samples(run.tracker, run.commanded.target)
     valid = np.flatnonzero(usable)
     if len(valid) < _FEWEST_SAMPLES:
@@ -96,6 +104,23 @@ def align(run: Run, *, cell_mm: float = CELL_MM) -> Observations:
     return join_blocks(run, parts, matching.pose, in_run, matching.seats, left_out)
 
 
+def _align_points(run: Run, points: PointRows) -> Observations:
+    """Return the observations of a tracker that says which point each sample is of."""
+    valid = find_measured(run.tracker)
+    if len(valid) < _FEWEST_POINTS:
+        raise AlignmentError(
+            f"{len(valid)} points were measured; at least {_FEWEST_POINTS} tell where "
+            "the tracker stands"
+        )
+    time_s = run.tracker.device_time_s[valid]
+    tracker_mm = run.tracker.position_mm[valid]
+    nominal, _, matching = _match(run, time_s, tracker_mm)
+    parts, left_out = reduce_points(run, points, valid, matching, nominal)
+    left_out += _list_points_without_stop(run, parts)
+    seen = join_blocks(run, parts, matching.pose, (), matching.seats, left_out)
+    return replace(seen, offered=int(points.count.sum()))
+
+
 def _match(
     run: Run, time_s: Float64[np.ndarray, " n"], tracker_mm: Float64[np.ndarray, "n 3"]
 ) -> tuple[NominalPath, StopSequence, Matching]:
@@ -104,8 +129,12 @@ def _match(
     nominal = compute_nominal_path(machine, path)
     commanded = "path.csv" if run.mode == "otf" else "points.csv"
     _require_motion(nominal, commanded)
-    require_units(time_s, tracker_mm, nominal.place_mm, machine.tracker.rate_hz)
-    stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
+    require_mm(tracker_mm, nominal.place_mm)
+    if run.points is None:
+        require_seconds(time_s, machine.tracker.rate_hz)
+        stops = find_stops(time_s, tracker_mm, nominal.slowest_mm_s)
+    else:
+        stops = list_as_stops(tracker_mm)
     seating = find_seating(machine, path, nominal.first)
     matching = match_stops(
         stops, nominal.place_mm, ordered_by=commanded, seating=seating

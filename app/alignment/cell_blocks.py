@@ -22,6 +22,7 @@ STANDSTILL_SETTLE_S = 0.05  # left out at both ends of a standstill, at the leas
 _TO_REST = 4.0  # times the way that is left, by the speed there: even soft jerks end
 _FEWEST_SAMPLES = 5  # of a standstill
 _PARABOLA = 5  # samples before and after, through which one is laid
+_CREEP_SIGMAS = 5.0  # of a quarter of a standstill: rare samples are no creep
 _CREEP_MM = 0.03  # several times what the air does in a second
 
 
@@ -253,7 +254,11 @@ def reduce_standstills(
         left_mm = stream.tracker_mm[[first, last - 1]] - stops.position_mm[stop]
         wait_s = _TO_REST * np.linalg.norm(left_mm, axis=1) / slow_mm_s
         inside = _find_settled(stream, first, last, wait_s)
-        if len(inside) < _FEWEST_SAMPLES or _creeps(stream.tracker_mm[inside]):
+        if len(inside) < _FEWEST_SAMPLES:
+            continue
+        distance_mm = np.linalg.norm(stops.position_mm[[stop]], axis=1)
+        sigma_mm = float(run.machine.tracker.sigma_mm(distance_mm).max())
+        if _creeps(stream.tracker_mm[inside], sigma_mm):
             continue
         span = float(stream.time_s[inside[-1]] - stream.time_s[inside[0]])
         cells = reduce_to_cells(
@@ -261,7 +266,7 @@ def reduce_standstills(
             stream.tracker_mm[inside],
             _at_rest,
             run.machine.tracker.sigma_mm,
-            count_cells(span),
+            min(count_cells(span), max(1, len(inside) // _FEWEST_SAMPLES)),
         )
         left_out = _describe_outliers(cells, stream.time_s[inside], row)
         expected = _at_rest(cells.time_s)
@@ -291,11 +296,14 @@ def _at_rest(time_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
     return np.zeros((len(time_s), 3))
 
 
-def _creeps(tracker_mm: Float64[np.ndarray, "n 3"]) -> bool:
+def _creeps(tracker_mm: Float64[np.ndarray, "n 3"], sigma_mm: float) -> bool:
     """Tell whether a target moves that was too slow to be told from one at rest.
 
     A target near a rotary axis, or on a table that hardly turns, does so on the way.
+
+    sigma_mm : noise of a sample
     """
+    noise_mm = _CREEP_SIGMAS * sigma_mm / np.sqrt(0.25 * len(tracker_mm))
     quarters = np.array_split(tracker_mm, 4)
     means = np.array([quarter.mean(axis=0) for quarter in quarters])
-    return bool(np.linalg.norm(np.ptp(means, axis=0)) > _CREEP_MM)
+    return bool(np.linalg.norm(np.ptp(means, axis=0)) > max(_CREEP_MM, noise_mm))

@@ -224,16 +224,13 @@ _LENGTHS = {"m": 1e-3, "inch": 1.0 / 25.4, "µm": 1e3}
 _TIMES = {"ms": 1e3, "µs": 1e6, "ns": 1e9}
 
 
-def require_units(
-    time_s: Float64[np.ndarray, " n"],
-    tracker_mm: Float64[np.ndarray, "n 3"],
-    place_mm: Float64[np.ndarray, "m 3"],
-    rate_hz: float,
+def require_mm(
+    tracker_mm: Float64[np.ndarray, "n 3"], place_mm: Float64[np.ndarray, "m 3"]
 ) -> None:
-    """Refuse a stream in metres, inches or milliseconds, by its size.
+    """Refuse a stream in metres or inches, by its size.
 
     place_mm : nominal target points of the path
-    Raises AlignmentError naming the column and the unit that would fit.
+    Raises AlignmentError naming the columns and the unit that would fit.
     """
     size = _size(np.percentile(tracker_mm, [1.0, 99.0], axis=0))
     ratio = size / max(
@@ -245,6 +242,13 @@ def require_units(
             f"the stream spans {size:.3g} mm, {ratio:.2g} times what the path does: "
             f"x_mm, y_mm and z_mm look like {unit}; convert them to mm"
         )
+
+
+def require_seconds(time_s: Float64[np.ndarray, " n"], rate_hz: float) -> None:
+    """Refuse a stream in milliseconds or less, by its steps.
+
+    Raises AlignmentError naming the column and the unit that would fit.
+    """
     step = float(np.median(np.diff(time_s)))
     unit = _unit(step * rate_hz, _TIMES)
     if unit:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 _BLOCK_S, _FEWEST = 0.02, 5  # samples on either side whose means tell a speed
+_QUIET_S = 0.06  # noise of a sample over the speed of rest, that of two means
 SAME_PLACE_MM = 0.1  # nearer than this two standstills are one
 
 
@@ -33,8 +34,14 @@ class StopSequence:
 
 
 def count_block(time_step_s: float) -> int:
-    """Return how many samples on either side tell a speed, at any rate."""
-    return max(_FEWEST, round(_BLOCK_S / max(time_step_s, 1e-9)))
+    """Return how many samples on either side tell a speed, at any rate.
+
+    As many as keep its noise below the speed of rest: rare samples are far apart in
+    time, so that fewer do, and more would not fit into a standstill.
+    """
+    step_s = max(time_step_s, 1e-9)
+    enough = int(np.ceil((_QUIET_S / step_s) ** (2.0 / 3.0)))
+    return max(min(_FEWEST, enough), round(_BLOCK_S / step_s))
 
 
 def speed_mm_s(

@@ -138,6 +138,7 @@ def record(
     from app.measurement.run_reading import open_run
     from app.plugins import load
     from app.settings import load_settings
+    from drivers.interfaces.tracker import PolledTracker
 
     settings = load_settings(config)
     machine_file = machine or settings.machine_file
@@ -151,6 +152,11 @@ def record(
         raise BadInput(f"{run_file}: is there already; name another folder")
     open_tracker = load("truepath.trackers", settings.tracker_driver)
     tracker = open_tracker(**settings.tracker_options)
+    if isinstance(tracker, PolledTracker):
+        raise BadInput(
+            f"tracker_driver {settings.tracker_driver} measures point by point, so it "
+            "records nothing while a program runs; use a tracker that streams"
+        )
     output.mkdir(parents=True, exist_ok=True)
     closed = record_run(tracker, header, run_file, seconds)
     write_bundle(open_run(run_file), output)

@@ -26,13 +26,14 @@ from app.files.machine_file import decode_machine, encode_machine
 from app.files.recorded_files import (
     decode_environment,
     decode_reference,
-    decode_stream,
+    decode_tracker,
     encode_environment,
     encode_reference,
     encode_stream,
 )
-from app.files.run import Run
+from app.files.run import PointRows, Run
 from app.files.whole_files import MAX_TEXT_BYTES, write_files
+from app.motion.configurations import Commanded
 from drivers.interfaces.records import Path
 
 FILES = (
@@ -66,13 +67,16 @@ def read_bundle(path: str | FilePath) -> Run:
         commanded = decode_commanded(data, machine, commanded_file, is_path=is_path)
         tracker_file = _choose_file(files, "tracker.parquet", "tracker.csv")
         stream = files[tracker_file]()
+        tracker, points = decode_tracker(stream, file=tracker_file)
+        _require_rows(points, commanded, tracker_file)
         environment = files.get("environment.csv")
         reference = files.get("reference.csv")
         return Run(
             name=_choose_name(FilePath(path)),
             machine=machine,
             commanded=commanded,
-            tracker=decode_stream(stream, file=tracker_file),
+            tracker=tracker,
+            points=points,
             temperature=decode_environment(environment()) if environment else None,
             reference=decode_reference(reference()) if reference else (),
             provenance={
@@ -129,7 +133,7 @@ def _encode_files(run: Run) -> dict[str, bytes]:
     files = {
         "machine.json": encode_machine(run.machine),
         commanded: encode_commanded(run.commanded),
-        "tracker.parquet": encode_stream(run.tracker),
+        "tracker.parquet": encode_stream(run.tracker, run.points),
     }
     if run.temperature is not None and len(run.temperature.time_s):
         files["environment.csv"] = encode_environment(run.temperature)
@@ -141,6 +145,21 @@ def _encode_files(run: Run) -> dict[str, bytes]:
 def _make_folder_name(name: str) -> str:
     kept = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
     return kept.strip(".") or "bundle"
+
+
+def _require_rows(points: PointRows | None, commanded: Commanded, file: str) -> None:
+    """Refuse points of a path, and points beyond the last row of `points.csv`."""
+    if points is None:
+        return
+    if isinstance(commanded, Path):
+        remedy = "leave the column out: a path is measured on the way"
+        raise BundleError(
+            "names points of a path", file=file, column="point", remedy=remedy
+        )
+    if int(points.row.max()) >= len(commanded):
+        problem = f"names point {points.row.max() + 1} of {len(commanded)}"
+        remedy = "count the rows of points.csv from 1"
+        raise BundleError(problem, file=file, column="point", remedy=remedy)
 
 
 def _choose_name(path: FilePath) -> str:

@@ -15,18 +15,32 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from app.errors import BundleError
-from app.files.run import DirectMeasurement
+from app.files.run import DirectMeasurement, PointRows
 from app.files.tables import Table, encode_csv, read_csv, read_parquet
 from drivers.interfaces.records import TemperatureSamples, TrackerSamples
 
 _POSITION = ("x_mm", "y_mm", "z_mm")
+_COVARIANCE = {  # of one shot about the mean
+    "cov_xx_um2": (0, 0),
+    "cov_xy_um2": (0, 1),
+    "cov_xz_um2": (0, 2),
+    "cov_yy_um2": (1, 1),
+    "cov_yz_um2": (1, 2),
+    "cov_zz_um2": (2, 2),
+}
+_UM2 = 1e6  # in a mm²
 _DEGC = "_degC"
 _SYMBOL = re.compile(r"^[A-Z][0-9A-Z][A-Z]$")
 _COLUMNS = ("error", "position_mm", "direction", "value", "unit")
 
 
-def decode_stream(data: bytes, *, file: str = "tracker.parquet") -> TrackerSamples:
-    """Return the samples of a stream; a name that ends in `.csv` is read as CSV."""
+def decode_tracker(
+    data: bytes, *, file: str = "tracker.parquet"
+) -> tuple[TrackerSamples, PointRows | None]:
+    """Return the samples, and what a column `point` says of them; None without it.
+
+    A name that ends in `.csv` is read as CSV.
+    """
     table = read_csv(data, file) if file.endswith(".csv") else read_parquet(data, file)
     table.require("t_s", *_POSITION)
     if not len(table):
@@ -43,12 +57,13 @@ def decode_stream(data: bytes, *, file: str = "tracker.parquet") -> TrackerSampl
             column="status",
             remedy="check that the beam was locked",
         )
-    return TrackerSamples(
-        _rebuild_counter(time_s), time_s, position_mm[~repeats], status[~repeats]
-    )
+    points = _read_points(table, ~repeats) if "point" in table.names else None
+    counter = _rebuild_counter(time_s) if points is None else np.arange(len(time_s))
+    samples = TrackerSamples(counter, time_s, position_mm[~repeats], status[~repeats])
+    return samples, points
 
 
-def encode_stream(samples: TrackerSamples) -> bytes:
+def encode_stream(samples: TrackerSamples, points: PointRows | None = None) -> bytes:
     """Return the `tracker.parquet` of samples."""
     columns = dict(zip(_POSITION, samples.position_mm.T, strict=True))
     table = pa.table(
@@ -56,6 +71,7 @@ def encode_stream(samples: TrackerSamples) -> bytes:
             "t_s": samples.device_time_s,
             **{key: np.ascontiguousarray(value) for key, value in columns.items()},
             "status": samples.status,
+            **({} if points is None else _name_point_columns(points)),
         }
     )
     sink = io.BytesIO()
@@ -113,6 +129,40 @@ def encode_reference(reference: tuple[DirectMeasurement, ...]) -> bytes:
         for position, value in zip(one.position_mm, one.value, strict=True)
     ]
     return encode_csv(dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True)))
+
+
+def _name_point_columns(points: PointRows) -> dict[str, NDArray[np.generic]]:
+    covariance = {
+        key: _UM2 * points.covariance_mm2[:, i, j]
+        for key, (i, j) in _COVARIANCE.items()
+    }
+    return {"point": points.row + 1, "shots": points.count, **covariance}
+
+
+def _read_points(table: Table, kept: NDArray[np.bool_]) -> PointRows:
+    """Return the columns that a polled tracker adds; without more, single shots."""
+    point = table.numbers("point")
+    odd = (point != np.rint(point)) | (point < 1)
+    table.refuse(
+        odd,
+        "point",
+        lambda k: f"is {point[k]:g}, no row of points.csv",
+        "count the rows of points.csv from 1",
+    )
+    shots = np.ones(len(table))
+    if "shots" in table.names:
+        shots = table.numbers("shots")
+        odd = (shots != np.rint(shots)) | (shots < 1)
+        table.refuse(odd, "shots", lambda k: f"is {shots[k]:g}, no number of shots")
+    covariance_mm2 = np.zeros((len(table), 3, 3))
+    for key, (i, j) in _COVARIANCE.items():
+        if key in table.names:
+            covariance_mm2[:, [i, j], [j, i]] = table.numbers(key)[:, None] / _UM2
+    return PointRows(
+        point[kept].astype(np.int64) - 1,
+        shots[kept].astype(np.int64),
+        covariance_mm2[kept],
+    )
 
 
 def _read_clock(

@@ -35,6 +35,20 @@ class DirectMeasurement:
 
 
 @dataclass(frozen=True, slots=True)
+class PointRows:
+    """What is known of each sample where each is the mean of a standstill point.
+
+    row : (n,) int64, of the commanded points, from 0
+    count : (n,) int64, shots in the mean
+    covariance_mm2 : (n, 3, 3) of one shot about the mean; zero where it is not known
+    """
+
+    row: np.ndarray
+    count: np.ndarray
+    covariance_mm2: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
 class RunEvent:
     """Something that happened during a Run, by the host's monotonic clock."""
 
@@ -45,7 +59,10 @@ class RunEvent:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One measurement, whole or as far as it got."""
+    """One measurement, whole or as far as it got.
+
+    points : of a tracker that measures point by point; None where it streams
+    """
 
     name: str
     machine: Machine
@@ -53,6 +70,7 @@ class Run:
     tracker: TrackerSamples
     temperature: TemperatureSamples | None = None
     axis_samples: AxisSamples | None = None
+    points: PointRows | None = None
     reference: tuple[DirectMeasurement, ...] = ()
     events: tuple[RunEvent, ...] = ()
     provenance: dict[str, str] = field(default_factory=dict)
@@ -123,6 +141,8 @@ def digest_run(run: Run) -> str:
     if isinstance(run.commanded, Path):
         commanded.append(run.commanded.feed_mm_min)
     stream = run.tracker
+    if run.points is not None:
+        commanded += [run.points.row, run.points.count, run.points.covariance_mm2]
     for block in (*commanded, stream.device_time_s, stream.position_mm, stream.status):
         digest.update(str(block.shape).encode())
         kind = "<f8" if np.issubdtype(block.dtype, np.floating) else "<i8"

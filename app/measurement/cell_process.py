@@ -42,7 +42,7 @@ from app.plugins import load
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import Identity
-from drivers.interfaces.tracker import Tracker
+from drivers.interfaces.tracker import AnyTracker
 
 log = logging.getLogger(__name__)
 
@@ -85,7 +85,7 @@ class _CellServer:
 
     def __init__(self, config: CellConfig, outbox: Outbox) -> None:
         self._config, self._outbox = config, outbox
-        self._tracker: Tracker | None = None
+        self._tracker: AnyTracker | None = None
         self._motion: MotionController | None = None
         self._identities: dict[str, Identity] = {}
         self._measurement: Measurement | None = None

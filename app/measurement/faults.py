@@ -74,6 +74,12 @@ SILENT = Fault(
     "nothing: it goes on by itself when the stream is back within seconds",
     latched=False,
 )
+POINTS_ONLY = Fault(
+    "points-only",
+    "this tracker measures standing targets, point by point, and the plan is a path",
+    "plan for standstill points, or use a tracker that streams",
+    latched=False,
+)
 SLOW_DISK = Fault(
     "slow-disk",
     "the disk cannot keep up; the feed is held until it has",
@@ -110,6 +116,11 @@ STILL_HELD = Fault(
     "release feed hold and door at the machine, then press Resume",
     latched=False,
 )
+
+
+def make_beam_fault(text: str) -> Fault:
+    """Return the fault of a polled tracker that finds no target, in its own words."""
+    return Fault(BEAM_LOST.code, text, BEAM_LOST.action, latched=False)
 
 
 def make_held_fault(reason: str) -> Fault:

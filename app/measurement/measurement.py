@@ -30,7 +30,7 @@ from app.motion.travel import check_travel
 from drivers.interfaces.errors import DeviceError
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import Identity, MotionState
-from drivers.interfaces.tracker import Tracker
+from drivers.interfaces.tracker import AnyTracker
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class Measurement:
     def __init__(
         self,
         order: MeasurementOrder,
-        tracker: Tracker,
+        tracker: AnyTracker,
         motion: MotionController,
         devices: Mapping[str, Identity],
         report: ReportEvent,

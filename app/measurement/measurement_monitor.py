@@ -16,25 +16,33 @@ import numpy as np
 from app.errors import MeasurementFailed
 from app.measurement.faults import (
     BEAM_LOST,
+    POINTS_ONLY,
     SILENT,
     SLOW_DISK,
     STILL_HELD,
     Aborted,
     Fault,
     classify_fault,
+    make_beam_fault,
     make_held_fault,
     make_silence_fault,
 )
 from app.measurement.measurement_state import HoldReason, MeasurementState
 from app.measurement.messages import CellState, ReportEvent
+from app.measurement.point_reader import PointReader
 from app.measurement.progress import LiveView, ProgressEstimator, RowSchedule
 from app.measurement.recorder import Recorder
 from app.measurement.stream_reader import StreamReader, StreamState
 from app.measurement.timing import EngineSettings, Stopwatch
-from drivers.interfaces.errors import ConnectionLost, DeviceError, DeviceTimeout
+from drivers.interfaces.errors import (
+    BeamLost,
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+)
 from drivers.interfaces.motion import MotionController
 from drivers.interfaces.records import AxisSamples, MotionState, MotionStatus
-from drivers.interfaces.tracker import Tracker
+from drivers.interfaces.tracker import AnyTracker, EventSource, PolledTracker, Tracker
 
 
 class ControllerMonitor:
@@ -100,7 +108,7 @@ class MeasurementMonitor:
 
     def __init__(
         self,
-        tracker: Tracker,
+        tracker: AnyTracker,
         motion: MotionController,
         recorder: Recorder,
         state: MeasurementState,
@@ -115,12 +123,16 @@ class MeasurementMonitor:
         self.state, self._view, self.report = state, view, report
         self._machine = ControllerMonitor(motion, recorder, settings)
         self._stream: StreamReader | None = None
+        self._failures = 0  # of a polled tracker, one after another
+        self._point_s = 0.0
         self._is_machine_hold_reported = False
         self._unconfirmed_hold = Stopwatch(settings.clock)
         self._unconfirmed_resume = Stopwatch(settings.clock)
 
     def begin_stream(self, rate_hz: float) -> None:
         """Start the stream; return at its first valid sample, or raise Fault."""
+        if isinstance(self._tracker, PolledTracker):
+            raise POINTS_ONLY
         stream = self._stream = StreamReader(
             self._tracker, self.recorder, self.settings.timeouts, self.clock
         )
@@ -145,9 +157,65 @@ class MeasurementMonitor:
         self._machine.flush()
 
     @property
+    def is_polled(self) -> bool:
+        """Whether the tracker measures point by point, and there is no stream."""
+        return isinstance(self._tracker, PolledTracker)
+
+    def measure_point(self, row: int, dwell_s: float) -> bool:
+        """Measure a point that the machine stands at and record it.
+
+        Tells whether it was; else the machine moved, the feed is held, or the tracker
+        was out of reach. Raises Fault once that was so too often.
+        """
+        if not isinstance(self._tracker, PolledTracker):
+            raise POINTS_ONLY
+        late_s = self.clock() + dwell_s + self.settings.timeouts.point_s
+        self.tick()
+        here, stood = self._machine.position, True
+        reader = PointReader(self._tracker, dwell_s)
+        try:
+            while stood and not reader.is_over:
+                stood = self._stands(self.tick(), here)
+                if self.clock() > late_s:
+                    raise make_silence_fault(dwell_s + self.settings.timeouts.point_s)
+        finally:
+            reader.stop()
+        if not stood or not self._stands(self.tick(), here):
+            self._record_event("point", f"row {row + 1}: moved while it was measured")
+            return False
+        if reader.failure is not None:
+            self._bear(reader.failure)
+            return False
+        self.recorder.put_point(row, reader.point, reader.take_link_bytes())
+        self._failures, self._point_s = 0, reader.point.time_s
+        return True
+
+    def _stands(self, status: MotionStatus | None, here: tuple[float, ...]) -> bool:
+        """Whether the machine is where it was, and may be measured there."""
+        away = np.abs(np.subtract(self._machine.position, here))
+        is_running = status is not None and status.state is MotionState.RUNNING
+        return not is_running and bool((away <= self.settings.arrival).all())
+
+    def _bear(self, failure: Exception) -> None:
+        """Hold the feed where the beam is lost; connect anew where the link is."""
+        if isinstance(failure, BeamLost):
+            self._hold_feed(HoldReason.BEAM, make_beam_fault(str(failure)))
+            return
+        self._failures += 1
+        if (
+            not isinstance(failure, ConnectionLost | DeviceTimeout)
+            or self._failures > self.settings.point_tries
+        ):
+            raise classify_fault(failure) from failure
+        self._record_event("tracker", str(failure))
+        if isinstance(failure, ConnectionLost):
+            with contextlib.suppress(ConnectionLost, DeviceTimeout):
+                self._tracker.connect()
+
+    @property
     def device_s(self) -> float:
-        """The tracker's clock, 0 before its first sample."""
-        return (self._stream and self._stream.device_time_s) or 0.0
+        """The tracker's clock at its newest sample or point, 0 before the first."""
+        return (self._stream and self._stream.device_time_s) or self._point_s
 
     @property
     def is_beam_good(self) -> bool:
@@ -163,6 +231,7 @@ class MeasurementMonitor:
         if self.state.aborted.wait(self.settings.poll_s):
             raise Aborted("aborted on request")
         self._check_disk()
+        self._tell_events()
         self._check_stream()
         status = self._machine.poll()
         if status is not None:
@@ -200,6 +269,17 @@ class MeasurementMonitor:
         elif HoldReason.SILENCE in self.state.holds:
             # Too short for anybody to have walked up to the machine: go on by itself.
             self._release_hold(HoldReason.SILENCE, "the stream is back")
+
+    def _tell_events(self) -> None:
+        """Record what happens at the tracker; report what somebody has to look at."""
+        if not isinstance(self._tracker, EventSource):
+            return
+        for event in self._tracker.take_events():
+            if event.action:
+                fault = Fault(event.kind, event.text, event.action, latched=False)
+                self.report_fault(fault)
+            else:
+                self._record_event(event.kind, event.text)
 
     def _hold_feed(self, reason: HoldReason, fault: Fault) -> None:
         if self.state.hold(reason, fault.text):
@@ -265,9 +345,14 @@ class MeasurementMonitor:
                     position=self._machine.position,
                     samples=self.recorder.samples,
                     lost_samples=self.recorder.lost_samples,
-                    crc_errors=self._tracker.health.crc_errors,
+                    crc_errors=self._crc_errors,
                 )
             )
+
+    @property
+    def _crc_errors(self) -> int:
+        tracker = self._tracker
+        return tracker.health.crc_errors if isinstance(tracker, Tracker) else 0
 
     def _record_event(self, kind: str, text: str) -> None:
         with contextlib.suppress(MeasurementFailed):

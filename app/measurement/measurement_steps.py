@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.faults import NO_BEAM, UNSTOPPED, Fault
+from app.measurement.faults import NO_BEAM, POINTS_ONLY, UNSTOPPED, Fault
 from app.measurement.measurement_monitor import MeasurementMonitor
 from app.measurement.measurement_state import HoldReason
 from app.measurement.messages import (
@@ -60,6 +60,8 @@ class MeasurementSteps:
     def run(self, commanded: Commanded) -> None:
         """Make the whole measurement; the rows are in the controller's axes."""
         if isinstance(commanded, Path):
+            if self._monitor.is_polled:
+                raise POINTS_ONLY
             self._stream_path(commanded)
         else:
             self._step_through(commanded)
@@ -82,6 +84,7 @@ class MeasurementSteps:
     def _step_through(self, points: Configurations) -> None:
         """Stand at every point in turn while the stream runs, then at further ones.
 
+        A tracker that is polled measures once the machine stands; there is no stream.
         Dwells are counted on the tracker's clock. A pause prolongs the standstill.
         """
         self.approach(points.position[0])
@@ -102,13 +105,27 @@ class MeasurementSteps:
             self._progress.begin(self._progress.first_row + row)
             if row > 0 or not is_there:
                 self.approach(position)
-            self.record_for(self.settings.settle_s + float(points.dwell_s[row]))
+            if self._monitor.is_polled:
+                self._poll_point(position, float(points.dwell_s[row]))
+            else:
+                self.record_for(self.settings.settle_s + float(points.dwell_s[row]))
             until_s = f"until {self._monitor.device_s:.6f} s"
             self._recorder.event("point", f"row {self._progress.row + 1} {until_s}")
             if self.is_concluding and row + 1 < len(points):
                 self.leave_out_rest()
                 return False
         return True
+
+    def _poll_point(self, position: NDArray[np.float64], dwell_s: float) -> None:
+        """Let the tracker measure where the machine stands, until it has and stood."""
+        is_measured = False
+        while not is_measured:
+            self.checkpoint()
+            self.wait_motion(position)
+            begin_s = self._clock()
+            while self._clock() - begin_s < self.settings.settle_s:
+                self._monitor.tick()
+            is_measured = self._monitor.measure_point(self._progress.row, dwell_s)
 
     def approach(self, position: NDArray[np.float64]) -> None:
         """Move straight to a position and wait there."""
@@ -118,8 +135,9 @@ class MeasurementSteps:
 
     def open_stream(self) -> None:
         """Start the tracker's stream and record `lead_s` of it before any motion."""
-        self._monitor.begin_stream(self._order.rate_hz)
-        self.record_for(self.settings.lead_s)
+        if not self._monitor.is_polled:
+            self._monitor.begin_stream(self._order.rate_hz)
+            self.record_for(self.settings.lead_s)
 
     def run_path(self, path: Path) -> None:
         """Start the loaded path and follow it to its end."""
@@ -194,8 +212,9 @@ class MeasurementSteps:
         return arrange_axes(part, self.motion.axes, self._start)
 
     def _wait_for_part(self) -> Commanded | None:
-        if not self.is_concluding:
+        if not self.is_concluding and not self._monitor.is_polled:
             self.record_for(self.settings.settle_s)  # the data of the last row go first
+        if not self.is_concluding:
             self._monitor.report(PartRequested(self._progress.row))
         while not self.is_concluding:
             self._monitor.tick()
@@ -207,7 +226,10 @@ class MeasurementSteps:
         """Record `lead_s` after the last motion."""
         self._progress.end()
         begin_s = self._monitor.device_s
-        while self._monitor.device_s - begin_s < self.settings.lead_s:
+        while (
+            not self._monitor.is_polled
+            and self._monitor.device_s - begin_s < self.settings.lead_s
+        ):
             self._monitor.tick()
 
     def obey(self, command: MeasurementCommand) -> None:

@@ -37,12 +37,14 @@ class StreamTimeouts:
 
     late_s : what counts at most of a time in which the host did not run: a suspended or
         starved process reads nothing, and finds all data waiting afterwards
+    point_s : how much longer than its dwell a point of a polled tracker may take
     """
 
     silent_s: float = 0.5
     dead_s: float = 5.0
     beam_s: float = 0.25
     late_s: float = 0.25
+    point_s: float = 20.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
     LINK_STREAM,
+    POINT_STREAM,
     TRACKER_STREAM,
     Batch,
     RunHeader,
@@ -38,6 +39,7 @@ from app.measurement.run_file import (
     insert_batches,
     insert_events,
     pack_axes,
+    pack_point,
     pack_samples,
     put_manifest,
     replace_commanded,
@@ -46,6 +48,7 @@ from app.measurement.run_file import (
 )
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import AxisSamples, TrackerSamples
+from drivers.interfaces.tracker_records import PointMeasurement
 
 log = logging.getLogger(__name__)
 
@@ -132,6 +135,20 @@ class Recorder:
                 batches.append(_stamp_batch(LINK_STREAM, seq0, len(link), link))
             if batches:
                 self._put(_Item(batches=tuple(batches), samples=samples))
+
+    def put_point(self, row: int, point: PointMeasurement, link: bytes = b"") -> None:
+        """Hand over the mean of a standstill point and the commanded row it is of."""
+        with self._lock:
+            number = self.samples
+            record = pack_point(row, point)
+            self._put(_Item((_stamp_batch(POINT_STREAM, number, 1, record),)))
+        sample = TrackerSamples(
+            np.array([number]),
+            np.array([point.time_s]),
+            point.position_mm[None],
+            np.zeros(1, np.int64),
+        )
+        self.put_tracker(sample, link)
 
     def put_axes(self, samples: AxisSamples) -> None:
         """Hand over controller positions."""

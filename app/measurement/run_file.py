@@ -5,6 +5,8 @@ with a CRC-32, `event` what happened. Streams:
 
 tracker : records of `TRACKER`; seq0 is the device's counter of the first sample
 tracker.link : bytes as the tracker's port received them; seq0 counts bytes
+tracker.point : records of `POINT`, one a sample of a tracker that is polled; seq0 is
+    the number of that sample
 axes : host_time_s and one position per axis, all <f8; seq0 counts rows
 
 SQLite does not checksum its pages, hence the CRC, over stream, seq0, n, both times and
@@ -20,11 +22,12 @@ import sqlite3
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.files.commanded_file import decode_commanded_json, encode_commanded_json
 from app.files.machine_file import machine_from_json, machine_to_json
@@ -32,6 +35,7 @@ from app.files.whole_files import sync_to_disk
 from app.kinematics.machine import Machine
 from app.motion.configurations import Commanded
 from drivers.interfaces.records import AxisSamples, Identity, TrackerSamples
+from drivers.interfaces.tracker_records import Air, PointMeasurement
 
 SCHEMA = "run/1"
 CLOSED = "closed"  # key of the manifest that is written at the end
@@ -47,6 +51,7 @@ CREATE TABLE event (
   kind TEXT NOT NULL, body TEXT NOT NULL) STRICT;
 """
 TRACKER_STREAM, LINK_STREAM, AXES_STREAM = "tracker", "tracker.link", "axes"
+POINT_STREAM = "tracker.point"
 _TRACKER_COLUMNS = [
     ["sequence", "<i8", "1"],
     ["device_time_s", "<f8", "s"],
@@ -54,6 +59,16 @@ _TRACKER_COLUMNS = [
     ["status", "<i8", "1"],
 ]
 TRACKER = np.dtype([(name, kind) for name, kind, _ in _TRACKER_COLUMNS])
+_POINT_COLUMNS = [
+    ["row", "<i8", "1"],
+    ["count", "<i8", "1"],
+    ["covariance_mm2", "(3,3)<f8", "mm2"],
+    ["temperature_degc", "<f8", "degC"],
+    ["pressure_hpa", "<f8", "hPa"],
+    ["humidity_percent", "<f8", "%"],
+    ["quality", "<f8", "1"],
+]
+POINT = np.dtype([(name, kind) for name, kind, _ in _POINT_COLUMNS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +117,7 @@ def encode_manifest(header: RunHeader, started: str) -> dict[str, str]:
         "streams": {
             TRACKER_STREAM: {"record": _TRACKER_COLUMNS},
             LINK_STREAM: {"record": "bytes as received"},
+            POINT_STREAM: {"record": _POINT_COLUMNS},
             AXES_STREAM: {
                 "record": [
                     ["host_time_s", "<f8", "s"],
@@ -159,6 +175,19 @@ def unpack_samples(payload: bytes) -> TrackerSamples:
     """Return the samples of records of `TRACKER`."""
     rows = np.frombuffer(payload, TRACKER)
     return TrackerSamples(*(rows[name].copy() for name in TRACKER.names or ()))
+
+
+def pack_point(row: int, point: PointMeasurement) -> bytes:
+    """Return a measured point, and the commanded row it is of, as a record `POINT`."""
+    air = point.air or Air()
+    record = np.zeros(1, POINT)
+    record[0] = (row, point.count, point.covariance_mm2, *astuple(air), point.quality)
+    return record.tobytes()
+
+
+def unpack_points(payload: bytes) -> NDArray[np.void]:
+    """Return records of `POINT`."""
+    return np.frombuffer(payload, POINT)
 
 
 def pack_axes(samples: AxisSamples) -> bytes:

@@ -17,15 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.errors import BundleError
-from app.files.run import Run, RunEvent
+from app.files.run import PointRows, Run, RunEvent
 from app.files.whole_files import sync_to_disk
 from app.measurement.faults import NO_WATCHDOG
 from app.measurement.messages import RunClosed
 from app.measurement.run_file import (
     AXES_STREAM,
     CLOSED,
+    POINT_STREAM,
     TRACKER_STREAM,
     Batch,
     connect,
@@ -37,12 +39,18 @@ from app.measurement.run_file import (
     seal,
     transaction,
     unpack_axes,
+    unpack_points,
     unpack_samples,
 )
-from drivers.interfaces.records import AxisSamples, TrackerSamples
+from drivers.interfaces.records import (
+    AxisSamples,
+    TemperatureSamples,
+    TrackerSamples,
+)
 
 _LEAST_ROW_BYTES = 64  # no row of the file is smaller
 _NAMED_PROBLEMS = 100  # beyond them nobody reads on
+_ROWS = "row", "count", "covariance_mm2"
 _TORN = "torn"  # outcome of a Run whose writer was killed
 _NO_RUN = ("no such table", "not a database")
 
@@ -76,14 +84,16 @@ def open_run(file: str | Path) -> Run:
         raise BundleError(
             f"the manifest is damaged ({error})", file=place.name, remedy="use a copy"
         ) from error
-    tracker = _tracker(content.batches)
+    tracker, points = _join_points(_tracker(content.batches), content.batches)
     missing = [*content.problems, *_find_gaps(tracker)]
     return Run(
         name=header.name,
         machine=header.machine,
         commanded=header.commanded,
         tracker=tracker,
+        temperature=_read_air(tracker, points),
         axis_samples=_axes(content.batches, header.axes),
+        points=None if points is None else PointRows(*map(points.__getitem__, _ROWS)),
         events=(*content.events, *_make_events(missing)),
         provenance={
             "source": place.name,
@@ -220,6 +230,34 @@ def _read_table(
 def _tracker(batches: list[Batch]) -> TrackerSamples:
     return TrackerSamples.join(
         [unpack_samples(b.payload) for b in batches if b.stream == TRACKER_STREAM]
+    )
+
+
+def _join_points(
+    tracker: TrackerSamples, batches: list[Batch]
+) -> tuple[TrackerSamples, NDArray[np.void] | None]:
+    """Return the samples that are whole points, and their records; None of a stream."""
+    found = [b for b in batches if b.stream == POINT_STREAM]
+    if not found:
+        return tracker, None
+    number = np.array([b.seq0 for b in found])
+    records = np.concatenate([unpack_points(b.payload) for b in found])
+    _, sample, point = np.intersect1d(tracker.sequence, number, return_indices=True)
+    return tracker.select(sample), records[point]
+
+
+def _read_air(
+    tracker: TrackerSamples, points: NDArray[np.void] | None
+) -> TemperatureSamples | None:
+    """Return the temperature of the air that the tracker told with its points."""
+    if points is None or not len(points):
+        return None
+    celsius = points["temperature_degc"]
+    told = np.isfinite(celsius)
+    if not told.any():
+        return None
+    return TemperatureSamples(
+        ("air",), tracker.device_time_s[told], celsius[told, None].copy()
     )
 
 

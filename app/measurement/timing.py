@@ -19,6 +19,7 @@ class EngineSettings:
     lead_s : stream before the first and after the last motion, tracker's clock
     settle_s : between the end of a move and the dwell at a point, tracker's clock
     arrival : how far from a commanded position an axis may stand, mm or deg
+    point_tries : how often in a row a polled tracker may be out of reach
     axes_rows : controller positions that are written together
     clock : by which the engine waits, monotonic
     allow_no_watchdog : as in `CellConfig`
@@ -32,6 +33,7 @@ class EngineSettings:
     settle_s: float = 0.3
     arrival: float = 0.02
     progress_s: float = 0.2
+    point_tries: int = 3
     axes_rows: int = 10
     timeouts: StreamTimeouts = field(default_factory=StreamTimeouts)
     clock: Callable[[], float] = time.monotonic

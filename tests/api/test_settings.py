@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import ExitStack
 
 import pytest
 
 from app.errors import BadInput
+from app.files.machine_file import encode_machine
 from app.jobs.workers import Workers, choose_workers
-from app.main import open_service
+from app.main import _load_machine, open_service
 from app.settings import load_settings
 
 
@@ -69,6 +71,16 @@ def test_options_of_drivers_are_tables_in_the_file_and_json_in_the_environment(
     assert settings.motion_options == {"host": "10.0.0.2", "port": 502}
 
 
+def test_patience_with_a_tracker_reaches_its_cell(toml, tmp_path, mill):
+    machine = tmp_path / "machine.json"
+    machine.write_bytes(encode_machine(mill))
+    text = f'machine_file = "{machine}"\n[tracker_patience_s]\npoint = 60.0\n'
+    with ExitStack() as stack:
+        _, cell = _load_machine(load_settings(toml(text)), stack)
+    assert cell is not None
+    assert (cell.timeouts.point_s, cell.timeouts.dead_s) == (60.0, 5.0)
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -80,6 +92,8 @@ def test_options_of_drivers_are_tables_in_the_file_and_json_in_the_environment(
         ('host = "mill.example"', "host mill.example can be reached"),
         ("simulated_speed = 0", "setting simulated_speed: Input should be greater"),
         ("[tracker_options]\na = [1]\n", "setting tracker_options.a"),
+        ("[tracker_patience_s]\nsilence = 1.0\n", "silence is none of silent, dead"),
+        ("[tracker_patience_s]\ndead = 0.0\n", "dead is 0 s, not in 0 to 3600 s"),
     ],
 )
 def test_a_setting_that_cannot_be_used_is_named(toml, text, problem):

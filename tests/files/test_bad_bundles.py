@@ -380,6 +380,17 @@ TABLE: list[tuple[str, Edit, str]] = [
     ),
     ("time still", sample("t_s", 1, 1234.5), "row 2, column t_s: does not increase"),
     (
+        "points of a path",
+        column("point", [1] * 400),
+        "tracker.parquet, column point: names points of a path",
+    ),
+    ("point 0", column("point", [0] * 400), "row 1, column point: is 0, no row"),
+    (
+        "half a shot",
+        both(column("point", [1] * 400), column("shots", [0.5] * 400)),
+        "row 1, column shots: is 0.5, no number",
+    ),
+    (
         "half status",
         column("status", [0.5] * 400),
         "row 1, column status: is 0.5, no wh",

@@ -1,0 +1,98 @@
+"""What trackers say beside samples: what they can do, points, air, events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Clock(StrEnum):
+    """Whose clock stamps what a tracker measures."""
+
+    DEVICE = "device"
+    HOST = "host"  # as good as the scheduler: for points at standstill
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerCapabilities:
+    """What an instrument can do, known after `connect`.
+
+    streams : it sends samples by itself; else each point is asked for
+    max_rate_hz : highest rate of samples, or of shots at a point; 0 if not known
+    distance : how it measures distance, `IFM`, `ADM` or `EDM`; empty if not known
+    corrects_air : it applies the refraction of the air to its distances itself; None
+        if not known
+    """
+
+    streams: bool = True
+    max_rate_hz: float = 0.0
+    clock: Clock = Clock.DEVICE
+    distance: str = ""
+    corrects_air: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """The air that the beam goes through; NaN where it is not known."""
+
+    temperature_degc: float = np.nan
+    pressure_hpa: float = np.nan
+    humidity_percent: float = np.nan
+
+
+@dataclass(frozen=True, slots=True)
+class PointMeasurement:
+    """The mean of some shots at a target that stood still, in the tracker's frame.
+
+    time_s : middle of the measurement, by the clock that the capabilities name
+    position_mm : (3,) mean
+    covariance_mm2 : (3, 3) of one shot about the mean; zero where that is not known
+    count : shots in the mean
+    air : as the instrument reports it; None if it does not
+    quality : as the instrument reports it, 1 is best; NaN if it does not
+    """
+
+    time_s: float
+    position_mm: NDArray[np.float64]
+    covariance_mm2: NDArray[np.float64]
+    count: int
+    air: Air | None = None
+    quality: float = np.nan
+
+    @classmethod
+    def average(
+        cls,
+        time_s: NDArray[np.float64],
+        shots_mm: NDArray[np.float64],
+        air: Air | None = None,
+        quality: float = np.nan,
+    ) -> PointMeasurement:
+        """Return the mean of single shots, (n, 3)."""
+        mean = shots_mm.mean(axis=0)
+        away = shots_mm - mean
+        square = away.T @ away / max(len(shots_mm) - 1, 1)
+        middle_s = 0.5 * float(time_s[0] + time_s[-1])
+        return cls(middle_s, mean, square, len(shots_mm), air, quality)
+
+
+class TrackerEventKind(StrEnum):
+    """What happened at a tracker."""
+
+    BEAM_LOST = "beam-lost"
+    BEAM_LOCKED = "beam-locked"
+    WARNING = "tracker-warning"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerEvent:
+    """Something that happened at a tracker, in plain words.
+
+    action : what a person can do about it; empty where nothing is to be done
+    """
+
+    kind: TrackerEventKind
+    text: str
+    action: str = ""
