@@ -241,19 +241,10 @@ class TrackerDevice:
         number: np.ndarray,
     ) -> tuple[RawSamples, np.ndarray]:
         """Return samples and the machine times at which they were taken."""
-        parts = self._parts
         clock_us = stream.clock_us(index)
-        moments_s = parts.clock.true_s(1e-6 * clock_us)
-        point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
-        if parts.hidden:
-            point = to_cartesian(misread(to_spherical(point), parts.hidden))
+        moments_s = self._parts.clock.true_s(1e-6 * clock_us)
         noise = stream.noise.draw(len(index))
-        polar = measure_polar(point, noise, parts.truth.machine.tracker)
-        for fault, mask in self._faults.struck("spike", moments_s, number):
-            polar[mask, 0] += fault.amount
-        status = np.zeros(len(index), np.int64)
-        for _, mask in self._faults.struck("beam-break", moments_s, number):
-            status[mask] |= StatusBit.BEAM_BROKEN
+        polar, status = self.sight(timeline, moments_s, number, noise)
         if self._overflown:
             status[0] |= StatusBit.OVERFLOW
             self._overflown = False
@@ -268,6 +259,29 @@ class TrackerDevice:
             status,
             np.where(locked, _LOCKED_SIGNAL, 0),
         ), moments_s
+
+    def sight(
+        self,
+        timeline: Timeline,
+        moments_s: np.ndarray,
+        number: np.ndarray,
+        noise: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return range (mm), azimuth, elevation (rad) and status at machine times.
+
+        number : of the samples; noise : (n, 3) of unit variance
+        """
+        parts = self._parts
+        point = parts.pose.from_table(self._locate_target_mm(timeline, moments_s))
+        if parts.hidden:
+            point = to_cartesian(misread(to_spherical(point), parts.hidden))
+        polar = measure_polar(point, noise, parts.truth.machine.tracker)
+        for fault, mask in self._faults.struck("spike", moments_s, number):
+            polar[mask, 0] += fault.amount
+        status = np.zeros(len(moments_s), np.int64)
+        for _, mask in self._faults.struck("beam-break", moments_s, number):
+            status[mask] |= StatusBit.BEAM_BROKEN
+        return polar, status
 
     def _locate_target_mm(
         self, timeline: Timeline, moments_s: np.ndarray

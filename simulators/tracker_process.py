@@ -13,10 +13,13 @@ from simulators.board import BoardReader
 from simulators.child import LifeLine, is_question
 from simulators.faults import Schedule, parse_fault
 from simulators.followed_positions import FollowedPositions
+from simulators.geocom_station import GeoComStation
 from simulators.hidden.drawing import from_json
+from simulators.line_instrument import LineInstrument
 from simulators.links import Port, PtyPort, TcpPort
 from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
+from simulators.polled_head import PolledHead
 from simulators.random_machine import random_machine
 from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
 from simulators.tracker_head import Air
@@ -24,6 +27,8 @@ from simulators.tracker_head import Air
 # Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
 PERIOD_S = 0.02
 _IDLE_S = 0.1
+_POLLED = {"geocom": GeoComStation}
+Device = TrackerDevice | LineInstrument
 
 
 def main() -> None:
@@ -79,7 +84,7 @@ def _serve(life: LifeLine, port: Port, orders: dict[str, Any]) -> None:
         _wait([life.descriptor, *port.descriptors()], port, wake_s)
 
 
-def _converse(device: TrackerDevice, port: Port, now_s: float, wall_s: float) -> None:
+def _converse(device: Device, port: Port, now_s: float, wall_s: float) -> None:
     data = port.receive()
     while data != b"":
         if data is None:
@@ -117,7 +122,7 @@ def _port(link: dict[str, Any]) -> Port:
     return PtyPort(Path(link["symlink"]) if link["symlink"] else None)
 
 
-def _device(orders: dict[str, Any], faults: Schedule) -> TrackerDevice:
+def _device(orders: dict[str, Any], faults: Schedule) -> Device:
     machine, seed = parse_machine(orders["machine"]), orders["seed"]
     parts = TrackerParts(
         random_machine(machine, seed, scale=orders["error_scale"]),
@@ -127,6 +132,8 @@ def _device(orders: dict[str, Any], faults: Schedule) -> TrackerDevice:
         seed,
         tuple(map(from_json, orders["hidden"])),
     )
+    if make := _POLLED.get(orders.get("protocol", "gst")):
+        return make(PolledHead(parts, faults))
     # Patience of a link stays in wall seconds: a faster clock fills a larger buffer.
     buffer_bytes = int(BUFFER_BYTES * max(orders["speed"], 1.0))
     return TrackerDevice(parts, faults, buffer_bytes)

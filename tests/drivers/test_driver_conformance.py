@@ -12,9 +12,11 @@ import pytest
 from drivers.conformance import device, motion, tracker
 from drivers.conformance.checking import NotConforming
 from drivers.conformance.motion import MOTION_CHECKS
+from drivers.conformance.polled_tracker import POLLED_CHECKS
 from drivers.conformance.tracker import TRACKER_CHECKS
 from drivers.interfaces.errors import (
     ConnectionLost,
+    DeviceError,
     DeviceTimeout,
     OutOfTravel,
     Refused,
@@ -37,12 +39,14 @@ CONTROLLERS = {
 # Where a driver of that name finds a device, on a running bench. A new driver of ours
 # needs a line here.
 TRACKER_PEERS = {"streaming": ["tracker_options"]}
+POLLED = {"geocom"}  # each with simulated instruments of its own name
 CONTROLLER_PEERS = {
     "modbus": ["motion_options", "motion_options_rtu"],
     "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
 }
 ABSENT = {
     "streaming": {"port": "/dev/truepath-no-such-port"},
+    "geocom": {"port": "/dev/truepath-no-such-port"},
     "modbus": {"serial_port": "/dev/truepath-no-such-port"},
     "linuxcnc": {"host": "127.0.0.1", "port": 9},
 }
@@ -67,7 +71,8 @@ def test_every_registered_driver_of_ours_has_a_peer():
         for point in (*TRACKERS.values(), *CONTROLLERS.values())
         if point.module.startswith("drivers.")
     }
-    assert ours == set(TRACKER_PEERS) | set(CONTROLLER_PEERS) == set(ABSENT)
+    peers = set(TRACKER_PEERS) | POLLED | set(CONTROLLER_PEERS)
+    assert ours == peers == set(ABSENT)
 
 
 @pytest.mark.parametrize("name", TRACKER_PEERS)
@@ -77,6 +82,31 @@ def test_trackers_conform(tracker_bench, name, check):
     for peer in TRACKER_PEERS[name]:
         options = getattr(tracker_bench, peer)
         check(lambda options=options: factory(**options))
+
+
+@pytest.fixture(scope="module", params=sorted(POLLED))
+def polled_bench(request):
+    with Bench(protocol=request.param, speed=20.0, rtu=False) as bench:
+        yield request.param, bench
+
+
+@pytest.mark.parametrize("check", POLLED_CHECKS, ids=lambda check: check.__name__)
+def test_polled_trackers_conform(polled_bench, check):
+    name, bench = polled_bench
+    factory = TRACKERS[name].load()
+    check(lambda: factory(**bench.tracker_options))
+
+
+@pytest.mark.parametrize("fault", ["beam-break@0s+600s", "silence@0s+600s"])
+def test_polled_trackers_return_no_point_without_a_target(polled_bench, fault):
+    name, bench = polled_bench
+    factory = TRACKERS[name].load()
+    patience = {"reply_timeout_s": 0.3, "shot_s": 0.3, "turn_s": 0.3}
+    with factory(**bench.tracker_options, **patience) as tracker:
+        bench.inject("tracker:" + fault.replace("600s", "20s"))
+        time.sleep(0.2)
+        with pytest.raises(DeviceError):
+            tracker.measure(0.0)
 
 
 @pytest.mark.parametrize(

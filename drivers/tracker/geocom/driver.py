@@ -1,0 +1,301 @@
+"""The driver of Leica instruments that speak GeoCOM."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces.errors import (
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from drivers.interfaces.records import Identity
+from drivers.interfaces.tracker import (
+    AirExchange,
+    ByteLink,
+    EventSource,
+    PolledTracker,
+    TargetFinder,
+)
+from drivers.interfaces.tracker_records import (
+    Air,
+    Clock,
+    PointMeasurement,
+    TrackerCapabilities,
+    TrackerEvent,
+    TrackerEventKind,
+)
+from drivers.tracker.geocom.codec import (
+    NO_TARGET,
+    WITH_A_WARNING,
+    Procedure,
+    Reply,
+    describe_code,
+    to_cartesian_mm,
+)
+from drivers.tracker.geocom.psychrometer import find_humidity, find_wet_bulb
+from drivers.tracker.geocom.session import GeoComSession, decode, expect_ok
+from drivers.transport.line_link import LineLink
+from drivers.transport.serial_port import SerialPort
+from drivers.transport.tcp_port import TcpPort
+
+log = logging.getLogger(__name__)
+
+P = Procedure
+_DISTANCE, _CLEAR = 1, 3  # programs of TMC_DoMeasure
+_AUTO = 1  # treatment of the inclination
+
+
+class GeoComTracker(PolledTracker, ByteLink, EventSource, TargetFinder, AirExchange):
+    """A Leica instrument on a serial port (`port`) or behind TCP (`host` and `port`).
+
+    serial_number : refuse any other instrument
+    prism_constant_mm : set in the instrument and read back; left as it is without
+    follows : lock on the prism and follow it from point to point
+    search_rad : width and height of the window in which a lost prism is sought
+    reply_timeout_s : longest wait for a reply; measuring and turning have longer ones
+    shot_s : the instrument's longest time for one distance
+    turn_s : its longest time to turn or to search
+    """
+
+    def __init__(
+        self,
+        port: str | int,
+        *,
+        host: str | None = None,
+        baudrate: int = 115_200,
+        serial_number: str = "",
+        prism_constant_mm: float | None = None,
+        follows: bool = True,
+        search_rad: float = 0.05,
+        reply_timeout_s: float = 2.0,
+        shot_s: float = 5.0,
+        turn_s: float = 20.0,
+    ) -> None:
+        bytes_port = (
+            SerialPort(str(port), baudrate)
+            if host is None
+            else TcpPort(host, int(port))
+        )
+        self._link = LineLink(bytes_port)
+        self._serial_number = serial_number
+        self._prism_constant_mm = prism_constant_mm
+        self._follows, self._search_rad = follows, search_rad
+        self._session = GeoComSession(self._link, reply_timeout_s)
+        self._shot_s, self._turn_s = shot_s, turn_s
+        self._lock = threading.RLock()
+        self._stopping = threading.Event()
+        self._identity: Identity | None = None
+        self._events: list[TrackerEvent] = []
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """Polled; distances by EDM, with the atmosphere that the instrument holds."""
+        return TrackerCapabilities(
+            streams=False, clock=Clock.HOST, distance="EDM", corrects_air=True
+        )
+
+    def connect(self) -> Identity:
+        """Open the port, ask who is there, set prism constant and lock."""
+        with self._lock:
+            if self._identity is None or not self._link.is_open:
+                self._link.close()
+                self._link.open()
+                try:
+                    self._identity = self._greet()
+                    self._prepare()
+                except DeviceError:
+                    self.close()
+                    raise
+                log.info(
+                    "%s: %s answers; this driver has met simulated instruments only",
+                    self._link.name,
+                    self._identity,
+                )
+            return self._identity
+
+    def close(self) -> None:
+        """End what runs and release the port."""
+        self.stop()
+        with self._lock:
+            self._identity = None
+            self._link.close()
+
+    def stop(self) -> None:
+        """End a dwell under way; the shot of the moment ends by itself."""
+        self._stopping.set()
+
+    def measure(self, dwell_s: float) -> PointMeasurement:
+        """Take one distance with its angles after another for so long."""
+        if not 0.0 <= dwell_s < math.inf:
+            raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
+        with self._lock:
+            self._require_open()
+            self._stopping.clear()
+            begin_s = time.monotonic()
+            shots: list[NDArray[np.float64]] = []
+            times: list[float] = []
+            warned = 0
+            while not shots or time.monotonic() - begin_s < dwell_s:
+                before_s = time.monotonic()
+                shot, is_warned = self._shoot()
+                warned += is_warned
+                shots.append(shot)
+                times.append(0.5 * (before_s + time.monotonic()))
+                if self._stopping.is_set():
+                    raise Refused(f"{self._link.name}: the measurement was stopped")
+            good = 1.0 - warned / len(shots)
+            air = self._try_air()
+            return PointMeasurement.average(np.array(times), np.array(shots), air, good)
+
+    def take_link_bytes(self) -> bytes:
+        """Return the bytes as they came, at most the last 1 MiB."""
+        return self._link.take_bytes()
+
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        """Return what has happened since the last call."""
+        taken = tuple(self._events)
+        del self._events[: len(taken)]
+        return taken
+
+    def home(self) -> None:
+        """Turn to Hz 0 at the horizon; the instrument levels itself."""
+        self._turn_to(0.0, 0.5 * math.pi)
+
+    def aim(self, azimuth_rad: float, elevation_rad: float) -> None:
+        """Turn there; azimuth from x towards y."""
+        hz = (0.5 * math.pi - azimuth_rad) % (2.0 * math.pi)
+        self._turn_to(hz, 0.5 * math.pi - elevation_rad)
+
+    def search(self) -> None:
+        """Seek the prism around the beam, and lock on it where it is to be followed."""
+        with self._lock:
+            window = (self._search_rad, self._search_rad, 0)
+            expect_ok(self._session.ask(P.AUT_SEARCH, window, self._turn_s))
+            if self._follows:
+                expect_ok(self._session.ask(P.AUT_LOCK_IN, (), self._turn_s))
+
+    def push_air(self, air: Air) -> None:
+        """Set pressure, dry and wet temperature; read back what is in use."""
+        with self._lock:
+            wavelength = self._read_atmosphere()[0]
+            wet = find_wet_bulb(air.temperature_degc, air.humidity_percent)
+            told = (wavelength, air.pressure_hpa, air.temperature_degc, wet)
+            if not np.isfinite(told).all():
+                raise Refused("the air needs temperature, pressure and humidity")
+            expect_ok(self._session.ask(P.TMC_SET_ATMOSPHERE, told))
+            used = self._read_atmosphere()
+            if not np.allclose(used, told, atol=0.1):
+                raise Refused(f"{self._link.name} uses {used}, {told} was set")
+
+    def read_air(self) -> Air:
+        """Return the air that the instrument corrects its distances for."""
+        _, pressure, dry, wet = self._read_atmosphere()
+        return Air(dry, pressure, find_humidity(dry, wet))
+
+    def _greet(self) -> Identity:
+        try:
+            name = self._session.ask(P.CSV_GET_INSTRUMENT_NAME)
+        except DeviceTimeout as error:
+            if not self._link.has_received:
+                raise
+            raise WrongDevice(
+                f"{self._link.name}: something answers, but not in GeoCOM; check the "
+                "port, its baud rate, and that GeoCOM is on at the instrument"
+            ) from error
+        model = decode(expect_ok(name), str)[0]
+        number = decode(expect_ok(self._session.ask(P.CSV_GET_SERIAL_NUMBER)), str)[0]
+        if self._serial_number not in ("", number):
+            raise WrongDevice(
+                f"{self._link.name}: instrument {number} answers, "
+                f"{self._serial_number} is configured; check which cable is where"
+            )
+        firmware = self._session.ask(P.CSV_GET_FIRMWARE_VERSION)
+        version = ".".join(v.decode("ascii", "replace") for v in firmware.values)
+        return Identity("Leica", model, number, version)
+
+    def _prepare(self) -> None:
+        if self._prism_constant_mm is not None:
+            told = float(self._prism_constant_mm)
+            expect_ok(self._session.ask(P.TMC_SET_PRISM_CORRECTION, (told,)))
+            reply = expect_ok(self._session.ask(P.TMC_GET_PRISM_CORRECTION))
+            used = decode(reply, float)[0]
+            if abs(used - told) > 1e-3:
+                raise Refused(
+                    f"{self._link.name} uses a prism constant of {used:g} mm, "
+                    f"{told:g} mm was set; select a user prism at the instrument"
+                )
+        if self._follows:
+            expect_ok(self._session.ask(P.AUT_SET_ATR, (1,)))
+            expect_ok(self._session.ask(P.AUT_SET_LOCK, (1,)))
+            # Without a prism in view there is nothing to lock on yet.
+            self._session.ask(P.AUT_LOCK_IN, (), self._turn_s)
+
+    def _shoot(self) -> tuple[NDArray[np.float64], bool]:
+        """Return one point, and whether its accuracy is not guaranteed.
+
+        The last distance is cleared first, so that none of before is taken for it. A
+        prism that is lost is sought once.
+        """
+        reply = self._take_distance()
+        if reply.code in NO_TARGET and self._follows and not self._stopping.is_set():
+            self._tell(TrackerEventKind.BEAM_LOST, "the prism was lost and is sought")
+            self.search()
+            self._tell(TrackerEventKind.BEAM_LOCKED, "the prism was found again")
+            reply = self._take_distance()
+        is_warned = reply.code in WITH_A_WARNING
+        if is_warned:
+            self._tell(
+                TrackerEventKind.WARNING,
+                f"{self._link.name}: {describe_code(reply.code)}",
+            )
+        else:
+            expect_ok(reply)
+        hz, v, distance = decode(reply, float, 3)
+        if not (math.isfinite(hz + v + distance) and distance > 0.0):
+            raise DeviceError(
+                f"{self._link.name}: Hz {hz}, V {v}, distance {distance} is no point"
+            )
+        return to_cartesian_mm(hz, v, distance), is_warned
+
+    def _take_distance(self) -> Reply:
+        for program in (_CLEAR, _DISTANCE):
+            values = (program, _AUTO)
+            reply = self._session.ask_free(P.TMC_DO_MEASURE, values, self._stopping)
+            expect_ok(reply)
+        values = (int(1e3 * self._shot_s), _AUTO)
+        return self._session.ask_free(
+            P.TMC_GET_SIMPLE_MEASUREMENT, values, self._stopping, self._shot_s
+        )
+
+    def _turn_to(self, hz_rad: float, v_rad: float) -> None:
+        values = (float(hz_rad), float(v_rad), 1, 0, 0)
+        with self._lock:
+            expect_ok(self._session.ask(P.AUT_TURN_TO, values, self._turn_s))
+
+    def _read_atmosphere(self) -> tuple[float, ...]:
+        with self._lock:
+            reply = expect_ok(self._session.ask(P.TMC_GET_ATMOSPHERE))
+            return decode(reply, float, 4)
+
+    def _try_air(self) -> Air | None:
+        try:
+            return self.read_air()
+        except (Refused, DeviceTimeout) as error:
+            log.warning("%s tells no air: %s", self._link.name, error)
+            return None
+
+    def _tell(self, kind: TrackerEventKind, text: str) -> None:
+        self._events.append(TrackerEvent(kind, text))
+
+    def _require_open(self) -> None:
+        if self._identity is None:
+            raise ConnectionLost(f"{self._link.name} is not connected; connect first")

@@ -1,0 +1,77 @@
+"""A calibration at standstill points on the simulated machine, by polled trackers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.files.bundle import read_bundle, write_bundle
+from app.files.machine_file import machine_from_json
+from app.kinematics.conditions import make_standstill
+from app.kinematics.volumetric_map import build_volumetric_map
+from app.measurement.measurement import Measurement
+from app.measurement.messages import MeasurementOrder
+from app.measurement.run_reading import open_run
+from app.measurement.timing import EngineSettings
+from app.motion.default_points import default_points
+from app.plugins import load
+from app.results.analysis import analyse
+from simulators.bench import Bench
+from simulators.scenario import load_machine
+
+QUICK = EngineSettings(poll_s=0.02, settle_s=0.1, arrival=0.02)
+STATION = {"range_sigma_um": 30.0, "angle_sigma_urad": 2.5, "rate_hz": 2.0}
+
+
+@pytest.fixture
+def calibrate(tmp_path, journal, rigid_free):
+    """Calibrate with a driver; return the findings and the judgement of the truth."""
+
+    def made(name, points=40, **figures):
+        content = dict(load_machine("demo"))
+        content["tracker"] = {**content["tracker"], **STATION, **figures}
+        machine = machine_from_json(content)
+        rows = default_points(machine, count=points)
+        rows = replace(rows, dwell_s=np.full(len(rows), 0.08))
+        file = tmp_path / "run.sqlite"
+        order = MeasurementOrder(name, str(file), machine, rows, reserve_bytes=0)
+        with (
+            Bench(content, 7, 20.0, protocol=name, error_scale=3.0) as bench,
+            load("truepath.trackers", name)(**bench.tracker_options) as tracker,
+            load("truepath.motion_controllers", "modbus")(
+                **bench.motion_options
+            ) as motion,
+        ):
+            devices = {"tracker": tracker.connect(), "motion": motion.connect()}
+            Measurement(order, tracker, motion, devices, journal.report, QUICK).run()
+            truth = bench.truth
+        assert journal.states[-1] == "finished", journal.events[-3:]
+        write_bundle(open_run(file), tmp_path / "bundle")
+        found = analyse(read_bundle(tmp_path / "bundle"))
+        return found, *_judge(found, truth, machine, rigid_free)
+
+    return made
+
+
+def _judge(found, truth, machine, rigid_free):
+    """Return (mean error before over after, share of the truth within 2u)."""
+    low, high = ([getattr(a, end) for a in machine.axes] for end in ("low", "high"))
+    q = np.random.default_rng(1).uniform(low, high, (300, 3))
+    model = found.estimate.model
+    at, maps = make_standstill(model.machine, q), build_volumetric_map(model)
+    before = rigid_free(q, truth.deviation_mm(q))
+    left = before - rigid_free(q, maps.error_mm(at, found.estimate.theta))
+    inside = np.abs(left) < 2 * maps.sigma_mm(at, found.estimate.covariance)
+    sizes = [np.linalg.norm(each, axis=1).mean() for each in (before, left)]
+    return sizes[0] / sizes[1], float(inside.mean())
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_a_total_station_calibrates_the_machine(calibrate):
+    found, factor, inside = calibrate("geocom")
+    assert found.verdict.state == "usable"
+    assert factor > 3.0
+    assert 0.85 < inside <= 1.0
