@@ -56,7 +56,7 @@ class Bench(DeviceProcesses):
     tracker : link of the tracker, `pty` or `tcp`
     source : axis positions in place of the simulated CNC, a name or a descriptor, see
         `simulators.followed_positions`; source_unit_s : a step of its first column
-    protocol : `gst` where it streams; `geocom` is polled
+    protocol : `gst` where it streams; `geocom` and `t2sa` are polled
     hidden : effects that no rigid-body model knows, or `name[*size_um]`, drawn by the
         seed; their time begins with the bench
     """
@@ -79,7 +79,7 @@ class Bench(DeviceProcesses):
         hidden: Sequence[HiddenEffect | str] = (),
         source: str | int | None = None,
         source_unit_s: float = 1.0,
-        protocol: Literal["gst", "geocom"] = "gst",
+        protocol: Literal["gst", "geocom", "t2sa"] = "gst",
     ) -> None:
         super().__init__()
         if speed <= 0.0:

@@ -21,13 +21,14 @@ from simulators.machine_clock import MachineClock
 from simulators.machine_file import parse_machine
 from simulators.polled_head import PolledHead
 from simulators.random_machine import random_machine
+from simulators.t2sa_application import T2saApplication
 from simulators.tracker_device import BUFFER_BYTES, TrackerDevice, TrackerParts
 from simulators.tracker_head import Air
 
 # Ten samples at 500 Hz: few wake-ups, and well below what a host notices.
 PERIOD_S = 0.02
 _IDLE_S = 0.1
-_POLLED = {"geocom": GeoComStation}
+_POLLED = {"geocom": GeoComStation, "t2sa": T2saApplication}
 Device = TrackerDevice | LineInstrument
 
 

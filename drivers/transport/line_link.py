@@ -80,6 +80,14 @@ class LineLink:
         self.lines += 1
         return line
 
+    def drain(self) -> bytes:
+        """Return what has come already; it belongs to no request."""
+        stale, self._rest = self._rest, b""
+        while data := self._port.read(0.0):
+            self._keep(data)
+            stale += data
+        return stale
+
     def take_bytes(self) -> bytes:
         """Return what has come since the last call, at most the last 1 MiB."""
         with self._lock:

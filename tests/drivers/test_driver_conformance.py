@@ -39,7 +39,11 @@ CONTROLLERS = {
 # Where a driver of that name finds a device, on a running bench. A new driver of ours
 # needs a line here.
 TRACKER_PEERS = {"streaming": ["tracker_options"]}
-POLLED = {"geocom"}  # each with simulated instruments of its own name
+HURRIED = {"reply_timeout_s": 0.3, "shot_s": 0.3}
+POLLED = {  # each with simulated instruments of its own name
+    "geocom": {"tracker": "pty", **HURRIED, "turn_s": 0.3},
+    "t2sa": {"tracker": "tcp", **HURRIED},
+}
 CONTROLLER_PEERS = {
     "modbus": ["motion_options", "motion_options_rtu"],
     "linuxcnc": [],  # a real one, in test_linuxcnc_driver.py
@@ -47,6 +51,7 @@ CONTROLLER_PEERS = {
 ABSENT = {
     "streaming": {"port": "/dev/truepath-no-such-port"},
     "geocom": {"port": "/dev/truepath-no-such-port"},
+    "t2sa": {"host": "127.0.0.1", "port": 9},
     "modbus": {"serial_port": "/dev/truepath-no-such-port"},
     "linuxcnc": {"host": "127.0.0.1", "port": 9},
 }
@@ -71,7 +76,7 @@ def test_every_registered_driver_of_ours_has_a_peer():
         for point in (*TRACKERS.values(), *CONTROLLERS.values())
         if point.module.startswith("drivers.")
     }
-    peers = set(TRACKER_PEERS) | POLLED | set(CONTROLLER_PEERS)
+    peers = set(TRACKER_PEERS) | set(POLLED) | set(CONTROLLER_PEERS)
     assert ours == peers == set(ABSENT)
 
 
@@ -86,8 +91,10 @@ def test_trackers_conform(tracker_bench, name, check):
 
 @pytest.fixture(scope="module", params=sorted(POLLED))
 def polled_bench(request):
-    with Bench(protocol=request.param, speed=20.0, rtu=False) as bench:
-        yield request.param, bench
+    name = request.param
+    link = POLLED[name]["tracker"]
+    with Bench(protocol=name, speed=20.0, rtu=False, tracker=link) as bench:
+        yield name, bench
 
 
 @pytest.mark.parametrize("check", POLLED_CHECKS, ids=lambda check: check.__name__)
@@ -101,7 +108,7 @@ def test_polled_trackers_conform(polled_bench, check):
 def test_polled_trackers_return_no_point_without_a_target(polled_bench, fault):
     name, bench = polled_bench
     factory = TRACKERS[name].load()
-    patience = {"reply_timeout_s": 0.3, "shot_s": 0.3, "turn_s": 0.3}
+    patience = {key: s for key, s in POLLED[name].items() if key != "tracker"}
     with factory(**bench.tracker_options, **patience) as tracker:
         bench.inject("tracker:" + fault.replace("600s", "20s"))
         time.sleep(0.2)

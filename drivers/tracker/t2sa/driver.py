@@ -1,0 +1,239 @@
+"""The driver of trackers behind SpatialAnalyzer's T2SA application."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces.errors import (
+    BeamLost,
+    ConnectionLost,
+    DeviceError,
+    DeviceTimeout,
+    Refused,
+    WrongDevice,
+)
+from drivers.interfaces.records import Identity
+from drivers.interfaces.tracker import ByteLink, EventSource, PolledTracker
+from drivers.interfaces.tracker_records import (
+    Clock,
+    PointMeasurement,
+    TrackerCapabilities,
+    TrackerEvent,
+    TrackerEventKind,
+)
+from drivers.tracker.t2sa.codec import (
+    CONNECTED,
+    LASER_OFF,
+    LASER_ON,
+    NO_TARGET,
+    ErrorCode,
+    Reply,
+    parse_place,
+    parse_reply,
+)
+from drivers.transport.line_link import LineLink
+from drivers.transport.tcp_port import TcpPort
+
+log = logging.getLogger(__name__)
+
+_MM = {"mm": 1.0, "m": 1e3, "inch": 25.4}
+_LOOK_S = 0.2  # between two looks at a busy application, and at `stop`
+
+
+class T2saTracker(PolledTracker, ByteLink, EventSource):
+    """A tracker behind T2SA, one point at a time.
+
+    collection, group, point : of the job, under which a point is measured again and
+        again (`!MEAS_SINGLE_POINT`)
+    plan : a measurement plan to run in place of it (`!CMDEXE`, then `?POS`)
+    unit : of the job's coordinates, `mm`, `m` or `inch`; the working frame is the
+        instrument's own, or one that stands where the tracker stands
+    instrument : what it is called; the dialogue tells no serial number
+    reply_timeout_s : longest wait for a reply; shot_s : for a point
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        collection: str = "A",
+        group: str = "truepath",
+        point: str = "truepath_1",
+        plan: str = "",
+        unit: str = "mm",
+        instrument: str = "not told",
+        reply_timeout_s: float = 2.0,
+        shot_s: float = 15.0,
+    ) -> None:
+        if unit not in _MM:
+            raise ValueError(f"unit {unit!r} is none of {', '.join(_MM)}")
+        self._link = LineLink(TcpPort(host, int(port)))
+        self._name = plan or point
+        self._command = (
+            f"!CMDEXE:{plan}"
+            if plan
+            else f"!MEAS_SINGLE_POINT:{collection};{group};{point}"
+        )
+        self._is_plan, self._mm, self._instrument = bool(plan), _MM[unit], instrument
+        self._reply_timeout_s, self._shot_s = reply_timeout_s, shot_s
+        self._lock = threading.RLock()
+        self._stopping = threading.Event()
+        self._identity: Identity | None = None
+        self._events: list[TrackerEvent] = []
+
+    @property
+    def capabilities(self) -> TrackerCapabilities:
+        """Polled; what is behind the application it does not tell."""
+        return TrackerCapabilities(streams=False, clock=Clock.HOST)
+
+    def connect(self) -> Identity:
+        """Open the connection, ask for the instrument, switch its laser on."""
+        with self._lock:
+            if self._identity is None or not self._link.is_open:
+                self._stopping.clear()
+                self._link.close()
+                self._link.open()
+                try:
+                    self._greet()
+                except DeviceError:
+                    self.close()
+                    raise
+                self._identity = Identity("NRK", "T2SA", self._instrument, "")
+                log.info("%s answers; this driver has met simulations", self._link.name)
+            return self._identity
+
+    def close(self) -> None:
+        """End what runs and release the connection."""
+        self.stop()
+        with self._lock:
+            self._identity = None
+            self._link.close()
+
+    def stop(self) -> None:
+        """End a measurement under way."""
+        self._stopping.set()
+
+    def measure(self, dwell_s: float) -> PointMeasurement:
+        """Measure the point again and again for so long."""
+        if not 0.0 <= dwell_s < math.inf:
+            raise Refused(f"a dwell of {dwell_s} s is no time to measure for")
+        with self._lock:
+            if self._identity is None:
+                raise ConnectionLost(f"{self._link.name}: connect first")
+            self._stopping.clear()
+            if not self._link.is_open:
+                self._link.open()
+            shots: list[NDArray[np.float64]] = []
+            times: list[float] = []
+            begin_s = time.monotonic()
+            while not shots or time.monotonic() - begin_s < dwell_s:
+                before_s = time.monotonic()
+                shots.append(self._mm * self._shoot())
+                times.append(0.5 * (before_s + time.monotonic()))
+            return PointMeasurement.average(np.array(times), np.array(shots))
+
+    def take_link_bytes(self) -> bytes:
+        """Return the bytes as they came, at most the last 1 MiB."""
+        return self._link.take_bytes()
+
+    def take_events(self) -> tuple[TrackerEvent, ...]:
+        """Return what has happened since the last call."""
+        taken = tuple(self._events)
+        del self._events[: len(taken)]
+        return taken
+
+    def _greet(self) -> None:
+        try:
+            status = self._ask("?STAT")
+        except DeviceTimeout as error:
+            if not self._link.has_received:
+                raise
+            raise WrongDevice(
+                f"{self._link.name}: something answers, but not as T2SA does; check "
+                "address and port"
+            ) from error
+        busy = not status.is_good and status.code in (
+            ErrorCode.BUSY,
+            ErrorCode.NOT_READY,
+        )
+        if not busy and CONNECTED not in self._expect(status):
+            raise WrongDevice(f"{self._link.name}: no instrument: {status.text}")
+        laser = self._expect(self._ask("?LSTA"))
+        if laser.startswith(LASER_OFF):
+            self._expect(self._ask("!LST:1"))
+        if not laser.startswith(LASER_ON):
+            text, action = "the tracker's laser warms up", "wait until it is warm"
+            event = TrackerEvent(TrackerEventKind.WARNING, text, action)
+            self._events.append(event)
+
+    def _shoot(self) -> NDArray[np.float64]:
+        reply = self._ask_free(self._command)
+        text = self._expect(reply)
+        if self._is_plan:
+            text = self._expect(self._ask_free(f"?POS {self._name}"))
+        place = parse_place(text, self._name)
+        if place is None:
+            self._link.close()
+            raise DeviceError(
+                f"{self._link.name}: {text!r} is no place of {self._name}; check the "
+                "names in the settings and in the job"
+            )
+        return place
+
+    def _ask_free(self, command: str) -> Reply:
+        """Ask until the application is not busy with something else."""
+        deadline_s = time.monotonic() + self._shot_s
+        while True:
+            reply = self._ask(command, self._shot_s)
+            if reply.is_good or reply.code != ErrorCode.BUSY:
+                return reply
+            if self._stopping.wait(_LOOK_S) or time.monotonic() > deadline_s:
+                return reply
+
+    def _ask(self, command: str, longer_s: float = 0.0) -> Reply:
+        """Send a line; return the line that answers it.
+
+        A reply names no request. So what has come before is left out, and after a
+        reply that stayed away the connection is closed: a late one is never taken for
+        that of the next request.
+        """
+        with self._lock:
+            if self._link.is_open and (stale := self._link.drain()):
+                log.warning("%s: left out %r", self._link.name, stale)
+            self._link.send(command.encode())
+            deadline_s = time.monotonic() + self._reply_timeout_s + longer_s
+            while (now_s := time.monotonic()) < deadline_s:
+                line = self._link.receive(min(now_s + _LOOK_S, deadline_s))
+                reply = None if line is None else parse_reply(line)
+                if reply is not None:
+                    return reply
+                if longer_s and self._stopping.is_set():
+                    self._halt()
+            self._link.close()
+        raise DeviceTimeout(
+            f"{self._link.name}: no reply to {command} in "
+            f"{self._reply_timeout_s + longer_s:g} s; is T2SA running?"
+        )
+
+    def _halt(self) -> None:
+        self._link.send(b"!HALT")
+        self._link.close()
+        raise Refused(f"{self._link.name}: the measurement was stopped")
+
+    def _expect(self, reply: Reply) -> str:
+        """Return the text of a good reply. Raises BeamLost or Refused if it is none."""
+        if self._stopping.is_set() and self._identity is not None:
+            raise Refused(f"{self._link.name}: the measurement was stopped")
+        if reply.is_good:
+            return reply.text
+        text = f"{self._link.name}: {reply.text} (ERR-{reply.code})"
+        if reply.code in NO_TARGET:
+            raise BeamLost(f"{text}; bring the reflector into the beam, then go on")
+        raise Refused(text, reply.code)
