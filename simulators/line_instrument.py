@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 from simulators.polled_head import PolledHead
 from simulators.timeline import Timeline
@@ -26,6 +27,10 @@ class LineInstrument(ABC):
     def streaming(self) -> bool:
         """Whether there is anything to say or to read."""
         return bool(self._due or self._lines)
+
+    def read_state(self) -> dict[str, Any]:
+        """Return what the device knows of itself."""
+        return {"streaming": False, "shots": self.head.shots, "replies": len(self._due)}
 
     def receive(self, data: bytes, true_s: float, wall_s: float) -> bytes:
         """Take bytes of the host; every reply comes by `due`."""

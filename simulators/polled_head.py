@@ -31,6 +31,11 @@ class PolledHead:
         """Stand elsewhere from now on."""
         self._device.set_down(pose)
 
+    @property
+    def shots(self) -> int:
+        """How many were taken."""
+        return self._count
+
     def begin(self, true_s: float) -> None:
         """Count the times of faults from the first question on."""
         self._faults.begin(true_s)
