@@ -1,8 +1,13 @@
-"""Samples lost of a 500 Hz stream, idle and with API, solver and readers at work."""
+"""Samples lost of a stream, with API, page and solver at work.
+
+usage: benchmarks/bench_samples_lost.py [HZ:SECONDS ...] [--solvers N] [--write]
+"""
 
 from __future__ import annotations
 
+import argparse
 import http.client
+import json
 import os
 import re
 import signal
@@ -12,25 +17,54 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import psutil
 
+from app.child_process import BACKGROUND_NICENESS
 from app.cli.client import Client
+from app.files.machine_file import machine_from_json
+from app.planning.default_path import default_path
+from simulators.scenario import load_machine
 
 TRUEPATH = Path(sys.executable).with_name("truepath")
-FEED_MM_MIN = 15_000  # a short path; the stream is 500 Hz at any feed
+DOCUMENT = Path(__file__).parents[1] / "docs" / "measurement.md"
+FAST_FEED_MM_MIN = 15_000
+STREAMS = ("500:600", "1000:60", "2000:60", "5000:60")
 READERS = 10  # open event streams, as of ten tabs
+SEEN = ("/machines/current", "/jobs", "/runs")
 ENDED = ("succeeded", "failed", "faulted", "aborted", "interrupted")
 
 
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a stream, and what the processors had to do meanwhile.
+
+    cell_share : of a core, by the process that reads
+    load : programs that wanted a processor, on average
+    """
+
+    rate_hz: int
+    samples: int
+    lost: int
+    cell_share: float
+    load: float
+
+
 @contextmanager
-def service(data_dir: Path) -> Iterator[tuple[Client, int]]:
+def service(folder: Path, rate_hz: int) -> Iterator[tuple[Client, int]]:
     """Run the service with simulated devices; yield a client and its process id."""
+    machine = dict(load_machine("demo"))
+    machine["tracker"] = {**machine["tracker"], "rate_hz": rate_hz}
+    file = folder / f"machine-{rate_hz}.json"
+    file.write_text(json.dumps(machine), encoding="utf-8")
     command = [TRUEPATH, "serve", "--simulated", "--port", "0"]
     with subprocess.Popen(
-        [*command, "--data-dir", data_dir],
+        [*command, "--data-dir", folder / f"data-{rate_hz}-{time.monotonic_ns()}"],
+        env={**os.environ, "TRUEPATH_MACHINE_FILE": str(file)},
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
@@ -48,28 +82,37 @@ def service(data_dir: Path) -> Iterator[tuple[Client, int]]:
             process.send_signal(signal.SIGTERM)
 
 
-def measure(client: Client) -> str:
+def feed_for(duration_s: float) -> float:
+    """Return the feed at which the usual path takes so long."""
+    path = default_path(machine_from_json(load_machine("demo")))
+    moving_s = duration_s - float(path.dwell_s.sum())
+    way_mm = np.linalg.norm(np.diff(path.position, axis=0), axis=1).sum()
+    return min(60.0 * float(way_mm) / max(moving_s, 1.0), FAST_FEED_MM_MIN)
+
+
+def measure(client: Client, feed_mm_min: float) -> str:
     """Begin a measurement on the fly and return its job."""
     client.post("/machines/current:connect")
-    order = {"kind": "measure-otf", "feed_mm_min": FEED_MM_MIN}
+    order = {"kind": "measure-otf", "feed_mm_min": feed_mm_min}
     job_id = client.post("/jobs", order)["id"]
     job = client.wait_for(job_id, lambda j: j["state"] == "ready", 60.0)
     client.post(f"/jobs/{job_id}/arm", version=job["version"])
     return job_id
 
 
-def follow_measurement(
-    client: Client, job_id: str, pid: int
-) -> tuple[dict[str, int], float]:
-    """Follow a measurement to its end; return its health and the cell's share of a
-    core since it was started.
-    """
-    share = 0.0
+def follow_measurement(client: Client, job_id: str, pid: int, rate_hz: int) -> Outcome:
+    """Follow a measurement to its end, asking the API for this and that."""
+    share, loads = 0.0, [os.getloadavg()[0]]
     for job in client.follow(job_id, period_s=0.2):
         if job["stage"] == "measuring" and job["state"] == "running":
             share = cell_share(pid)
+            loads.append(os.getloadavg()[0])
+            for address in SEEN:
+                client.get(address)
         elif job["state"] in ENDED or job["stage"] != "measuring":
-            return job["health"], share
+            health = job["health"]
+            lost, load = health["lost_samples"], float(np.mean(loads))
+            return Outcome(rate_hz, health["samples"], lost, share, load)
     raise AssertionError("a job that is followed ends")
 
 
@@ -85,12 +128,13 @@ def cell_share(pid: int) -> float:
 
 
 @contextmanager
-def solving(bundle: Path, folder: Path) -> Iterator[None]:
-    """Analyse a measurement over and over, in processes that fill every core."""
+def solving(bundle: Path, folder: Path, solvers: int) -> Iterator[None]:
+    """Analyse a measurement over and over, behind other work as in the service."""
     stopping = threading.Event()
 
     def solve(number: int) -> None:
-        command = [TRUEPATH, "analyse", bundle, "-o", folder / f"solved-{number}"]
+        command = ["nice", "-n", str(BACKGROUND_NICENESS), TRUEPATH, "analyse"]
+        command += [bundle, "-o", folder / f"solved-{number}"]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         while not stopping.is_set():
             with subprocess.Popen(command, **quiet) as process:
@@ -99,8 +143,7 @@ def solving(bundle: Path, folder: Path) -> Iterator[None]:
                 process.kill()
 
     threads = [
-        threading.Thread(target=solve, args=(number,))
-        for number in range(os.cpu_count() or 1)
+        threading.Thread(target=solve, args=(number,)) for number in range(solvers)
     ]
     for thread in threads:
         thread.start()
@@ -139,37 +182,62 @@ def drain(response: http.client.HTTPResponse) -> None:
         return  # closed under our hands: the end
 
 
+def keep_bundle(folder: Path) -> Path:
+    """Measure once at a high feed; return the measurement, for the solvers."""
+    file = folder / "bundle.zip"
+    with service(folder, 500) as (client, _):
+        job_id = measure(client, FAST_FEED_MM_MIN)
+        job = client.wait_for(job_id, lambda j: j["state"] in ENDED, 300.0)
+        host = client.address.removeprefix("http://")
+        connection = http.client.HTTPConnection(host, timeout=60.0)
+        connection.request("GET", f"/api/v1/runs/{job['run_id']}/bundle")
+        file.write_bytes(connection.getresponse().read())
+        connection.close()
+    return file
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Return the outcomes as a table of the document."""
+    rows = [
+        f"| {o.rate_hz} Hz | {o.samples / o.rate_hz:.0f} s | {o.samples} | {o.lost} | "
+        f"{100 * o.cell_share:.0f} % | {o.load:.1f} |"
+        for o in outcomes
+    ]
+    head = "| stream | time | samples | lost | cell process, of a core | load |"
+    return "\n".join([head, "| --- " * 6 + "|", *rows]) + "\n"
+
+
+def write(text: str) -> None:
+    """Put the table into the document."""
+    place = re.compile(r"(<!-- samples lost -->\n).*?(<!-- /samples lost -->)", re.S)
+    written = place.sub(rf"\g<1>{text}\g<2>", DOCUMENT.read_text(encoding="utf-8"))
+    DOCUMENT.write_text(written, encoding="utf-8")
+
+
 def main() -> None:
-    """Measure once with nothing else to do, once with everything at work."""
+    """Measure each stream with everything at work; print, or write into the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("streams", nargs="*", default=STREAMS, metavar="HZ:SECONDS")
+    parser.add_argument("--solvers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--write", action="store_true", help=f"into {DOCUMENT.name}")
+    options = parser.parse_args()
+    outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="truepath-bench-") as name:
         folder = Path(name)
-        bundle = folder / "bundle.zip"
-        for load in ("idle", "at work"):
-            with service(folder / load) as (client, pid), ExitStack() as stack:
-                if load == "at work":
-                    stack.enter_context(reading(client))
-                    stack.enter_context(solving(bundle, folder))
-                job_id = measure(client)
-                health, share = follow_measurement(client, job_id, pid)
-                stack.close()
-                print(
-                    f"{load:8s} {health['samples']:6d} samples, "
-                    f"{health['lost_samples']} lost; "
-                    f"the cell process used {100 * share:.0f} % of a core",
-                    flush=True,
-                )
-                if load == "idle":
-                    keep_bundle(client, job_id, bundle)
-
-
-def keep_bundle(client: Client, job_id: str, file: Path) -> None:
-    """Wait for the analysis to end and download the measurement."""
-    job = client.wait_for(job_id, lambda j: j["state"] in ENDED, 120.0)
-    host = client.address.removeprefix("http://")
-    connection = http.client.HTTPConnection(host, timeout=60.0)
-    connection.request("GET", f"/api/v1/runs/{job['run_id']}/bundle")
-    file.write_bytes(connection.getresponse().read())
-    connection.close()
+        bundle = keep_bundle(folder)
+        for stream in options.streams:
+            rate_hz, duration_s = map(int, stream.split(":"))
+            with (
+                service(folder, rate_hz) as (client, pid),
+                reading(client),
+                solving(bundle, folder, options.solvers),
+            ):
+                job_id = measure(client, feed_for(duration_s))
+                outcomes.append(follow_measurement(client, job_id, pid, rate_hz))
+                print(outcomes[-1], flush=True)
+    print(table(outcomes))
+    if options.write:
+        write(table(outcomes))
 
 
 if __name__ == "__main__":
